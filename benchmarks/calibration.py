@@ -161,7 +161,7 @@ def draw(shape: str, seed: int) -> tuple[ObjectFile, TruthFile, dict[str, float]
         (0.0, 0.0, 0.0),
         support=SupportTruth(
             friction_factor=true["friction"] / told["friction"],
-            torque_factor_factor=true["torque_factor"] / told["torque_factor"],
+            torque_factor_ratio=true["torque_factor"] / told["torque_factor"],
         ),
         impact=ImpactTruth(
             true["restitution"] / told["restitution"],

@@ -44,7 +44,7 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
         truth = TruthFile(
             (0.0, 0.0, 0.0),
-            support=SupportTruth(friction_factor=friction, torque_factor_factor=torque),
+            support=SupportTruth(friction_factor=friction, torque_factor_ratio=torque),
             impact=ImpactTruth(restitution, contact),
             scatter=ScatterTruth(0.05, 0.15, math.radians(1.0)),
         )

@@ -47,7 +47,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
         default = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         truth = replace(
             default,
-            support=replace(default.support, friction_factor=friction, torque_factor_factor=torque),
+            support=replace(default.support, friction_factor=friction, torque_factor_ratio=torque),
             impact=ImpactTruth(restitution, contact, default.impact.striker_speed_factor),
         )
         old = _demos(configured, configured.object, truth, count)

@@ -175,8 +175,8 @@ def _loss(cell: DrawnCell, who: str, how: str, chance: Callable[[], float]) -> f
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
     rows = [
-        f"{name}: let down after {1e3 * row['mean']:.0f} ms, at worst {1e3 * row['worst']:.0f} ms"
-        f" of {report['count']}"
+        f"{name}: discharged after {1e3 * row['mean']:.0f} ms, at worst "
+        f"{1e3 * row['worst']:.0f} ms of {report['count']}"
         for name, row in report["losses"].items()
     ]
     return [*rows, f"fired: {report['fired']}; load {report['load']:.1f}"]

@@ -254,5 +254,5 @@ def _wait(condition: Callable[[], bool], graph: Graph, what: str) -> None:
     while not condition():
         graph.check()
         if time.monotonic() > end:
-            raise RuntimeError(f"waited in vain: {what}")
+            raise RuntimeError(f"not received: {what}")
         time.sleep(0.1)

@@ -63,7 +63,7 @@ def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthF
         support=replace(
             support,
             friction_factor=float(spread[0] ** rng.uniform(-1.0, 1.0)),
-            torque_factor_factor=float(spread[1] ** rng.uniform(-1.0, 1.0)),
+            torque_factor_ratio=float(spread[1] ** rng.uniform(-1.0, 1.0)),
             pressure=str(rng.choice(["even", "rim", "three_points", "pads"])),
             feet_turn=float(rng.uniform(-math.pi, math.pi)),
             pad_seed=int(rng.integers(1, 1000)),

@@ -5,7 +5,7 @@ from tapping_cell.cli.cell_launch import LaunchedNode, cell_launch
 
 ARGUMENTS = {
     "camera": ("/dev/video0", "device, video file or folder of images"),
-    "exposure": ("0.0", "time of exposure in s; 0 leaves it to the device"),
+    "exposure": ("0.0", "exposure time in s; 0 leaves it to the device"),
 }
 CELL = {"cell_file": "cell_file"}
 FILES = {**CELL, "object_file": "object_file"}

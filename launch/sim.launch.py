@@ -5,9 +5,9 @@ from tapping_cell.cli.cell_launch import LaunchedNode, cell_launch
 
 ARGUMENTS = {
     "truth_file": ("", "simulation parameter file; if empty, the package's default"),
-    "seed": ("1", "of the world's noise and scatter"),
-    "arm_port": ("", "where the arm's port appears; empty for the cell file's"),
-    "tapper_port": ("", "where the tapper's port appears; empty for the cell file's"),
+    "seed": ("1", "random seed of the world's noise and scatter"),
+    "arm_port": ("", "path of the arm's simulated port; if empty, the one in the cell file"),
+    "tapper_port": ("", "path of the tapper's simulated port; if empty, the one in the cell file"),
 }
 CELL = {"cell_file": "cell_file"}
 FILES = {**CELL, "object_file": "object_file"}

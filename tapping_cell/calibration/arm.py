@@ -57,9 +57,9 @@ _IN_WORDS = {
     "base_x": "x of the base",
     "base_y": "y of the base",
     "base_yaw": "yaw of the base",
-    "elbow_zero": "zero of the elbow",
-    "mount_x": "place of the marker or tip ahead of the quill",
-    "mount_y": "place of the marker or tip beside the quill",
+    "elbow_zero": "zero offset of the elbow",
+    "mount_x": "offset of the marker or tip ahead of the quill",
+    "mount_y": "offset of the marker or tip to the side of the quill",
     "mount_angle": "angle of the marker on the tool",
     "upper_arm": "length of the upper arm",
     "forearm": "length of the forearm",
@@ -137,7 +137,8 @@ def calibrate_arm(
     different = len(np.unique(np.round(record.joints / _ALIKE), axis=0))
     if different < LEAST_POSES:
         raise CalibrationRefused(
-            f"{different} different poses are too few: {LEAST_POSES} are the least, 20 are good"
+            f"{different} different poses are too few: at least {LEAST_POSES} are needed, 20 "
+            "are recommended"
         )
     start, used = _begin(record, geometry)
     names = [*NAMES[:6], *(("mount_angle",) if record.angles is not None else ())]
@@ -155,8 +156,8 @@ def calibrate_arm(
         worst = _to_hold(free, loose)
         if worst.startswith("base"):
             raise CalibrationRefused(
-                f"the poses do not tell the {_IN_WORDS[worst]}: spread them over the table, with"
-                " the elbow bent by different angles"
+                f"the poses do not determine the {_IN_WORDS[worst]}: spread them over the "
+                "table, with the elbow bent by different angles"
             )
         held.append(worst)
         start = {**values, worst: start[worst]}
@@ -230,7 +231,9 @@ def _begin(
         if error < least:
             best, least = found, error
     if best is None or abs(best[1]) < 1e-6:
-        raise CalibrationRefused("the poses do not tell where the base is: spread them more")
+        raise CalibrationRefused(
+            "the poses do not determine the position of the base: spread them more"
+        )
     errors = np.abs(columns @ best - seen)
     agree = errors <= max(6.0 * least, 0.01)
     found = np.linalg.lstsq(columns[agree], seen[agree], rcond=1e-9)[0]
@@ -285,18 +288,19 @@ def _robust(
             again &= np.abs(turns) <= _OUTLIER * sigma[1]
         if again.sum() < max(LEAST_POSES, len(record.rows) // 2):
             raise CalibrationRefused(
-                f"only {int(again.sum())} of {len(record.rows)} rows agree with each other: are the"
-                " joints those of the controller, in the right unit, and the marker the same in all"
-                " rows?"
+                f"only {int(again.sum())} of {len(record.rows)} rows are consistent; check "
+                "that the joint values come from the controller in the right unit, and that "
+                "the marker is the same in all rows"
             )
         if np.array_equal(again, used):
             break
         used = again
     if sigma[0] > _WORST_SPREAD:
         raise CalibrationRefused(
-            "the rows fit no arm with these links: half of them miss by more than"
-            f" {sigma[0] * 1.2e3:.0f} mm. Are the columns the controller's joints in the right unit"
-            " and order, and the links' lengths in the cell file those of the arm?"
+            "no arm with these links fits the rows: half of them deviate by more than "
+            f"{sigma[0] * 1.2e3:.0f} mm. Check that the columns are the controller's joint "
+            "values in the right unit and order, and that the link lengths in the cell file "
+            "are those of the arm"
         )
     values, jacobian = _least_squares(record, values, free, used, sigma)
     left, turns = _misses(record, values)
@@ -409,14 +413,14 @@ def _notes(
 ) -> list[str]:
     """Describe what the record does not determine, and which poses would."""
     said = [
-        "the shoulder's zero and the base's yaw have one and the same effect: their sum stands in"
-        " the base's yaw"
+        "the shoulder's zero offset and the base's yaw have the same effect; their sum is "
+        "stored as the base's yaw"
     ]
     for name in held:
         said.append(
-            f"the poses do not tell the {_IN_WORDS[name]}: kept as in the cell file; "
+            f"the poses do not determine the {_IN_WORDS[name]}, which is kept as in the cell file; "
             + (
-                "turn the tool against the forearm from pose to pose"
+                "turn the tool relative to the forearm from pose to pose"
                 if name.startswith("mount")
                 else "bend the elbow by more different angles, to both sides if it can"
             )
@@ -434,8 +438,8 @@ def _notes(
     elbow = record.joints[used, 1] + values["elbow_zero"]
     if not (elbow.min() < -0.1 and elbow.max() > 0.1):
         said.append(
-            "all poses bend the elbow to one side; poses on both sides tell its zero from the base"
-            " better"
+            "all poses bend the elbow to one side; poses on both sides separate its zero "
+            "offset from the base better"
         )
     if int(used.sum()) < 15:
         said.append(f"{int(used.sum())} poses are few: 20 over the whole table are good")

@@ -40,7 +40,7 @@ def arm_places(
         yaw = math.atan2(tip.y, tip.x) + TURN * (2.0 * _spread(number, 5) - 1.0)
         side = tuple(Branch)[number % 2]
         solution = geometry.inverse((tip.x, tip.y, height, yaw), side)
-        if solution.joints is not None and _has_room(geometry, solution.joints):
+        if solution.joints is not None and _has_clearance(geometry, solution.joints):
             found.append(solution.joints)
     return found
 
@@ -55,7 +55,7 @@ def _spread(number: int, prime: int) -> float:
     return place
 
 
-def _has_room(geometry: ScaraGeometry, joints: Joints) -> bool:
+def _has_clearance(geometry: ScaraGeometry, joints: Joints) -> bool:
     turns = np.array(joints)[[0, 1, 3]]
     low, high = np.array(geometry.lower)[[0, 1, 3]], np.array(geometry.upper)[[0, 1, 3]]
     return bool(np.all(turns > low + _INSIDE) and np.all(turns < high - _INSIDE))

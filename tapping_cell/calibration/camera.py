@@ -156,8 +156,8 @@ def calibrate_camera(
         rejected.append(
             Rejected(
                 view.name,
-                f"outlier: reprojection error {error:.2f} pixels where the others have"
-                f" {usual:.2f} (another target, a bent one, or corners mixed up)",
+                f"outlier: reprojection error {error:.2f} pixels where the others have "
+                f"{usual:.2f} (another target, a bent target or swapped corners)",
             )
         )
     _check_number(chosen, rejected)
@@ -170,8 +170,9 @@ def _check_number(views: Sequence[TargetView], rejected: Sequence[Rejected]) -> 
         return
     out = "; ".join(f"{entry.name}: {entry.reason}" for entry in rejected[:4])
     raise CalibrationRefused(
-        f"{len(views)} usable views are too few: {LEAST_VIEWS} are the least, 20 are good. Take"
-        " more photographs with the target tilted to all sides and in every part of the image"
+        f"{len(views)} usable views are too few: at least {LEAST_VIEWS} are needed, 20 are "
+        "recommended. Take more photographs with the target tilted to all sides and in every "
+        "part of the image"
         + (f" (left out: {out}{'; ...' if len(rejected) > 4 else ''})" if out else "")
     )
 
@@ -189,10 +190,10 @@ def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
         depths.append(float(scale.max() / scale.min()) - 1.0 if scale.min() > 0 else 1.0)
     if not depths or np.quantile(depths, 0.75) < 0.03:
         raise CalibrationRefused(
-            "the target is seen straight on in nearly all views (one end of it at most"
-            f" {100 * max(depths, default=0.0):.1f} % nearer than the other): such views do not"
-            " tell the focal length from the distance. Tilt the target by 20 to 40 degrees, each"
-            " time to another side"
+            "the target faces the camera in nearly all views (one end of it at most "
+            f"{100 * max(depths, default=0.0):.1f} % nearer than the other); such views "
+            "cannot separate the focal length from the distance. Tilt the target by 20 to 40 "
+            "degrees, to a different side each time"
         )
 
 
@@ -258,11 +259,11 @@ def _fit(
         )
     except cv2.error as error:
         raise CalibrationRefused(
-            "the views determine no camera: show the target tilted to all sides"
+            "the views do not determine the camera: show the target tilted to all sides"
         ) from error
     if not (np.isfinite(matrix).all() and np.isfinite(coefficients).all() and matrix[0, 0] > 0):
         raise CalibrationRefused(
-            "the views determine no camera: show the target tilted to all sides"
+            "the views do not determine the camera: show the target tilted to all sides"
         )
     return _Fit(
         np.asarray(matrix, dtype=float),
@@ -327,8 +328,8 @@ def _choose(
         squares[lens] = square
     if not squares:
         raise CalibrationRefused(
-            "no lens model fits these views: show the target tilted to all sides and in every part"
-            " of the image, and check the target's counts"
+            "no lens model fits these views: show the target tilted to all sides and in "
+            "every part of the image, and check the target's numbers of squares"
         )
     best = next(iter(squares))
     for lens in list(squares)[1:]:
@@ -369,7 +370,7 @@ def _model(fit: _Fit, size: tuple[int, int], lens: Lens) -> CameraModel:
             lens.model,
         )
     except CameraError as error:
-        raise CalibrationRefused(f"the views determine no camera: {error}") from error
+        raise CalibrationRefused(f"the views do not determine the camera: {error}") from error
 
 
 def _without_stray_corners(
@@ -409,9 +410,9 @@ def _result(
     turns = np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))
     if turns.max() < _LEAST_TURN:
         raise CalibrationRefused(
-            "the target has nearly the same tilt in all views (they differ by at most"
-            f" {np.degrees(turns.max()):.0f} degrees): such views do not tell the focal length."
-            " Tilt the target by 20 to 40 degrees, each time to another side"
+            "the target has nearly the same tilt in all views (they differ by at most "
+            f"{np.degrees(turns.max()):.0f} degrees); such views do not determine the focal "
+            "length. Tilt the target by 20 to 40 degrees, to a different side each time"
         )
     worst = max(deviations["fx"] / model.fx, deviations["fy"] / model.fy)
     if worst > _WORST_FOCAL:
@@ -448,14 +449,15 @@ def _warnings(
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     if rms > _HIGH_RMS:
         said.append(
-            f"corners lie {rms:.2f} pixels (rms) from where the camera puts them; a flat target in"
-            " sharp photographs leaves 0.1 to 0.3: is it glued to something flat, its sizes right?"
+            f"corners lie {rms:.2f} pixels (rms) from their reprojections; a flat target in "
+            "sharp photographs gives 0.1 to 0.3. Check that the target is flat and its sizes "
+            "are right"
         )
     bare = bare_places(counts)
     if bare:
         said.append(
-            f"no view shows the target in the {', '.join(bare)} of the image: the lens is guessed"
-            " there; take views with the target in it"
+            f"no view shows the target in the {', '.join(bare)} of the image, where the lens "
+            "model is only extrapolated; take views with the target there"
         )
     if len(used) < 12:
         said.append(f"{len(used)} views are few: 20 make the standard deviations believable")
@@ -465,5 +467,7 @@ def _warnings(
             " image with it"
         )
     if np.max([entry.tilt for entry in used]) < np.radians(15.0):
-        said.append("no view is tilted by more than 15 degrees: tilt the target by 20 to 40")
+        said.append(
+            "no view is tilted by more than 15 degrees: tilt the target by 20 to 40 degrees"
+        )
     return said

@@ -145,7 +145,7 @@ def read_csv(
     _check_units(path, places, outside, len(lines) - 1)
     if not rows:
         reasons = "; ".join(f"row {fault.row}: {fault.reason}" for fault in faults[:3])
-        raise RecordError(f"{path}: has no row that can be used ({reasons or 'it has no rows'})")
+        raise RecordError(f"{path}: no row is usable ({reasons or 'it has no rows'})")
     table = np.array(kept, dtype=float).reshape(len(rows), len(places))
     values = {place.column.name: table[:, k] for k, place in enumerate(places)}
     _check_size(path, places, values)
@@ -234,7 +234,7 @@ def _row(
     Values out of range are appended to ``outside``.
     """
     if len(cells) != len(header):
-        return [], f"has {len(cells)} cells where the header has {len(header)} columns"
+        return [], f"has {len(cells)} cells, but the header has {len(header)} columns"
     numbers, reasons = [], []
     for place in places:
         cell, column = cells[place.index].strip(), place.column
@@ -280,10 +280,10 @@ def _check_size(path: Path, places: Sequence[_Place], values: dict[str, Array]) 
         largest = float(np.max(np.abs(found[np.isfinite(found)]), initial=0.0))
         if largest < column.least_largest:
             raise RecordError(
-                f"{path}: no value of {place.header} is larger than"
-                f" {largest / place.factor:g}, where at least"
-                f" {column.least_largest / place.factor:g} is expected;"
-                f" {_cure(place, [largest])}"
+                f"{path}: no value of {place.header} is larger than "
+                f"{largest / place.factor:g}, but at least "
+                f"{column.least_largest / place.factor:g} is expected; "
+                f"{_cure(place, [largest])}"
             )
 
 

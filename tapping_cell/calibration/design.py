@@ -79,7 +79,7 @@ class Design:
             if not values:
                 raise ValueError(f"'{name}' is empty; give at least one")
             if len(set(values)) != len(values):
-                raise ValueError(f"'{name}' holds a value twice; raise 'trials' instead")
+                raise ValueError(f"'{name}' contains a value twice; increase 'trials' instead")
 
     @property
     def runs(self) -> tuple[Run, ...]:
@@ -143,7 +143,7 @@ def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
         return replace(
             trial,
             outcome="missed",
-            note=f"moved {1000 * moved:.2f} mm where {1000 * expected:.1f} mm were expected",
+            note=f"moved {1000 * moved:.2f} mm where {1000 * expected:.1f} mm expected",
         )
     rate = trial.camera_rate_hz
     if not math.isfinite(rate):
@@ -174,8 +174,8 @@ def write_design(folder: Path, design: Design) -> None:
             yaml.safe_dump(content, stream, sort_keys=False, default_flow_style=None)
     except FileExistsError as error:
         raise RecordError(
-            f"{folder} holds an experiment already; go on with it (--resume), or take another "
-            "folder"
+            f"{folder} already contains an experiment; continue it (--resume) or choose "
+            "another folder"
         ) from error
 
 
@@ -188,7 +188,7 @@ def read_design(folder: Path) -> Design:
     file = folder / DESIGN_FILE
     if not file.is_file():
         raise RecordError(
-            f"{folder} holds no {DESIGN_FILE}: no experiment of single-tap began there"
+            f"{folder} contains no {DESIGN_FILE}; give the folder of an experiment of single-tap"
         )
     try:
         return load(Design, file)

@@ -51,7 +51,7 @@ def slide_estimates(
     """
     message = (
         "the trials do not determine friction and torque factor together: the object hardly "
-        "turned. Tap with an incidence of 20 degrees and more"
+        "turned. Tap with an incidence of at least 20 degrees"
     )
     try:
         width = spread(slide.score, slide.information, runs, seed)

@@ -117,7 +117,7 @@ def write_header(folder: Path, header: ExperimentFile) -> None:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(content)
     except FileExistsError as error:
-        raise RecordError(f"{file}: is there already; resume it or take another folder") from error
+        raise RecordError(f"{file} exists already; resume it or choose another folder") from error
 
 
 def plain(value: Any) -> Any:

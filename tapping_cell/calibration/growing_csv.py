@@ -29,8 +29,8 @@ class GrowingCsv:
             return
         if not resume:
             raise RecordError(
-                f"{path}: is there already and is not overwritten; give --resume to go on with it,"
-                " or another name"
+                f"{path} exists already and is not overwritten; give --resume to continue it, "
+                "or another name"
             )
         text = path.read_text(encoding="utf-8-sig")
         first, *rows = [
@@ -38,8 +38,8 @@ class GrowingCsv:
         ] or [""]
         if first != line:
             raise RecordError(
-                f"{path}: has the columns {first or '(none)'}, where the recording has"
-                f" {line}; give another name"
+                f"{path}: has the columns {first or '(none)'}, but the recording has {line}; "
+                "give another name"
             )
         self.rows = len(rows)
         if not text.endswith("\n"):

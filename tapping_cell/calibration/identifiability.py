@@ -118,15 +118,15 @@ def _confounded(information: Array, speed_known: float) -> list[str]:
             if abs(part) > _SHARE * largest
         ]
         if len(names) == 1:
-            sentences.append(f"The trials say nothing of the {names[0]}.")
+            sentences.append(f"The trials do not determine the {names[0]}.")
         else:
             listed = ", ".join(names[:-1]) + " and " + names[-1]
-            sentences.append(f"The trials cannot tell apart {listed}: only a combination counts.")
+            sentences.append(f"The trials determine only a combination of {listed}.")
     if not math.isfinite(speed_known):
         sentences.append(
-            "The striker's speed was not measured: the restitution is that of a striker with "
-            "exactly the commanded speed. What holds without it: friction, torque factor, contact "
-            "friction, and predictions by the same tapper."
+            "The striker's speed was not measured, so the restitution assumes exactly the "
+            "commanded speed. Friction, torque factor, contact friction and predictions for "
+            "the same tapper do not depend on it."
         )
     return sentences
 

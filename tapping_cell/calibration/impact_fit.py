@@ -91,7 +91,7 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
     """
     count = model.strikes.speed.size
     if count < 4:
-        raise ValueError(f"{count} impacts cannot be fitted; four are needed at least")
+        raise ValueError(f"{count} impacts cannot be fitted; at least four are needed")
     notes: list[str] = []
     free: tuple[str, ...] = ("restitution", "contact_friction")
     base = _fit(model, free)
@@ -106,8 +106,8 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
         free = ("scale_b2", *free[1:])
         kept = dict(model.known)
         notes.append(
-            "no restitution from 0 to 1 explains the launches; the scale of B2 is fitted instead, "
-            f"with the restitution left at {kept['restitution']:g}"
+            "no restitution from 0 to 1 explains the launches; the scale of B2 is fitted "
+            f"instead, with the restitution kept at {kept['restitution']:g}"
         )
         base = _fit(model, free)
     best = base
@@ -289,19 +289,20 @@ def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[s
     """
     known = model.known["contact_friction"]
     said = (
-        "contacts that stick explain the launches as well: the contact friction is not determined"
+        "the launches are equally consistent with sticking contacts, so the contact friction "
+        "is not determined"
     )
     held = _fit(model, ("restitution",))
     if held.criterion <= stuck.criterion + _TELLING:
-        notes.append(f"{said}; it is left at {known:.3g}")
+        notes.append(f"{said}; it is kept at {known:.3g}")
         return model
     s = model.strikes
     hits = model.impact(stuck.values).strike(1.0, s.incidence, s.contact)
     needed = float(np.max(np.abs(hits.tangential_impulse / hits.normal_impulse)))
     kept = min(base.values["contact_friction"], 1.01 * needed)
     notes.append(
-        f"{said}, but with the file's {known:.3g} they are explained worse; {kept:.3g} is taken, "
-        "which is no measurement of it"
+        f"{said}, but with the file's {known:.3g} the launches fit worse; {kept:.3g} is used, "
+        "which is not a measurement"
     )
     return model.with_known(contact_friction=kept)
 

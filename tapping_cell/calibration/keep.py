@@ -48,13 +48,15 @@ def refuse_existing(output: Output) -> None:
         KeptFile: the file exists and ``force`` is not given, or its folder is missing.
     """
     if not output.path.parent.is_dir():
-        raise KeptFile(f"{output.path}: there is no folder {output.path.parent}; make it first")
+        raise KeptFile(
+            f"{output.path}: the folder {output.path.parent} does not exist; create it first"
+        )
     if output.path.is_dir():
         raise KeptFile(f"{output.path}: is a folder; give the name of a file")
     if output.path.exists() and not output.force:
         raise KeptFile(
-            f"{output.path}: is there already and stays as it is; give another --output, or --force"
-            " to replace it"
+            f"{output.path} exists already and was not replaced; give another --output, or "
+            "--force to replace it"
         )
 
 
@@ -87,8 +89,9 @@ def refuse_better(output: Output, new: Provenance) -> None:
     ]
     if worse:
         raise KeptFile(
-            f"{output.path}: the file of {old.made} is better and stays: {', '.join(worse)}."
-            " Give another --output, or --force --accept-worse to replace it all the same"
+            f"{output.path}: the file of {old.made} is better and was kept: "
+            f"{', '.join(worse)}. Give another --output, or --force --accept-worse to replace "
+            "it anyway"
         )
 
 
@@ -115,7 +118,7 @@ def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path]
             with output.path.open("x", encoding="utf-8") as file:
                 file.write(text)
     except FileExistsError as error:
-        raise KeptFile(f"{output.path}: is there already and stays as it is") from error
+        raise KeptFile(f"{output.path} exists already and was not replaced") from error
     finally:
         draft.unlink(missing_ok=True)
 

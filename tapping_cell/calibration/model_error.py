@@ -36,7 +36,8 @@ _CAUSES = {
     "setting": "from run to run, that is with the striker's speed and the incidence",
     "place": "with the place of the contact on the object: is its centre of mass or of friction "
     "off the middle?",
-    "direction": "with the direction on the table: is it level, and without a grain?",
+    "direction": "with the direction on the table: is the table level, and is its "
+    "friction the same in all directions?",
 }
 
 

@@ -213,9 +213,9 @@ def _strangers(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
             found[index] = LeftOut(entry.trial.file, entry.trial.row, "disturbed", sentence)
     if len(found) > _MOST_OUTLIERS * len(used):
         raise RecordError(
-            f"{len(found)} of {len(used)} trials do not slide alike, the first: "
-            f"{next(iter(found.values()))}. The records hold several objects or tables, or wrong "
-            "units; fit them apart"
+            f"{len(found)} of {len(used)} trials are inconsistent with the others, the first: "
+            f"{next(iter(found.values()))}. The records may contain several objects or "
+            "tables, or wrong units; fit them separately"
         )
     return found
 
@@ -223,7 +223,7 @@ def _strangers(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
 def _striker(experiments: Sequence[Experiment]) -> Striker | None:
     strikers = {e.header.striker.striker() for e in experiments if e.header.striker is not None}
     if len(strikers) > 1:
-        raise RecordError("the experiments were made with different strikers; fit them apart")
+        raise RecordError("the experiments were made with different strikers; fit them separately")
     return next(iter(strikers), None)
 
 
@@ -443,15 +443,16 @@ def _slide_sentences(
     sentences = []
     if abs(correlation) > _CORRELATED:
         sentences.append(
-            f"Friction and torque factor are hardly told apart (correlation {correlation:.2f})."
+            f"Friction and torque factor are strongly correlated (correlation {correlation:.2f})."
         )
     offsets = slide.pressure_centre
     deviations = slide_radius * np.sqrt(np.diag(covariance)[2:])
     if any(abs(c) > 3 * d for c, d in zip(offsets, deviations, strict=True)):
         x, y = (1e3 * offset for offset in offsets)
         sentences.append(
-            f"The object presses off its centre by ({x:+.2f}, {y:+.2f}) mm in its own frame, which "
-            "turns it by where it slides to. The fit allows for that; the planner does not."
+            f"The object's centre of pressure is off its middle by ({x:+.2f}, {y:+.2f}) mm in "
+            "its own frame, so that its rotation depends on the direction of sliding. The "
+            "fit accounts for this; the planner does not."
         )
     torque = next(entry for entry in estimates if entry.name == "torque_factor")
     names = np.array(labels)
@@ -465,9 +466,9 @@ def _slide_sentences(
         more = 10 * each[best]
         after = share * math.sqrt(float(total[1, 1]) / (float(total[1, 1]) + more))
         sentences.append(
-            f"The torque factor is known to {100 * share:.0f} %. Ten more taps like those of run "
-            f"{best}, which tell most of it, would bring {100 * after:.0f} %; taps that turn the "
-            "object more tell more."
+            f"The torque factor is known to {100 * share:.0f} %. Ten more taps like those of "
+            f"run {best}, which are the most informative, would give {100 * after:.0f} %; "
+            "taps that turn the object more are more informative."
         )
     return sentences
 
@@ -483,9 +484,9 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
     if abs(mean) < max(_AS_TOLD, 3.0 * doubt):
         return []
     return [
-        f"The striker is {100 * math.expm1(mean):+.1f} % faster than commanded. The fit allows for "
-        f"that; the planner's distances come out {100 * math.expm1(2 * mean):+.0f} % until "
-        "`calibrate tapper` has measured its curve."
+        f"The striker is {100 * math.expm1(mean):+.1f} % faster than commanded. The fit "
+        "accounts for this; the planner's distances deviate by "
+        f"{100 * math.expm1(2 * mean):+.0f} % until `calibrate tapper` has measured its curve."
     ]
 
 

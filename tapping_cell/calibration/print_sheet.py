@@ -80,7 +80,7 @@ def paper_size(name: str) -> tuple[float, float]:
         )
     width, height = float(found[1]) / 1e3, float(found[2]) / 1e3
     if not (0.1 <= width <= 5.0 and 0.1 <= height <= 5.0):
-        raise SheetError(f"paper of {name} mm is outside 100 to 5000 mm a side")
+        raise SheetError(f"paper of {name} mm is outside 100 to 5000 mm per side")
     return width, height
 
 
@@ -94,8 +94,8 @@ def target_page(paper: tuple[float, float], target: Target) -> Page:
     room = (paper[0] - 2 * _MARGIN, paper[1] - 2 * _MARGIN - _FOOT)
     if width > room[0] + 1e-9 or height > room[1] + 1e-9:
         raise SheetError(
-            f"a {target.describe()} is {width * 1e3:g} x {height * 1e3:g} mm; the paper has room"
-            f" for {room[0] * 1e3:g} x {room[1] * 1e3:g} mm: fewer or smaller squares"
+            f"a {target.describe()} is {width * 1e3:g} x {height * 1e3:g} mm; the paper has "
+            f"room for {room[0] * 1e3:g} x {room[1] * 1e3:g} mm; use fewer or smaller squares"
         )
     left = 0.5 * (paper[0] - width)
     top = 0.5 * (paper[1] + _FOOT + height)
@@ -205,9 +205,9 @@ def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> N
         fitting = [name for name, (w, h) in PAPERS.items() if w >= width and h >= height]
         hint = f" such as {fitting[0]}" if fitting else ""
         raise SheetError(
-            f"the reference markers need a paper of {width * 1e3:.0f} x {height * 1e3:.0f} mm, and"
-            f" this one is {paper[0] * 1e3:g} x {paper[1] * 1e3:g} mm: take a larger one{hint}, or"
-            " print the markers one by one (--what cut)"
+            f"the reference markers need a paper of {width * 1e3:.0f} x {height * 1e3:.0f} "
+            f"mm, and this one is {paper[0] * 1e3:g} x {paper[1] * 1e3:g} mm: use a larger "
+            f"one{hint}, or print the markers one by one (--what cut)"
         )
 
 
@@ -220,7 +220,7 @@ def object_page(
         SheetError: the markers do not fit.
     """
     texts = [
-        f"{dictionary} id {number}, {size * 1e3:g} mm; this edge is its foot" for number in ids
+        f"{dictionary} id {number}, {size * 1e3:g} mm; this edge is its bottom" for number in ids
     ]
     return _cut_page(paper, ids, size, dictionary, texts, f"object markers {dictionary}")
 
@@ -234,13 +234,15 @@ def cut_page(paper: tuple[float, float], references: ReferenceMap) -> Page:
     sizes = {marker.size for marker in references.markers}
     if len(sizes) != 1:
         listed = ", ".join(f"{size * 1e3:g}" for size in sorted(sizes))
-        raise SheetError(f"the markers have {len(sizes)} sizes ({listed} mm); one is needed")
+        raise SheetError(
+            f"the markers have {len(sizes)} sizes ({listed} mm); all must have the same size"
+        )
     texts = [
         f"{m.id}: x {m.x * 1e3:g}  y {m.y * 1e3:g} mm, {math.degrees(m.theta):g} deg"
         for m in references.markers
     ]
     (size,) = sizes
-    text = f"cut out, glue the middles at x, y in the frame table; {references.dictionary}"
+    text = f"cut out, glue the centres at x, y in the frame table; {references.dictionary}"
     ids = [marker.id for marker in references.markers]
     return _cut_page(paper, ids, size, references.dictionary, texts, text)
 
@@ -260,8 +262,8 @@ def _cut_page(
     down = int((paper[1] - 2 * _MARGIN - _FOOT) / pitch)
     if len(ids) > across * down:
         raise SheetError(
-            f"{len(ids)} markers of {size * 1e3:g} mm do not fit on the paper, {across * down} do:"
-            " print fewer or smaller ones"
+            f"{len(ids)} markers of {size * 1e3:g} mm do not fit on the paper, "
+            f"{across * down} do: print fewer or smaller markers"
         )
     shapes, lines, labels = [], [], []
     for number, (marker_id, text) in enumerate(zip(ids, texts, strict=True)):
@@ -335,7 +337,7 @@ def _page(
     foot = Label(
         x,
         y + 0.0055,
-        "ruler 100 mm: print at 100 %, measure it, and tell calibrate table what it measures",
+        "ruler 100 mm: print at 100 %, measure it, and give calibrate table the measured length",
         0.0018,
     )
     what = Label(x + RULER + 0.006, y, text, 0.0018)

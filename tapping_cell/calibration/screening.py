@@ -106,16 +106,16 @@ def enough(used: Sequence[Used], left_out: Sequence[LeftOut]) -> Screened:
                 entry.trial.file,
                 entry.trial.row,
                 "short run",
-                f"run {entry.trial.run} has {size} usable trials; {LEAST_IN_RUN} are needed at "
-                "least",
+                f"run {entry.trial.run} has {size} usable trials; at least {LEAST_IN_RUN} are "
+                "needed",
             )
         )
     runs = {run_of(entry.trial) for entry in kept}
     if len(runs) < LEAST_RUNS or len(kept) < LEAST_TRIALS:
         reasons = "; ".join(str(row) for row in dropped[:3])
         raise RecordError(
-            f"{len(kept)} usable trials in {len(runs)} runs are too few for a fit; {LEAST_TRIALS} "
-            f"trials in {LEAST_RUNS} runs of {LEAST_IN_RUN} are needed at least"
+            f"{len(kept)} usable trials in {len(runs)} runs are too few for a fit; at least "
+            f"{LEAST_TRIALS} trials in {LEAST_RUNS} runs of {LEAST_IN_RUN} are needed"
             + (f". Left out: {reasons}" + (" ..." if len(dropped) > 3 else "") if dropped else "")
         )
     return Screened(tuple(kept), tuple(dropped))
@@ -129,7 +129,7 @@ def run_of(trial: Trial) -> tuple[str, int]:
 def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> Motion | _Doubt:
     """Return the trial's slide, or the reason for its rejection."""
     if trial.outcome != "ok":
-        return _Doubt(trial.outcome, f"the recorder says '{trial.outcome}'")
+        return _Doubt(trial.outcome, f"the recorded outcome is '{trial.outcome}'")
     if not math.isfinite(trial.displacement + trial.rotation):
         if trial.track is not None:
             return _from_track(trial, header, math.inf, math.inf, gravity)
@@ -149,8 +149,9 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     if radius * abs(trial.rotation) > 3 * gamma * trial.displacement:
         return _Doubt(
             "units",
-            f"a rotation of {trial.rotation:.4g} rad over {trial.displacement:.4g} m is more than "
-            "any tap makes; are rotation_rad or displacement_m in degrees, mm or m?",
+            f"a rotation of {trial.rotation:.4g} rad over {trial.displacement:.4g} m is "
+            "larger than a tap can give; are rotation_rad or displacement_m in degrees, mm "
+            "or m?",
         )
     if math.isfinite(trial.initial_speed + trial.initial_spin):
         return _from_velocities(trial, spread, turn_spread, body, gravity)

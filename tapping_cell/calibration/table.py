@@ -97,7 +97,7 @@ def look(
     edges = refine(image, quads, marker_pattern(dictionary, kept[0].id).shape[0])
     good = edges.good
     if not good.any():
-        return "no marker is seen whole"
+        return "no marker is completely visible"
     rays = straight_corners(camera.rays(edges.points), edges.weights)
     noise = np.hypot(_noise(edges), _LENS_NOISE) / camera.fx
     numbers = np.array([d.id for d in kept], dtype=np.intp)
@@ -132,8 +132,8 @@ def calibrate_table(
     views = [view for view in views if len(view.ids) >= 2]
     if len(views) < 2:
         raise CalibrationRefused(
-            f"{len(views)} images show two markers or more; at least 2 are needed, 6 from different"
-            " sides are good"
+            f"{len(views)} images show two markers or more; at least 2 are needed, 6 from "
+            "different sides are recommended"
         )
     starts = [_square_up(view, sizes) for view in views]
     ids, markers, poses = _join(views, starts)
@@ -187,8 +187,9 @@ def _without(
     ]
     result = calibrate_table(kept, sizes, dictionary, focal)
     said = (
-        f"marker {marker} is left out: in no image does it fit where the others are (at best"
-        f" {error:.1f} pixels off); it is not flat on the table, not of this size, or was moved"
+        f"marker {marker} is left out: in no image is it consistent with the others (at best "
+        f"{error:.1f} pixels off); it does not lie flat on the table, has another size, or "
+        "was moved"
     )
     return replace(result, warnings=(said, *result.warnings))
 
@@ -269,8 +270,8 @@ def _join(
         if not shared[best]:
             names = ", ".join(views[k].name for k in waiting[:5])
             raise CalibrationRefused(
-                f"{names}: no marker in common with the other images; take images that show markers"
-                " of both parts"
+                f"{names}: no marker in common with the other images; take images that show "
+                "markers of both groups"
             )
         own = {i: starts[best][1][row] for row, i in enumerate(views[best].ids.tolist())}
         if len(shared[best]) == 1:
@@ -425,14 +426,16 @@ def _warnings(
     said = []
     lonely = [str(i) for i, count in zip(ids, seen, strict=True) if count < 2]
     if lonely:
-        said.append(f"markers {', '.join(lonely)} are seen in one image only: take more")
+        said.append(f"markers {', '.join(lonely)} are seen in only one image: take more images")
     if images < 5:
-        said.append(f"{images} images are few: 6 or more from different sides average the lens")
+        said.append(
+            f"{images} images are few: 6 or more from different sides average out the lens errors"
+        )
     for number in sorted({stray.marker for stray in strays}):
         times = sum(stray.marker == number for stray in strays)
         if 2 * times >= times + int(seen[np.searchsorted(ids, number)]):
             said.append(
-                f"marker {number} disagrees with itself in {times} images: was it moved between"
-                " them?"
+                f"marker {number} is at inconsistent positions in {times} images: was it "
+                "moved between them?"
             )
     return said

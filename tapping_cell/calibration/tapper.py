@@ -169,8 +169,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
     ]
     if usable.sum() < LEAST_TAPS:
         raise CalibrationRefused(
-            f"{int(usable.sum())} taps that moved the object are too few: {LEAST_TAPS} are the"
-            " least, 30 over the range are good"
+            f"{int(usable.sum())} taps that moved the object are too few: at least "
+            f"{LEAST_TAPS} are needed, 30 over the range are recommended"
         )
     speeds = np.where(usable, striker_speeds(record, tap), 1.0)
     x, y = np.log(record.energies), np.log(speeds)
@@ -178,8 +178,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
     seen = 0.5 * record.deviations / np.maximum(record.distances, _NO_MOTION)
     if len(np.unique(groups[usable])) < 3:
         raise CalibrationRefused(
-            f"{len(np.unique(groups[usable]))} different energies do not make a curve: use at least"
-            " 3, better 6, from the smallest tap to the largest"
+            f"{len(np.unique(groups[usable]))} different energies are too few for a curve: "
+            "use at least 3, better 6, from the smallest tap to the largest"
         )
     while True:
         curve = _Curve(x[usable], y[usable], seen[usable])
@@ -201,8 +201,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         usable[worst] = False
         if usable.sum() < max(LEAST_TAPS, len(x) // 2):
             raise CalibrationRefused(
-                "the taps agree with no one curve: more than half of them would have to be left"
-                " out. Check the columns' units and that all taps hit the object's middle"
+                "no single curve fits the taps: more than half of them would have to be left "
+                "out. Check the columns' units and that all taps hit the object's middle"
             )
     low, high = float(record.energies[usable].min()), float(record.energies[usable].max())
     at = np.geomspace(low, high, POINTS)
@@ -246,7 +246,8 @@ def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]
     """
     if not moves.any():
         raise CalibrationRefused(
-            "no tap moved the object: are the distances in the unit that their column names?"
+            "no tap moved the object: check that the distances are in the unit of their "
+            "column's name"
         )
     x = np.log(record.energies)
     weak = np.zeros(len(x), dtype=bool)
@@ -260,7 +261,7 @@ def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]
     ]
     above = record.energies[record.energies > max(failing, default=0.0) * (1 + _ALIKE)]
     if not len(above):
-        raise CalibrationRefused("no energy moved the object reliably: use larger draws")
+        raise CalibrationRefused("no energy moved the object reliably: use larger energies")
     return float(above.min())
 
 
@@ -423,15 +424,15 @@ def _notes(
     said = [
         f"assumed from the object file: friction {mu:g}, restitution {e:g}, masses"
         f" {tap.body.mass:g} and {tap.impact.striker.mass:g} kg",
-        f"1 % more friction means {by_friction:+.2f} % in all speeds, 0.01 more restitution"
-        f" {by_restitution:+.2f} %; taps on the same object come out right all the same, because"
-        " the planner uses the same numbers backwards",
+        f"1 % more friction means {by_friction:+.2f} % in all speeds, 0.01 more restitution "
+        f"{by_restitution:+.2f} %; taps on the same object are still correct, because the "
+        "planner inverts the model with the same values",
     ]
     scattered = [d for d in draws if d.scatter is not None and d.scatter > 2.0 * curve.noise]
     for draw in scattered:
         said.append(
-            f"taps of {draw.energy * 1e3:.4g} mJ scatter by {100 * (draw.scatter or 0):.0f} %,"
-            f" those of all by {100 * curve.noise:.1f} %: do not use that draw"
+            f"taps of {draw.energy * 1e3:.4g} mJ scatter by {100 * (draw.scatter or 0):.0f} "
+            f"%, all taps by {100 * curve.noise:.1f} %: do not use that energy"
         )
     if used < 20:
         said.append(f"{used} taps are few: 30 over the range are good")

@@ -55,8 +55,8 @@ class Target:
             raise TargetError(f"target {self.kind!r} is unknown; use chessboard or charuco")
         if min(self.columns, self.rows) < 3 or max(self.columns, self.rows) > 200:
             raise TargetError(
-                f"a board of {self.columns} x {self.rows} squares is no target; give 3 to 200 a"
-                " side"
+                f"a board of {self.columns} x {self.rows} squares is not supported; give 3 to "
+                "200 per side"
             )
         if not 0.0005 <= self.square <= 1.0:
             raise TargetError(
@@ -131,12 +131,12 @@ def find_target(image: Image, target: Target, name: str) -> TargetView | str:
     ids, pixels = found
     if len(ids) < target.least_corners:
         return (
-            f"too few corners: {len(ids)} of {len(target.points)} are seen,"
-            f" {target.least_corners} are the least"
+            f"too few corners: {len(ids)} of {len(target.points)} are seen, at least "
+            f"{target.least_corners} are needed"
         )
     grid = np.stack([ids % target.inner[0], ids // target.inner[0]], axis=-1)
     if np.linalg.matrix_rank(grid - grid[0]) < 2:
-        return "too few corners: those that are seen stand on one line"
+        return "too few corners: the visible corners lie on one line"
     side = _side(grid, pixels)
     half = int(np.clip(0.9 * target.clear * side - 1.0, 2, 15))
     start = np.array(pixels, dtype=np.float32, order="C").reshape(-1, 1, 2)
@@ -167,8 +167,8 @@ def _chessboard(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] 
         good, corners = cv2.findChessboardCornersSB(small, target.inner, flags=flags)
     if not good or corners is None or len(corners) != len(target.points):
         return (
-            f"no target: a chessboard with {target.inner[0]} x {target.inner[1]} inner corners is"
-            " not seen whole"
+            f"no target: a chessboard with {target.inner[0]} x {target.inner[1]} inner "
+            "corners is not completely visible"
         )
     ratio = np.array([image.shape[1] / size[0], image.shape[0] / size[1]])
     pixels = (np.asarray(corners, dtype=float).reshape(-1, 2) + 0.5) * ratio - 0.5

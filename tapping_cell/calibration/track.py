@@ -69,7 +69,7 @@ def slide_of(
     start, end = _rest(places[:2], floor), _rest(places[-2:], floor)
     if start is None or end is None:
         return TrackProblem(
-            "not at rest", "the object does not rest at the track's two ends; record it longer"
+            "not at rest", "the object is not at rest at both ends of the track; record for longer"
         )
     moved = end - start
     distance = float(np.hypot(*moved))
@@ -82,7 +82,7 @@ def slide_of(
     begun = np.flatnonzero(along > edge)
     waiting = np.flatnonzero(along < distance - edge)
     if not begun.size or not waiting.size:
-        return TrackProblem("not at rest", "the object does not rest at the track's two ends")
+        return TrackProblem("not at rest", "the object is not at rest at both ends of the track")
     first, last = int(begun[0]), int(waiting[-1])
     problem = _disturbed(track, along, across, (first, last), edge, rate)
     if problem is not None:
@@ -143,7 +143,7 @@ def _disturbed(
     reach = float(along[-1])
     if side > max(2 * edge, 0.1 * reach):
         return TrackProblem(
-            "disturbed", f"the object leaves its line by {1e3 * side:.3g} mm; was it pushed?"
+            "disturbed", f"the object deviates from its line by {1e3 * side:.3g} mm; was it pushed?"
         )
     velocity = np.diff(along[max(first, 0) : last + 2]) / steps[max(first, 0) : last + 1]
     if velocity.size >= 2:
@@ -154,8 +154,8 @@ def _disturbed(
             when = float(track.time[first + 1 + int(np.flatnonzero(faster)[0])] - track.time[0])
             return TrackProblem(
                 "disturbed",
-                f"the object becomes faster again {when:.3f} s after the track's first sample; was "
-                "it pushed or hit twice?",
+                f"the object accelerates again {when:.3f} s after the track's first sample; "
+                "was it pushed or hit twice?",
             )
     return None
 

@@ -167,7 +167,7 @@ def trial_files(place: Path) -> list[Path]:
         raise RecordError(f"{place}: does not exist; give a folder of records or a CSV file")
     found = sorted([*place.glob("run*.csv"), *place.glob("trials*.csv")])
     if not found:
-        raise RecordError(f"{place}: holds no run_NN.csv or trials.csv")
+        raise RecordError(f"{place}: contains no run_NN.csv or trials.csv")
     return found
 
 
@@ -191,8 +191,8 @@ def read_trials(place: Path | str) -> Trials:
         first = seen.setdefault((trial.run, trial.trial), trial)
         if first is not trial:
             raise RecordError(
-                f"{trial.file}, row {trial.row}: run {trial.run}, trial {trial.trial} stands also "
-                f"in {first.file}, row {first.row}; number the trials without repeating"
+                f"{trial.file}, row {trial.row}: run {trial.run}, trial {trial.trial} is also "
+                f"in {first.file}, row {first.row}; give each trial a number of its own"
             )
     return Trials(tuple(trials), tuple(left_out))
 
@@ -270,7 +270,7 @@ def read_track(file: Path) -> Track:
     time = table.values["t"]
     falls = np.flatnonzero(np.diff(time) <= 0)
     if falls.size:
-        raise RecordError(f"{file}, row {table.rows[falls[0] + 1]}: the time does not rise")
+        raise RecordError(f"{file}, row {table.rows[falls[0] + 1]}: the time does not increase")
     unknown = np.full(time.shape, math.nan)
     return Track(
         time=time,
@@ -309,8 +309,8 @@ def append_trial(folder: Path, trial: Trial) -> None:
         for other in _read_file(file).trials:
             if other.trial == trial.trial:
                 raise RecordError(
-                    f"{file}, row {other.row}: trial {trial.trial} is there already; give the next "
-                    "number"
+                    f"{file}, row {other.row}: trial {trial.trial} exists already; give the "
+                    "next number"
                 )
     if trial.track is not None:
         (folder / TRACK_FOLDER).mkdir(parents=True, exist_ok=True)

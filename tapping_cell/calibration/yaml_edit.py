@@ -31,8 +31,8 @@ def with_section(
     section = _child(root, name)
     if not isinstance(section, yaml.MappingNode) or section.flow_style or not section.value:
         raise ConfigurationError(
-            f"{source}: the section '{name}' is missing or written in braces; write it one key a"
-            " line"
+            f"{source}: the section '{name}' is missing or written in braces; write one key "
+            "per line"
         )
     indent = section.value[0][0].start_mark.column
     changes: list[tuple[int, int, str]] = []

@@ -21,18 +21,18 @@ Execute = Callable[[argparse.Namespace], int]
 VERBS = {
     "demo": "run one goal in the simulated cell, from start to finish",
     "up": "start the nodes, simulated or on hardware, and keep them running",
-    "commission": "from nothing configured to the first goal, step by step",
+    "commission": "set up a new cell step by step, up to its first goal",
     "goal": "send a goal pose to a running graph",
-    "arrange": "bring several objects of a running cell to their places",
-    "status": "show the state of a running cell, and what it waits for",
+    "arrange": "bring several objects of a running cell to their goals",
+    "status": "show the state of a running cell and what it is waiting for",
     "watch": "watch a running cell in the terminal",
     "home": "home the arm of a running cell",
-    "stop": "stop a running cell at once",
+    "stop": "stop a running cell immediately",
     "clear": "clear the stop and the faults of a running cell",
     "evaluate": "evaluate a planning method in many simulated trials",
     "single-tap": "measure an object with an experiment of single taps",
     "fit": "fit friction and impact of an object to records of single taps",
-    "new-object": "write the first file of an object from a picture of it",
+    "new-object": "create an object file from an image of the object",
     "learn-object": "learn friction and torque factor of an object from taps",
     "sensitivity": "sensitivity of a tap's result to errors of the striker's pose",
     "locate": "measure the object's pose in image files",
@@ -40,14 +40,14 @@ VERBS = {
     "faults": "test the drivers with taps over faulty serial lines",
     "report": "write the reports of run folders again, and compare runs",
     "check-config": "check configuration files without starting anything",
-    "doctor": "connect to arm and tapper, compare their settings, move nothing",
+    "doctor": "connect to arm and tapper and check their settings, moving nothing",
     "urdf": "write the URDF of the arm, for RViz and Foxglove",
     "completion": "print shell code that completes verbs and options",
 }
 
 MOVED = {
-    "bench": "the benchmarks are not part of the package any more: "
-    "in the source tree call  python -m benchmarks",
+    "bench": "the benchmarks are no longer part of the package; in the source tree, run  python -m "
+    "benchmarks",
 }
 """Error messages for verbs of earlier versions, which name the replacement."""
 
@@ -118,7 +118,7 @@ def _parser_of(words: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
     if verb in MOVED:
         parser.error(MOVED[verb])
     if not verb:
-        parser.error(f"which verb? choose from {', '.join(VERBS)}")
+        parser.error(f"no verb was given; choose from {', '.join(VERBS)}")
     parser.error(f"there is no verb '{verb}'{suggestion(verb, VERBS)}")
 
 

@@ -42,11 +42,11 @@ class Verb(Protocol):
 
 SUBVERBS = {
     "camera": "focal lengths and lens from photographs of a target",
-    "table": "where the reference markers are, from images or a printed sheet",
-    "arm": "pose of the arm and zero of its elbow, from a record of poses",
+    "table": "poses of the reference markers, from images or a printed sheet",
+    "arm": "pose of the arm and zero offset of its elbow, from a record of poses",
     "mounts": "line and speed of each fixed tapper, from single taps",
-    "tapper": "draw to speed, from how far the object went",
-    "photographs": "rendered photographs of a target or table, to try the others",
+    "tapper": "speed of the striker at each energy, from the distances of taps",
+    "photographs": "rendered photographs of a target or table, to try the other verbs",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }
 

@@ -62,8 +62,10 @@ class Findings:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file to look at")
-    parser.add_argument("--kind", choices=KINDS, help="of all files (default: told from the keys)")
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file to check")
+    parser.add_argument(
+        "--kind", choices=KINDS, help="kind of the files (default: inferred from the keys)"
+    )
     parser.add_argument(
         "--drawing",
         type=Path,
@@ -139,7 +141,7 @@ def check(path: Path, kind: str | None = None) -> list[Findings]:
     found = Findings(path, kind)
     if kind is None:
         found.errors.append(
-            f"{path}: its keys are those of no known file; give --kind, one of {', '.join(KINDS)}"
+            f"{path}: the keys match no known kind of file; give --kind, one of {', '.join(KINDS)}"
         )
     elif kind == PARAMETERS:
         found.errors += check_parameters(document, path)
@@ -220,7 +222,8 @@ def check_parameters(document: Any, path: Path) -> list[str]:
     """
     if recognise(document) != PARAMETERS:
         return [
-            f"{path}: is no ROS parameter file; it holds node names, under each 'ros__parameters'"
+            f"{path}: is not a ROS parameter file, which contains node names with "
+            "'ros__parameters' under each"
         ]
     found: list[str] = []
     for name, values in _by_node(document):

@@ -33,26 +33,39 @@ from tapping_cell.report.commissioning_page import write_page
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "--out", type=Path, default=Path("commissioning"), help="folder (default: commissioning)"
+        "--out",
+        type=Path,
+        default=Path("commissioning"),
+        help="folder of files and measurements (default: commissioning)",
     )
     parser.add_argument(
         "--hardware", action="store_true", help="real camera, arm and tapper (default: simulated)"
     )
-    parser.add_argument("--camera", default="/dev/video0", help="with --hardware: the camera")
-    parser.add_argument("--yes", action="store_true", help="simulated: ask nobody, and run through")
+    parser.add_argument(
+        "--camera",
+        default="/dev/video0",
+        help="with --hardware: device of the camera (default: /dev/video0)",
+    )
+    parser.add_argument(
+        "--yes",
+        action="store_true",
+        help="simulated: run every step without asking for confirmation",
+    )
     parser.add_argument(
         "--again",
         action="append",
         default=[],
         choices=[step.name for step in STEPS],
-        help="do this step again although it is done; may be repeated",
+        help="repeat this finished step; may be given several times",
     )
     parser.add_argument(
         "--until",
         choices=[step.name for step in STEPS],
         help="end after this step (default: the last)",
     )
-    parser.add_argument("--seed", type=argument_types.seed, default=1, help="simulated: of noise")
+    parser.add_argument(
+        "--seed", type=argument_types.seed, default=1, help="simulated: random seed of the noise"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -88,15 +101,17 @@ def run(arguments: argparse.Namespace) -> int:
             except (StepFailed, GraphError, NotReadyInTime, ConfigurationError) as error:
                 write_page(folder, titles, session.proofs)
                 tell_error(f"step {step.name}: {error}")
-                console.print(f"what is done is kept; go on with --out {folder}", markup=False)
+                console.print(
+                    f"finished steps are kept; continue with --out {folder}", markup=False
+                )
                 return ExitStatus.FAILED
             except KeyboardInterrupt:
-                console.print("interrupted; called again it goes on here")
+                console.print("interrupted; the same command continues here")
                 return ExitStatus.INTERRUPTED
             session.prove(step.name, proof, time.monotonic() - began)
         console.print(f"  [green]proven[/]: {escape(session.proofs[step.name]['sentence'])}")
         if step.name == arguments.until:
             break
     page = write_page(folder, titles, session.proofs)
-    console.print(f"the cell's files: {session.config}; what was measured: {page}", markup=False)
+    console.print(f"cell files: {session.config}; measurements: {page}", markup=False)
     return ExitStatus.DONE

@@ -61,7 +61,7 @@ class Crash:
     def clean(self) -> bool:
         """Whether the trial was safe and the goal was reached. Only after a restart of the world,
         which resets the boards, may the cell ask for a person instead."""
-        asked = self.ended == "asked for a person" and self.node == WORLD
+        asked = self.ended == "needed an operator" and self.node == WORLD
         return not self.unsafe and (self.ended == "reached" or asked)
 
 
@@ -205,7 +205,7 @@ class CrashCell:
     def trial(self, node: str, phase: str) -> Crash:
         """Kill ``node`` at ``phase`` of a tap, restart it, and wait for the end of the goal."""
         if not self.begin(phase):
-            return Crash(node, phase, "hung", 60.0, f"the phase {phase} never came", ())
+            return Crash(node, phase, "hung", 60.0, f"the phase {phase} was not reached", ())
         began = time.monotonic()
         self.kill(node)
         self.wait(lambda: self.ended() is not None, PATIENCE_S)
@@ -218,15 +218,15 @@ class CrashCell:
             seen.judge()
         seen.watching = False
         if end is None:
-            last = seen.plans[-1].error_msg if seen.plans else "the planner says nothing"
+            last = seen.plans[-1].error_msg if seen.plans else "the planner sends no messages"
             return Crash(node, phase, "hung", seconds, last, tuple(seen.unsafe))
         if end.state == PlanState.FAILED:
             sentence = f"{end.error_code}: {end.error_msg}"
-            return Crash(node, phase, "asked for a person", seconds, sentence, tuple(seen.unsafe))
+            return Crash(node, phase, "needed an operator", seconds, sentence, tuple(seen.unsafe))
         true = self.client.settled_truth(5.0)
         away = true is None or true.distance_to(GOAL) > TOLERANCE[0]
         if true is None or away or abs(true.rotation_to(GOAL)) > TOLERANCE[1]:
-            seen.unsafe.append(f"the goal was said to be reached with the object at {true}")
+            seen.unsafe.append(f"the goal was reported as reached with the object at {true}")
         return Crash(node, phase, "reached", seconds, "", tuple(seen.unsafe))
 
     def ended(self) -> PlanState | None:

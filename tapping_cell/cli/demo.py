@@ -84,10 +84,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=range(1, MOST_OBJECTS + 1),
         metavar="N",
-        help=f"bring N objects (1 to {MOST_OBJECTS}), each to a drawn place",
+        help=f"bring N objects (1 to {MOST_OBJECTS}), each to a random goal",
     )
     parser.add_argument(
-        "--seed", type=argument_types.seed, default=1, help="of the world's noise and scatter"
+        "--seed",
+        type=argument_types.seed,
+        default=1,
+        help="random seed of the world's noise and scatter",
     )
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
@@ -165,7 +168,7 @@ def _run_folder(out: Path | None) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     if (folder / SUMMARY).exists():
         raise FileExistsError(
-            f"{folder} holds a run already, which is not overwritten; choose another folder"
+            f"{folder} already contains a run, which is not overwritten; choose another folder"
         )
     return folder.resolve()
 

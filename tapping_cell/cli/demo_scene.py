@@ -64,8 +64,8 @@ def write_scene(
     made = load_cell(cell_path)
     if made.file.arm is None:
         raise ConfigurationError(
-            f"{source}: has fixed tappers, which arrange no several objects; give a cell with an "
-            "arm"
+            f"{source}: has fixed tappers, which cannot arrange several objects; give a cell "
+            "with an arm"
         )
     files = (made.object, *load_further_objects(made))
     starts, goals = _drawn([_kind(made, file) for file in files], seed, source)
@@ -131,7 +131,7 @@ def _write_object(folder: Path, number: int) -> Path:
 def _mapping(path: Path) -> dict[str, Any]:
     content = read_yaml(path)
     if not isinstance(content, dict):
-        raise ConfigurationError(f"{path}: is no mapping of keys to values")
+        raise ConfigurationError(f"{path}: is not a mapping of keys to values")
     return content
 
 

@@ -62,7 +62,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument(
-        "--write", action="store_true", help="store what is safe to store, after a yes"
+        "--write",
+        action="store_true",
+        help="store the settings that are safe to store, after confirmation",
     )
     parser.add_argument("--json", action="store_true", help="print the findings for a program")
 
@@ -166,14 +168,14 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
             "guard",
             "closed" if reply.interlock_closed else "open",
             reply.interlock_closed,
-            "" if reply.interlock_closed else "close the guard, or look at its input",
+            "" if reply.interlock_closed else "close the guard, or check its input",
         ),
         Row(
             "tapper",
             "remark",
             "the output reads back as off"
             if section.read_back
-            else "nothing reads the output back: every outcome is unknown until it is seen",
+            else "nothing reads the output back: every outcome is unknown until the camera sees it",
             True,
         ),
     ]
@@ -183,7 +185,7 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
             "other programs",
             f"{name} can switch {section.name}",
             False,
-            "end it, or take the output away from it: nothing else may fire the tapper",
+            "end it, or take its access to the output away: nothing else may fire the tapper",
         )
         for name in rivals
     ]
@@ -212,7 +214,7 @@ def check_tapper(cell: Cell) -> list[Row]:
             "interlock",
             "closed" if reply.interlock_closed else "open",
             reply.interlock_closed,
-            "" if reply.interlock_closed else "close the guard, or look at the loop on D2",
+            "" if reply.interlock_closed else "close the guard, or check the loop on D2",
         ),
         Row(
             "tapper",

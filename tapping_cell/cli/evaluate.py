@@ -104,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
-        help="standard deviation of a look (0 0)",
+        help="standard deviation of a measured pose (0 0)",
     )
     numbers(
         "--gain-bias",
@@ -120,28 +120,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(1.0, 1.0),
         metavar=("D", "R"),
-        help="factors by which distance and rotation per distance may be wrong either way, drawn "
-        "anew for each trial (1 1)",
+        help="largest factors by which distance and rotation per distance are too large or too "
+        "small, drawn for each trial (1 1)",
     )
     numbers(
         "--off-centre",
         type=float,
         default=0.0,
         metavar="DEG_PER_MM",
-        help="standard deviation of how much an object off its middle turns per distance (0)",
+        help="standard deviation of the rotation per distance of an object that is not centred (0)",
     )
     parser.add_argument(
         "--probe",
         action="store_true",
-        help="begin with tiny taps that measure the object (--table)",
+        help="begin with the smallest taps, which measure the object's friction (--table)",
     )
     parser.add_argument("--adapt", action="store_true", help="learn the gains tap by tap")
     numbers(
         "--box",
         type=float,
         metavar="SHARE",
-        help="share of the tolerance to stop in; default: "
-        "the largest that is honest for the camera noise",
+        help="fraction of the tolerance in which to stop; default: the largest that the camera "
+        "noise allows",
     )
     numbers(
         "--variant",
@@ -159,15 +159,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         choices=("abstract", "physics", "world"),
         default="abstract",
-        help="what answers: displacements with scatter, the closed forms of impact and slide, or "
-        "the simulated world with every effect and the scatter of its truth file",
+        help="model of a tap: displacements with scatter, the closed forms of impact and slide, "
+        "or the simulated world with every effect and the scatter of its truth file",
     )
     numbers(
         "--round-position",
         type=float,
         default=0.0,
         metavar="MM",
-        help="the arm rounds the striker's place to multiples of this (physics)",
+        help="the arm rounds the striker's position to multiples of this (physics)",
     )
     numbers(
         "--round-angle",
@@ -179,8 +179,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--objective",
         choices=("taps", "time"),
-        help="reach goals with the fewest taps or in the least time of taps and arm (--table; "
-        "default: the cell file's)",
+        help="minimise the number of taps, or the time of taps and arm (--table; default: the "
+        "cell file's)",
     )
     numbers("--table", action="store_true", help="on the cell's table, within the arm's reach")
     numbers("--cell", type=Path, metavar="FILE", help="cell file (physics and --table)")
@@ -190,8 +190,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--truth-object",
         type=Path,
         metavar="FILE",
-        help="object file that the true parameters start from, where the planner believes another "
-        "(physics; --object)",
+        help="object file for the true parameters, if it differs from the planner's (physics; "
+        "--object)",
     )
     numbers(
         "--true-friction",
@@ -204,7 +204,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="NAME=VALUES",
         help="evaluate over a grid: friction=0.1:0.4:7 (first, last, number) tolerance=1,0.3 "
-        "(values); with --report, where an interrupted sweep goes on",
+        "(values); with --report, an interrupted sweep continues",
     )
     parser.add_argument(
         "--cluster",
@@ -214,7 +214,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_fixed_arguments(parser)
     several = parser.add_argument_group(
-        "several objects", "each to its place, with truth kept; --trials counts scenes"
+        "several objects",
+        "options for several objects, each with its own goal; --trials is the number of scenes",
     )
     several.add_argument(
         "--arrange", type=int, metavar="N", help="arrange N objects of mixed shape (1 to 20)"
@@ -223,16 +224,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--goals",
         choices=("random", "swap", "grid"),
         default="random",
-        help="goals drawn, exchanged in pairs, or a compact grid of disks (random)",
+        help="random goals, goals exchanged in pairs, or a compact grid of disks (random)",
     )
     several.add_argument(
-        "--gap", type=float, default=40.0, metavar="MM", help="least gap of starts and goals (40)"
+        "--gap",
+        type=float,
+        default=40.0,
+        metavar="MM",
+        help="minimum gap between objects at starts and goals (40)",
     )
     several.add_argument(
         "--method",
         choices=("sequence", "file order", "nearest first"),
         default="sequence",
-        help="which object is next: the built-in planner, or a baseline (sequence)",
+        help="choice of the next object: the built-in planner, or a baseline (sequence)",
     )
     several.add_argument(
         "--radius",
@@ -243,9 +248,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="radii of the disks; besides them squares of these half diagonals (20 30 40; a grid "
         "has disks of the first radius only)",
     )
-    numbers("--most-taps", type=int, default=100, metavar="N", help="then a trial is endless (100)")
-    numbers("--seed", type=argument_types.seed, default=0, help="of the random numbers (0)")
-    numbers("--processes", type=int, metavar="N", help="default: one a core")
+    numbers(
+        "--most-taps",
+        type=int,
+        default=100,
+        metavar="N",
+        help="number of taps after which a trial counts as endless (100)",
+    )
+    numbers("--seed", type=argument_types.seed, default=0, help="random seed (0)")
+    numbers(
+        "--processes", type=int, metavar="N", help="number of processes (default: one per core)"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
     numbers("--report", type=Path, metavar="DIR", help="write a table and plots (--all, --sweep)")
 
@@ -326,9 +339,11 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
             clock = functools.partial(_arm_times, arguments.cell, arguments.object, arguments.truth)
             space = functools.partial(_cell_space, arguments.cell, arguments.object)
     if arguments.model == "abstract" and (arguments.round_position or arguments.round_angle):
-        raise PlanningError("rounding moves the striker: give --model physics or world with it")
+        raise PlanningError(
+            "rounding applies to the striker's pose: give --model physics or world with it"
+        )
     if arguments.model != "physics" and arguments.true_friction is not None:
-        raise PlanningError("a true friction needs the closed forms: give --model physics with it")
+        raise PlanningError("a true friction needs --model physics")
     tasks = arguments.random_tasks
     if tasks is not None and len(tasks) not in (0, 2):
         raise PlanningError(
@@ -440,13 +455,13 @@ def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsW
         known = load_object(arguments.truth_object.expanduser())
         if known.shape != cell.object.shape or known.mass != cell.object.mass:
             raise ConfigurationError(
-                f"{arguments.truth_object}: is of another shape or mass than the planner's object; "
-                "give files of one object"
+                f"{arguments.truth_object}: has another shape or mass than the planner's "
+                "object; give files of the same object"
             )
     actual = replace(
         known,
         friction=known.friction * truth.support.friction_factor,
-        torque_factor=known.torque_factor * truth.support.torque_factor_factor,
+        torque_factor=known.torque_factor * truth.support.torque_factor_ratio,
         restitution=min(1.0, known.restitution * truth.impact.restitution_factor),
         contact_friction=known.contact_friction * truth.impact.contact_friction_factor,
     )
@@ -532,7 +547,7 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
     ]
     if not box["camera_suffices"]:
         lines.append(
-            "  the camera is too coarse for an honest box of this tolerance: fewer are truly inside"
+            "  the camera noise is too large for this tolerance: fewer trials end truly inside"
         )
     if "planned_taps" in figures:
         lines.append(
@@ -597,8 +612,8 @@ def _sweep(arguments: argparse.Namespace) -> int:
             bar.stop()
             done = sum(kept.get(point) is not None for point in points)
             print(
-                f"interrupted: {done} of {len(points)} points are kept in {arguments.report}; the "
-                "same command goes on from there",
+                f"interrupted: {done} of {len(points)} points are kept in {arguments.report}; "
+                "the same command continues from there",
                 file=sys.stderr,
             )
             raise
@@ -732,10 +747,11 @@ def _arrangement_text(method: str, figures: dict[str, Any]) -> str:
         f"false claims {figures['false_claims']}",
         f"  contacts            objects in {figures['scenes_with_contact']} scenes, "
         f"tool in {figures['scenes_with_tool_contact']}",
-        f"  taps                mean {figures['taps_mean']:.2f}, price of the others "
-        f"{figures['price_of_others']:.2f}, moves to make way {figures['made_way_mean']:.2f}",
-        f"  a decision          mean {figures['decision_mean_s']:.3f} s, "
-        f"slowest {figures['decision_slowest_s']:.2f} s",
+        f"  taps                mean {figures['taps_mean']:.2f}, factor due to other objects "
+        f"{figures['price_of_others']:.2f}, moves out of the way "
+        f"{figures['made_way_mean']:.2f}",
+        f"  time of a decision  mean {figures['decision_mean_s']:.3f} s, slowest "
+        f"{figures['decision_slowest_s']:.2f} s",
         f"  refused             at once {figures['refused_before']}, "
         f"later {figures['refused_later']}",
     ]

@@ -84,8 +84,8 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
     given = [name for name, told in without_meaning.items() if told]
     if given:
         raise PlanningError(
-            f"{', '.join(given)}: not for a cell with fixed tappers; leave it out, or give a cell "
-            "file with an arm"
+            f"{', '.join(given)}: not supported for a cell with fixed tappers; leave it out, "
+            "or give a cell file with an arm"
         )
     rows = []
     for angle in arguments.start_angles:
@@ -135,7 +135,7 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
     x, y, theta = arguments.goal_pose
     table = Table(
         *COLUMNS,
-        title=f"{cell.file.name}, {cell.object.name}: {arguments.trials} trials an angle, goal "
+        title=f"{cell.file.name}, {cell.object.name}: {arguments.trials} trials per angle, goal "
         f"({x:g} mm, {y:g} mm, {theta:g} degrees)",
     )
     for row in rows:

@@ -40,7 +40,7 @@ class RealClock:
 
 
 def _on_alarm(number: int, frame: FrameType | None) -> None:
-    raise HangError("a driver's call was not over in time")
+    raise HangError("a driver's call did not return in time")
 
 
 class TerminalCell(TrialCell):

@@ -371,7 +371,7 @@ class TrialCell:
         truth, moving = self._true_place(self.clock.now)
         if moving or not self._near(truth, goal):
             self.tally.false_reports += 1
-            self._note(f"the arm's driver says {reading.joints}, the arm is at {truth}")
+            self._note(f"the arm's driver reports {reading.joints}, the arm is at {truth}")
 
     def _witness(self, shot: int, energy: float, now: float) -> float:
         """Check a true release of the striker."""

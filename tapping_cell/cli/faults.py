@@ -63,23 +63,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dialect",
         choices=[dialect.value for dialect in Dialect],
-        help="the arm's controller; all by turns when left out",
+        help="controller of the arm; if left out, all in turn",
     )
     parser.add_argument("--seed", type=argument_types.seed, default=0, help="default: %(default)s")
     parser.add_argument(
-        "--jobs", type=int, default=os.cpu_count() or 1, help="processes; default: the cores"
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+        help="number of processes; default: the number of cores",
     )
     parser.add_argument(
         "--pty",
         action="store_true",
-        help="over real pseudo-terminals in real time, one process a dialect",
+        help="use real pseudo-terminals in real time, one process per dialect",
     )
     parser.add_argument(
         "--goals",
         type=int,
         metavar="N",
-        help="the whole cell in simulated time: logic, drivers, boards, camera and people, with"
-        " random faults; with --mutants how many goals at most (default 1000)",
+        help="simulate this number of goals of the whole cell: logic, drivers, boards, camera and "
+        "people, with random faults; with --mutants the maximum number of goals (default "
+        "1000)",
     )
     parser.add_argument(
         "--only",
@@ -93,8 +97,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="N",
         default=ALL.mean,
-        help="with --goals and --replay: faults of a goal on average, at least 1"
-        " (default: %(default)g)",
+        help="with --goals and --replay: mean number of faults per goal, at least 1 (default: "
+        "%(default)g)",
     )
     parser.add_argument(
         "--mutant", action="append", help="with --mutants: only this one, may be repeated"
@@ -106,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead.add_argument(
         "--mutants",
         action="store_true",
-        help="plant single faults in the logic, one after the other; each must be caught",
+        help="insert single defects into the logic, one at a time; each must be detected",
     )
     instead.add_argument(
         "--every-byte",
@@ -117,12 +121,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--soak",
         type=float,
         metavar="HOURS",
-        help="taps for so long in the devices' time; reports memory, threads, descriptors",
+        help="tap for this time of the devices and report memory, threads and file descriptors",
     )
     instead.add_argument(
         "--crashes",
         action="store_true",
-        help="instead, a running simulated cell: every node killed at every phase of a tap",
+        help="instead, kill every node of a running simulated cell in every phase of a tap",
     )
     parser.add_argument(
         "--node", action="append", help="with --crashes: only this node, may be repeated"

@@ -37,12 +37,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     from tapping_cell.cli.output_arguments import add_output_arguments
 
-    parser.add_argument("records", nargs="+", type=Path, metavar="RECORDS", help="folders or CSVs")
+    parser.add_argument(
+        "records", nargs="+", type=Path, metavar="RECORDS", help="folders of records, or CSV files"
+    )
     parser.add_argument(
         "--object", type=Path, metavar="FILE", help="object file: shape, mass and the old values"
     )
     parser.add_argument("--report", type=Path, metavar="DIR", help="write figures and report.html")
-    parser.add_argument("--seed", type=argument_types.seed, default=0, help="of the bootstrap (0)")
+    parser.add_argument(
+        "--seed", type=argument_types.seed, default=0, help="random seed of the bootstrap (0)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)
 
@@ -104,7 +108,7 @@ def _content(experiments: Sequence[Experiment], path: Path | None) -> ObjectFile
             f"{experiments[0].folder}: the header names no object; give --object FILE"
         )
     if any(other is None or other.shape != first.shape for other in headers):
-        raise RecordError("the records are of objects of different shapes; fit them apart")
+        raise RecordError("the records are of objects of different shapes; fit them separately")
     return first
 
 

@@ -155,7 +155,7 @@ def _facts(fit: ObjectFit, record: Provenance) -> dict[str, str]:
         f"residual of {record.residual_of}": f"{record.residual:.4f}",
     }
     if math.isfinite(slide.position_rms):
-        facts["poses of the tracks off the fitted slides"] = (
+        facts["residual of the tracks' poses"] = (
             f"{_MM * slide.position_rms:.3f} mm and {_DEG * slide.rotation_rms:.3f} degrees rms"
         )
     return facts

@@ -253,7 +253,7 @@ def last_words(log: Path, begin: int = 0, lines: int = 3) -> str:
     """Return the last lines of a node's log, starting at byte ``begin``, joined to one line."""
     text = log.read_bytes()[begin:].decode("utf-8", errors="replace")
     kept = [line.strip() for line in text.splitlines() if line.strip()]
-    return " | ".join(kept[-lines:]) or "it said nothing"
+    return " | ".join(kept[-lines:]) or "it printed nothing"
 
 
 def _signal_group(child: Child, number: signal.Signals) -> None:
@@ -335,6 +335,6 @@ def own_domain() -> Domain:
         if held is not None:
             return Domain(number, held)
     raise GraphError(
-        f"all {len(OWN_DOMAINS)} ROS domains are held by other runs on this machine; "
-        "end one of them"
+        f"all {len(OWN_DOMAINS)} ROS domains are in use by other runs on this machine; end "
+        "one of them"
     )

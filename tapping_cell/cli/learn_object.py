@@ -57,10 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_graph_arguments(parser)
     parser.add_argument(
-        "--seed", type=argument_types.seed, default=1, help="simulated: of noise and scatter (1)"
+        "--seed",
+        type=argument_types.seed,
+        default=1,
+        help="simulated: random seed of noise and scatter (1)",
     )
     parser.add_argument(
-        "--runs-folder", type=Path, default=Path("runs"), help="where the runs are kept (runs)"
+        "--runs-folder", type=Path, default=Path("runs"), help="folder of the recorded runs (runs)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)
@@ -158,8 +161,8 @@ def _resume(arguments: argparse.Namespace, folders: list[Path]) -> str:
     """Return a message with the command that learns from the runs recorded so far."""
     runs = " ".join(str(folder) for folder in folders)
     return (
-        f"what is recorded is kept: python -m tapping_cell learn-object {runs} --object "
-        f"{arguments.object}"
+        "the recorded runs are kept; to use them, run python -m tapping_cell learn-object "
+        f"{runs} --object {arguments.object}"
     )
 
 

@@ -66,7 +66,9 @@ class SeenObject:
     shape: ShapeSection = section("outline of the object")
     height: float = quantity("height of the top above the table", "m", 0.0, 0.5)
     marker: MarkerSection | None = section("marker on the top", default=None)
-    outline: OutlineSection | None = section("looks of an object without a marker", default=None)
+    outline: OutlineSection | None = section(
+        "appearance of an object without a marker", default=None
+    )
     name: str = text("name of the object, for people", default="")
 
     def seen(self) -> ObjectMarker | ObjectOutline:
@@ -96,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: the aluminium disk)",
     )
     parser.add_argument(
-        "--sequence", action="store_true", help="the images are frames of one steady camera"
+        "--sequence", action="store_true", help="the images are frames of one stationary camera"
     )
     parser.add_argument(
         "--annotate", type=Path, metavar="DIR", help="write pictures with the result drawn in"
@@ -194,7 +196,7 @@ def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | st
         bits = max(8, int(image.max()).bit_length())
         return np.asarray(image // 2 ** (bits + bits % 2 - 8), dtype=np.uint8)
     if image.dtype != np.uint8:
-        return f"{path} holds numbers of type {image.dtype}; give a file of 8 or 16 bits"
+        return f"{path} has pixels of type {image.dtype}; give a file of 8 or 16 bits"
     return np.asarray(image, dtype=np.uint8)
 
 

@@ -19,7 +19,7 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument(
         "--hardware", action="store_true", help="start the nodes of the real camera, arm and tapper"
     )
-    how.add_argument("--attach", action="store_true", help="join a graph that is running")
+    how.add_argument("--attach", action="store_true", help="use a running graph")
     parser.add_argument(
         "--namespace",
         type=argument_types.namespace,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("image", type=Path, metavar="IMAGE", help="picture of the object")
+    parser.add_argument("image", type=Path, metavar="IMAGE", help="image of the object")
     parser.add_argument("--name", required=True, help="display name of the object")
     parser.add_argument(
         "--height",
@@ -40,18 +40,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mass",
         type=argument_types.within(1.0, 100_000.0),
         metavar="G",
-        help="mass in g (default: from the volume, as of plastic)",
+        help="mass in g (default: from the volume, assuming plastic)",
     )
     parser.add_argument("--ring", action="store_true", help="the object is a ring, not a disk")
     parser.add_argument(
-        "--dictionary", help="of the object's marker (default: that of the table's markers)"
+        "--dictionary",
+        help="dictionary of the object's marker (default: that of the table's markers)",
     )
     parser.add_argument("--camera", type=Path, help="ROS camera_info file (default: the package's)")
     parser.add_argument(
         "--table", type=Path, help="reference markers (default: the package's table.yaml)"
     )
     parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="file to write")
-    parser.add_argument("--force", action="store_true", help="replace the file if it is there")
+    parser.add_argument("--force", action="store_true", help="replace an existing file")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -65,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     output: Path = arguments.output.expanduser()
     if output.exists() and not arguments.force:
-        tell_error(f"{output} is there already; choose another name, or give --force")
+        tell_error(f"{output} exists already; choose another name, or give --force")
         return 2
     try:
         camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
@@ -89,7 +90,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-HEADING = "Shape and looks from a picture (tapping_cell new-object); friction and impact assumed."
+HEADING = (
+    "Shape and appearance from an image (tapping_cell new-object); friction and impact assumed."
+)
 
 
 def _object(arguments: argparse.Namespace, traced: TracedObject) -> ObjectFile:
@@ -110,7 +113,7 @@ def _object(arguments: argparse.Namespace, traced: TracedObject) -> ObjectFile:
     shape = traced_shape(traced)
     if arguments.ring:
         if shape.radius is None:
-            raise ValueError("--ring is given, but the picture shows a polygon")
+            raise ValueError("--ring is given, but the image shows a polygon")
         shape = replace(shape, kind="ring")
     return new_object(
         arguments.name,

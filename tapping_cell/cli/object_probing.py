@@ -64,7 +64,7 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
         assert client.object_state is not None
         if client.object_state.object_id != cell.object.name:
             raise ConfigurationError(
-                f"the cell looks for '{client.object_state.object_id}', but --object is of "
+                f"the cell tracks '{client.object_state.object_id}', but --object is of "
                 f"'{cell.object.name}': start the cell with this object file"
             )
         middle, barren = client.object_pose(), 0
@@ -85,7 +85,7 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
             barren = barren + 1 if finished.taps == 0 and finished.error_code else 0
             if barren == IN_A_ROW:
                 raise ProbingStopped(
-                    f"{IN_A_ROW} goals in a row ended without a tap: {finished.error_msg}"
+                    f"{IN_A_ROW} consecutive goals ended without a tap: {finished.error_msg}"
                 )
             session.wait_until_ready(client, READY_PATIENCE_S, check, console)
 

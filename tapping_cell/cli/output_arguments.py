@@ -21,7 +21,7 @@ def add_output_arguments(
         metavar="FILE",
         help="the file to write" + (f" ({default})" if default else ""),
     )
-    parser.add_argument("--force", action="store_true", help="replace the file if it is there")
+    parser.add_argument("--force", action="store_true", help="replace an existing file")
     parser.add_argument(
         "--accept-worse",
         action="store_true",

@@ -47,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output",
         type=Path,
-        help="folder for what is made: a bag's report, the comparison of several runs (default: "
-        "beside the bag; the folder that holds the first run)",
+        help="output folder: a bag's report, the comparison of several runs (default: beside the "
+        "bag; the folder that holds the first run)",
     )
     parser.add_argument("--json", action="store_true", help="print the figures for a program")
 
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     for path in track(arguments.runs, "reading runs", console=console, disable=quiet):
         if several and no_run(path):
             skipped += 1
-            console.print(f"{path} is no run: skipped", highlight=False, markup=False)
+            console.print(f"{path} is not a run: skipped", highlight=False, markup=False)
             continue
         try:
             told.append(tell(path, None if several else arguments.output))

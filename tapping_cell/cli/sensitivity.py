@@ -39,18 +39,20 @@ _SWEEP_ROTATIONS = 41
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the tap, the striker's error and the sweep."""
-    parser.add_argument("--distance", type=float, default=10.0, help="of the tap, mm (10)")
-    parser.add_argument("--rotation", type=float, default=3.0, help="of the tap, degrees (3)")
+    parser.add_argument("--distance", type=float, default=10.0, help="distance of the tap, mm (10)")
+    parser.add_argument(
+        "--rotation", type=float, default=3.0, help="rotation of the tap, degrees (3)"
+    )
     parser.add_argument(
         "--error",
         type=float,
         nargs=3,
         default=PAPER_STRIKER_ERROR,
         metavar=("I", "J", "BETA"),
-        help="of the striker, mm mm degrees (7.5 7.5 5, the paper's)",
+        help="error of the striker's pose, mm mm degrees (7.5 7.5 5, the paper's)",
     )
     parser.add_argument(
-        "--farthest", type=float, default=50.0, help="distance where the sweep ends, mm (50)"
+        "--farthest", type=float, default=50.0, help="largest distance of the sweep, mm (50)"
     )
     parser.add_argument(
         "--figures",
@@ -131,8 +133,8 @@ def _print(report: dict[str, Any]) -> None:
         "(rows x mm, y mm, theta degrees; columns i mm, j mm, beta degrees)"
     )
     for title, figures in (
-        ("the travel turns with the striker, as the paper has it", report),
-        ("the travel turns as the impact has it", report["physical"]),
+        ("assuming that the travel turns with the striker, as in the paper", report),
+        ("with the direction of travel from the impact model", report["physical"]),
     ):
         print(f"\n{title}:")
         for row in figures["jacobian"]:

@@ -35,7 +35,7 @@ class NotRecorded(RuntimeError):
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the output options of a verb that follows a goal."""
     parser.add_argument("--json", action="store_true", help="print the result for a program")
-    parser.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    parser.add_argument("--quiet", action="store_true", help="print only errors")
 
 
 def console_of(arguments: argparse.Namespace) -> Console:
@@ -147,7 +147,7 @@ def wait_for(
             time.sleep(0.05)
 
 
-LOST = "the planner is not heard any more; waiting for it to come back"
+LOST = "the planner no longer sends messages; waiting for it to return"
 
 
 def follow(
@@ -203,7 +203,7 @@ def tap_text(event: TapDone) -> str:
     return (
         f"tap {record.number} ({record.planner}): striker {1000 * record.striker_speed:.0f} mm/s, "
         f"moved {1000 * before.distance_to(measured):.1f} mm and "
-        f"{math.degrees(before.rotation_to(measured)):+.1f} deg; to go "
+        f"{math.degrees(before.rotation_to(measured)):+.1f} deg; remaining "
         f"{1000 * event.residual_distance:.2f} mm and "
         f"{math.degrees(event.residual_rotation):.2f} deg"
     )

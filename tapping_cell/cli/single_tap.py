@@ -51,8 +51,8 @@ from tapping_cell.cli.graph import (
     GraphError,
 )
 from tapping_cell.cli.measuring_graph import add_graph_arguments, measuring_graph
+from tapping_cell.cli.tap_feasibility import TapFeasibility
 from tapping_cell.cli.tap_maker import READY_PATIENCE_S, SeriesStopped
-from tapping_cell.cli.tap_room import TapRoom
 from tapping_cell.cli.tap_series import TapSeries
 from tapping_cell.cli.tap_summary import tell, trial_text
 from tapping_cell.cli.up import node_parameters
@@ -108,30 +108,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--runs-folder",
         type=Path,
         default=Path("runs"),
-        help="where the folder of the records is made (default: runs)",
+        help="parent folder of the folder of records (default: runs)",
     )
-    place.add_argument("--resume", type=Path, metavar="FOLDER", help="go on with an experiment")
+    place.add_argument("--resume", type=Path, metavar="FOLDER", help="continue an experiment")
     add_graph_arguments(parser)
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     parser.add_argument(
-        "--seed", type=argument_types.seed, help="simulated: of noise and scatter (default: 1)"
+        "--seed",
+        type=argument_types.seed,
+        help="simulated: random seed of noise and scatter (default: 1)",
     )
     parser.add_argument(
-        "--camera-rate", type=float, default=30.0, help="simulated: pictures a second (default: 30)"
+        "--camera-rate", type=float, default=30.0, help="simulated: frames per second (default: 30)"
     )
     parser.add_argument(
         "--slow-motion",
         type=float,
         default=SLOW_MOTION,
         metavar="TIMES",
-        help="simulated: play slides so many times slower, with true stamps, so that a busy "
-        f"machine loses no picture of them (default: {SLOW_MOTION:g})",
+        help="simulated: slow-motion factor of slides, with correct time stamps, so that a busy "
+        f"machine drops no frames (default: {SLOW_MOTION:g})",
     )
     parser.add_argument(
         "--exposure",
         type=float,
         metavar="MS",
-        help="the camera's time of exposure in ms, if known (default: simulated, the world's own)",
+        help="exposure time of the camera in ms, if known (default: simulated, that of the world)",
     )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
 
@@ -208,8 +210,8 @@ def _open(arguments: argparse.Namespace) -> tuple[Path, Design]:
         kept = getattr(design, name)
         if not np.allclose(kept, value) if np.shape(kept) == np.shape(value) else True:
             raise RecordError(
-                f"--{name} differs from what {folder} was begun with; leave the option out, or "
-                "begin a new experiment"
+                f"--{name} differs from the value with which {folder} was started; leave the "
+                "option out, or start a new experiment"
             )
     return folder, design
 
@@ -224,16 +226,16 @@ def _recorded(folder: Path) -> list[Trial]:
         return []
     found = read_trials(folder)
     if found.left_out:
-        raise RecordError(f"{found.left_out[0]}; mend or remove the row, then resume")
+        raise RecordError(f"{found.left_out[0]}; correct or remove the row, then resume")
     return list(found.trials)
 
 
 def _refused(cell: Cell, design: Design) -> str:
     """Return why a tap of the design is infeasible even from the middle; empty if all are
     feasible."""
-    room = TapRoom(cell)
+    feasibility = TapFeasibility(cell)
     for run in design.runs:
-        problem = room.problem(run.striker_speed, run.incidence)
+        problem = feasibility.problem(run.striker_speed, run.incidence)
         if problem:
             return (
                 f"run {run.number} ({1000 * run.striker_speed:.0f} mm/s, "
@@ -262,8 +264,8 @@ def _measure(
         assert client.object_state is not None
         if client.object_state.object_id != cell.object.name:
             raise RecordError(
-                f"the camera looks for '{client.object_state.object_id}', but the records would be "
-                f"of '{cell.object.name}'; give the graph's own --object"
+                f"the camera tracks '{client.object_state.object_id}', but the records would "
+                f"be of '{cell.object.name}'; give the graph's own --object"
             )
         header = _header(arguments, cell, client, check)
         _keep_header(folder, header)
@@ -331,8 +333,8 @@ def _keep_header(folder: Path, header: ExperimentFile) -> None:
     for name in ("source", "object", "striker"):
         if getattr(kept, name) != getattr(header, name):
             raise RecordError(
-                f"{folder / HEADER_FILE}: its {name} is not that of this cell; resume with the "
-                "files that the experiment was begun with, or begin a new one"
+                f"{folder / HEADER_FILE}: its {name} is not that of this cell; resume with "
+                "the files with which the experiment was started, or start a new one"
             )
 
 

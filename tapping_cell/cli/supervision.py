@@ -61,12 +61,14 @@ class Supervisor:
             self._due[ended.name] = now + DELAY_S
             return Incident(
                 ended.name,
-                f"{ended.sentence}; it is started again ({len(recent)} of {MOST_RESTARTS})",
+                f"{ended.sentence}; it is restarted ({len(recent)} of {MOST_RESTARTS})",
             )
         if ended.name not in ASIDE:
             often = "" if ended.refused else f" {MOST_RESTARTS + 1} times in {WINDOW_S:.0f} s"
             raise NodeDied(f"the cell cannot work without {ended.name}:{often} {ended.sentence}")
         self.left_alone[ended.name] = ended.sentence
         return Incident(
-            ended.name, f"{ended.sentence}; it is left alone, the cell works without it", True
+            ended.name,
+            f"{ended.sentence}; it is not restarted, because the cell works without it",
+            True,
         )

@@ -24,7 +24,7 @@ from tapping_cell.se2 import Pose
 READY_PATIENCE_S = 60.0
 BACK_TOLERANCE = (0.015, math.radians(45.0))
 """Tolerance of a goal that brings the object back, in m and rad; large, so that it is fast."""
-NO_ROOM = (
+NO_CLEARANCE = (
     ErrorCode.TAP_LEAVES_TABLE,
     ErrorCode.TAP_LEAVES_VIEW,
     ErrorCode.NO_TAP_FOUND,
@@ -83,9 +83,9 @@ class TapMaker:
         """React to a tap that did not start."""
         self._failures += 1
         name = error_codes.name(code)
-        if self._failures >= IN_A_ROW or code not in (*NO_ROOM, *PASSING):
+        if self._failures >= IN_A_ROW or code not in (*NO_CLEARANCE, *PASSING):
             raise SeriesStopped(code, f"{name}: {sentence}")
-        if code in NO_ROOM:
+        if code in NO_CLEARANCE:
             self._bring_back(code, sentence)
 
     def _bring_back(self, code: int, sentence: str) -> None:
@@ -133,7 +133,7 @@ def trial_of(
     spread = covariance_from_message(record.measured_pose.covariance)
     notes = [trouble] if trouble else []
     if record.outcome != TapperState.FIRED:
-        notes.append("the tapper did not say whether it fired")
+        notes.append("the tapper did not report whether it fired")
     return Trial(
         run=0,
         trial=0,

@@ -72,8 +72,8 @@ def tell(
         )
         return
     console.print(
-        f"[red]stopped[/red] (code {code}): {sentence}; what is done is kept, go on with "
-        f"--resume {folder}",
+        f"[red]stopped[/red] (code {code}): {sentence}; finished trials are kept, continue "
+        f"with --resume {folder}",
         highlight=False,
     )
 

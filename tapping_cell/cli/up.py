@@ -77,7 +77,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_truth_arguments(parser)
     parser.add_argument(
-        "--seed", type=argument_types.seed, help="simulated: of noise and scatter (default: 1)"
+        "--seed",
+        type=argument_types.seed,
+        help="simulated: random seed of noise and scatter (default: 1)",
     )
     parser.add_argument(
         "--set-up",
@@ -93,20 +95,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--params",
         type=Path,
-        help="file of ROS parameters for every node; what is given here as an option wins over it",
+        help="file of ROS parameters for every node; options of this command override it",
     )
-    parser.add_argument(
-        "--runs", type=Path, help="folder that the recorder puts run folders into (default: runs)"
-    )
-    parser.add_argument("--no-record", action="store_true", help="keep no run folders")
+    parser.add_argument("--runs", type=Path, help="folder of the recorded runs (default: runs)")
+    parser.add_argument("--no-record", action="store_true", help="record no runs")
     parser.add_argument(
         "--page",
         nargs="?",
         type=page_place,
         const=("localhost", 8010),
         metavar="[ADDRESS:]PORT",
-        help="serve the operator's page, without a value at localhost:8010; with 0.0.0.0:PORT to "
-        "the whole network, where it wants a token",
+        help="serve the operator's page, by default at localhost:8010; 0.0.0.0:PORT serves it to "
+        "the whole network and requires a token",
     )
     parser.add_argument(
         "--logs",
@@ -303,8 +303,8 @@ def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
         "--truth-object",
         type=Path,
         metavar="FILE",
-        help="simulated: object file that the true parameters start from, where the planner "
-        "believes another, such as a fitted one",
+        help="simulated: object file for the true parameters, if it differs from the planner's, "
+        "such as a fitted one",
     )
 
 

@@ -482,8 +482,8 @@ class OutputSection:
         longest = max(self.pulses, default=0.0) + 2 * self.latency
         if longest > LONGEST_SHOT:
             raise ValueError(
-                f"the longest pulse and twice the latency take {longest:.3f} s, at most "
-                f"{LONGEST_SHOT:g} s: the arm promises to stand still for no longer"
+                f"the longest pulse and twice the latency take {longest:.3f} s, but the "
+                f"arm stands still for at most {LONGEST_SHOT:g} s; shorten the pulses"
             )
 
 
@@ -642,8 +642,8 @@ class GoalSection:
     planner: str = text("name of the planning method")
     max_taps: int = quantity("maximum number of taps for a goal", "", 1, 1000)
     objective: str = choice(
-        "what a goal is reached with the fewest of: taps, or seconds of the taps and the arm's way "
-        "(with fixed tappers, whose taps all take as long, the same)",
+        "quantity to minimise: the number of taps, or the time of the taps and the arm's "
+        "motion (the same for fixed tappers, whose taps all take the same time)",
         "taps",
         "time",
         default="taps",
@@ -858,8 +858,8 @@ def refuse_simulated_ports(cell: Cell) -> None:
     """
     for key, port in _simulated_ports(cell).items():
         raise ConfigurationError(
-            f"{cell.path}: key '{key}' is {port}, a port of the simulated cell, and hardware was "
-            "asked for: copy the folder config, name the device there (such as "
+            f"{cell.path}: key '{key}' is {port}, a port of the simulated cell, but hardware "
+            "was requested: copy the folder config, set the device there (such as "
             "/dev/serial/by-id/...), and give the copy as the cell file"
         )
 

@@ -21,7 +21,7 @@ LEAST_WORKABLE = 0.5
 """Share of the usable area below which a cell's reach is worth a word."""
 LONGEST_FLIGHT_S = 2.0
 """The arm stands still while a striker is on its way, and everybody waits for it."""
-NOISE_ROOM = 3.0
+NOISE_MARGIN = 3.0
 """Number of standard deviations of the measured pose that should fit into the tolerance."""
 
 
@@ -104,9 +104,10 @@ def _heights(cell: Cell) -> Iterator[str]:
     slowest = min(tapper.speeds)
     if tapper.stroke > LONGEST_FLIGHT_S * slowest:
         yield (
-            f"{path}: a striker of the slowest of 'tapper.speeds' ({1e3 * slowest:.1f} mm/s) is"
-            f" {tapper.stroke / slowest:.1f} s on its way through 'tapper.stroke', and the arm"
-            f" stands still for {LONGEST_FLIGHT_S:g} s at most: leave out the slowest speeds"
+            f"{path}: a striker of the slowest of 'tapper.speeds' ({1e3 * slowest:.1f} mm/s) "
+            f"is {tapper.stroke / slowest:.1f} s on its way through 'tapper.stroke', and the "
+            f"arm stands still for {LONGEST_FLIGHT_S:g} s at most; leave out the slowest "
+            "speeds"
         )
 
 
@@ -134,9 +135,10 @@ def _curve(cell: Cell) -> Iterator[str]:
         return
     if needed < curve.slowest:
         yield (
-            f"{cell.path}: the slowest speed of 'tapper.speeds' is {1e3 * curve.slowest:.0f} mm/s, "
-            f"but the object's smallest tap of {1e3 * smallest:.1f} mm ('smallest_tap') needs "
-            f"{1e3 * needed:.0f} mm/s; calibrate the tapper lower, or raise smallest_tap"
+            f"{cell.path}: the slowest speed of 'tapper.speeds' is {1e3 * curve.slowest:.0f} "
+            f"mm/s, but the object's smallest tap of {1e3 * smallest:.1f} mm ('smallest_tap') "
+            f"needs {1e3 * needed:.0f} mm/s; calibrate the tapper at lower speeds, or raise "
+            "smallest_tap"
         )
     if needed > curve.fastest:
         yield (
@@ -163,7 +165,7 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
     """Check how much of the usable area the arm can serve, using the planner's own map."""
     space = make_strike_space(cell)
     free = FreeSpace(space)
-    fits = space.workspace.object_room(free.centres) >= space.object_radius
+    fits = space.workspace.object_clearance(free.centres) >= space.object_radius
     if not fits.any():
         return [
             f"{cell.path}: the object of {1e3 * space.object_radius:.0f} mm radius fits nowhere on "
@@ -173,8 +175,9 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
     share = float(np.count_nonzero(free.workable)) / float(np.count_nonzero(fits))
     if share == 0.0:
         return [
-            f"{cell.path}: the arm can serve no place on the table: every one lacks taps from a "
-            "half plane of directions; check 'arm.base', the links and the joint limits"
+            f"{cell.path}: no place on the table can be served by the arm: at each, half or "
+            "more of all directions of taps are missing; check 'arm.base', the links and the "
+            "joint limits"
         ], []
     if share < LEAST_WORKABLE:
         return [], [
@@ -212,12 +215,12 @@ def _noise(cell: Cell) -> Iterator[str]:
         ("position", noise.position_noise, distance, "mm", 1e3),
         ("angle", noise.angle_noise, angle, "deg", math.degrees(1.0)),
     ):
-        if NOISE_ROOM * spread > limit:
+        if NOISE_MARGIN * spread > limit:
             yield (
-                f"{cell.path}: key 'goal.{name}_tolerance' is {factor * limit:.3g} {unit}, less "
-                f"than {NOISE_ROOM:g} standard deviations of a look "
-                f"('camera.{name}_noise', {factor * spread:.3g} {unit}): goals may never be seen "
-                "as reached"
+                f"{cell.path}: key 'goal.{name}_tolerance' is {factor * limit:.3g} {unit}, "
+                f"less than {NOISE_MARGIN:g} standard deviations of a measurement "
+                f"('camera.{name}_noise', {factor * spread:.3g} {unit}): goals may never be "
+                "seen as reached"
             )
 
 
@@ -242,6 +245,6 @@ def _ports(cell: Cell) -> Iterator[str]:
     for port, names in boards.items():
         if port and not Path(port).expanduser().exists():
             yield (
-                f"{cell.path}: the port {port} of {', '.join(names)} is not there (yet); the "
-                "simulated world makes it, a device has to be plugged in"
+                f"{cell.path}: the port {port} of {', '.join(names)} does not exist (yet); "
+                "the simulated world creates it, a device must be plugged in"
             )

@@ -101,7 +101,7 @@ class _StrictLoader(yaml.SafeLoader):
                 )
             if key in seen:
                 raise yaml.constructor.ConstructorError(
-                    problem=f"the key '{key}' stands here twice", problem_mark=key_node.start_mark
+                    problem=f"the key '{key}' appears twice", problem_mark=key_node.start_mark
                 )
             seen.add(key)
         return super().construct_mapping(node, deep=deep)
@@ -129,8 +129,8 @@ def read_yaml(path: Path) -> Any:
         size = path.stat().st_size
         if size > LARGEST_FILE:
             raise ConfigurationError(
-                f"{path}: has {size / 1e6:.1f} MB; a file of this kind has "
-                f"{LARGEST_FILE / 1e6:.0f} MB at most: give the right one"
+                f"{path}: has {size / 1e6:.1f} MB, the limit for this kind of file is "
+                f"{LARGEST_FILE / 1e6:.0f} MB; give the right file"
             )
         return yaml.load(path.read_text(encoding="utf-8-sig"), _StrictLoader)
     except OSError as error:

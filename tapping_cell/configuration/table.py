@@ -74,8 +74,8 @@ def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
     """Raise ConfigurationError for fewer than two markers or for overlapping markers."""
     if len(content.markers) < 2:
         raise ConfigurationError(
-            f"{path}: key 'markers' lists {len(content.markers)}; list two at least, better six or "
-            "more around the working area"
+            f"{path}: key 'markers' lists {len(content.markers)}; list at least two, better "
+            "six or more around the working area"
         )
     for number, first in enumerate(content.markers):
         for second in content.markers[number + 1 :]:

@@ -424,8 +424,8 @@ class ArmDriver:
         if reading.moving:
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                f"the arm moves at {in_words(reading.joints)}: wait until it stands, then home"
-                " again",
+                f"the arm moves at {in_words(reading.joints)}: wait until it stops, then home "
+                "again",
             )
         home = self.settings.home_joints
         if strategy is HomingStrategy.NONE or home is None:
@@ -452,8 +452,8 @@ class ArmDriver:
         if reading.powerless and self._homed:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the arm's controller is {reading.alarm}: its motors may have been without power,"
-                " so that its position is not known: clear the fault and home again",
+                f"the arm's controller is {reading.alarm}: its motors may have been without "
+                "power, so that its position is unknown: clear the fault and home again",
             )
         return self._converted(reading)
 
@@ -489,10 +489,10 @@ class ArmDriver:
     def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(
             FaultReason.POSITION_MISMATCH,
-            f"the arm stands at {in_words(found)}, was sent to {in_words(goal)}; more than"
-            f" {math.degrees(self.settings.tolerance_angle):.3f} deg or"
-            f" {self.settings.tolerance_quill * 1e3:.2f} mm apart: look for an obstacle or a noisy"
-            " line, then move again",
+            f"the arm stands at {in_words(found)}, but was sent to {in_words(goal)}: more "
+            f"than {math.degrees(self.settings.tolerance_angle):.3f} deg or "
+            f"{self.settings.tolerance_quill * 1e3:.2f} mm apart: check for an obstacle or a "
+            "noisy line, then move again",
         )
 
     def _require_line(self) -> None:

@@ -71,8 +71,8 @@ class Device:
         self._capture = cv2.VideoCapture(int(name) if name.isdigit() else name, cv2.CAP_V4L2)
         if not self._capture.isOpened():
             raise CameraSourceError(
-                f"the camera {name} cannot be opened; check its cable, that nobody else uses it, "
-                "and that you may read it (group video)"
+                f"the camera {name} cannot be opened; check its cable, that no other program "
+                "uses it, and that you may read it (group video)"
             )
         wanted = {
             cv2.CAP_PROP_FRAME_WIDTH: settings.width,
@@ -100,7 +100,7 @@ class Device:
         good, picture = self._capture.read()
         if not good:
             raise CameraSourceError(
-                f"the camera {self._name} delivers no pictures any more; check its cable"
+                f"the camera {self._name} no longer delivers images; check its cable"
             )
         now = time.monotonic()
         stamp = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
@@ -136,11 +136,11 @@ class Playback:
         # A looping source cannot end: if it has no image, the source or its images were removed.
         if picture is None and (self._delivered == 0 or self._settings.loop):
             raise CameraSourceError(
-                f"{self._name} holds no picture that can be decoded; replace it"
+                f"{self._name} contains no image that can be decoded; replace it"
             )
         if picture is None:
             raise SourceEnded(
-                f"{self._name} has no more pictures; set the parameter loop to begin again"
+                f"{self._name} has no more images; set the parameter loop to start over"
             )
         self._delivered += 1
         wait = self._due - time.monotonic()
@@ -149,7 +149,7 @@ class Playback:
         self._due = max(self._due, time.monotonic() - 1.0) + 1.0 / self._settings.rate
         sentence = ""
         if left_out:
-            sentence = f"left out what cannot be decoded: {', '.join(left_out)}"
+            sentence = f"skipped files that cannot be decoded: {', '.join(left_out)}"
         return Frame(picture, time.monotonic(), sentence)
 
     def _next(self, left_out: list[str]) -> Picture | None:
@@ -174,11 +174,11 @@ def _folder_pictures(folder: Path) -> Iterator[Picture | str]:
         files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     except OSError as error:
         raise CameraSourceError(
-            f"the folder {folder} cannot be read ({error.strerror}); check that it is there"
+            f"the folder {folder} cannot be read ({error.strerror}); check that it exists"
         ) from error
     if not files:
         raise CameraSourceError(
-            f"the folder {folder} holds no pictures ({', '.join(IMAGE_SUFFIXES)})"
+            f"the folder {folder} contains no images ({', '.join(IMAGE_SUFFIXES)})"
         )
     return (_decoded(file) for file in files)
 

@@ -160,8 +160,9 @@ class ChainLink:
         if stretch * times[-1] > LONGEST_STRETCH * times[-1] + LONGEST_DELAY:
             raise HardwareFault(
                 FaultReason.UNREACHABLE,
-                f"a move would take a joint of {self.name} to {stretch:.1f} times its speed: the"
-                " way leads past a singular pose, or arm.max_speed is too high for this arm",
+                f"a move would take a joint of {self.name} to {stretch:.1f} times its maximum "
+                "speed: the path leads past a singular pose, or arm.max_speed is too high "
+                "for this arm",
             )
         times = times * stretch
         speeds = np.gradient(joints, times, axis=0)
@@ -260,10 +261,10 @@ class ChainLink:
         doubt = ""
         if lean > self._settings.tilt:
             doubt = (
-                f"the striker leans by {math.degrees(lean):.1f} deg (limit"
-                f" {math.degrees(self._settings.tilt):.1f} deg): turn it upright by the arm's own"
-                " panel, over the table and near its park pose, or correct"
-                " arm.ros2_control.chain.tool"
+                f"the striker leans by {math.degrees(lean):.1f} deg (limit "
+                f"{math.degrees(self._settings.tilt):.1f} deg): turn it upright with the "
+                "arm's own panel, over the table and near its park pose, or correct "
+                "arm.ros2_control.chain.tool"
             )
         found = [
             solution.joints
@@ -273,9 +274,10 @@ class ChainLink:
         ]
         if not found:
             return near, doubt or (
-                f"the striker is at x {tip[0] * 1e3:.0f} mm, y {tip[1] * 1e3:.0f} mm from arm_base,"
-                " out of reach of the SCARA in the cell file: move it there by the arm's own"
-                " panel, or correct arm.upper_arm, arm.forearm and arm.ros2_control.chain"
+                f"the striker is at x {tip[0] * 1e3:.0f} mm, y {tip[1] * 1e3:.0f} mm from "
+                "arm_base, out of reach of the SCARA in the cell file: move it there with "
+                "the arm's own panel, or correct arm.upper_arm, arm.forearm and "
+                "arm.ros2_control.chain"
             )
         return min(found, key=lambda place: float(np.sum(np.abs(place - near)))), doubt
 

@@ -30,9 +30,9 @@ def chain_from_urdf(
     try:
         robot = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise ValueError(f"it is no XML: {error}") from error
+        raise ValueError(f"it is not XML: {error}") from error
     if robot.tag != "robot" or "{http://www.ros.org/wiki/xacro}" in text or "xacro:" in text:
-        raise ValueError("it is no URDF; a xacro file is expanded by: xacro FILE > arm.urdf")
+        raise ValueError("it is not a URDF; expand a xacro file with: xacro FILE > arm.urdf")
     by_child = {_link(joint, "child"): joint for joint in robot.findall("joint")}
     path: list[ElementTree.Element] = []
     link = tip_link
@@ -68,11 +68,11 @@ def _joint(joint: ElementTree.Element, origin: Array) -> ChainJoint:
     if joint.find("mimic") is not None:
         raise ValueError(f"joint {name} mimics another: not a serial arm")
     if limit is None or limit.get("velocity") is None:
-        raise ValueError(f"joint {name} has no limit with velocity: it is needed")
+        raise ValueError(f"joint {name} has no velocity limit, which is needed")
     axis = np.array(_numbers(joint.find("axis"), "xyz", (1.0, 0.0, 0.0)))
     length = float(np.linalg.norm(axis))
     if length < 1e-6:
-        raise ValueError(f"joint {name} has an axis of no length")
+        raise ValueError(f"joint {name} has an axis of length 0")
     x, y, z = axis / length
     bounded = joint.get("type") != "continuous"
     return ChainJoint(

@@ -194,8 +194,8 @@ class GrblDialect:
             if status.state in LOCKED:
                 raise HardwareFault(
                     FaultReason.REJECTED,
-                    f"the controller went into {status.state} during a move: look for the cause at"
-                    " the cell, then clear the fault",
+                    f"the controller went into {status.state} during a move: find the cause "
+                    "at the cell, then clear the fault",
                 )
             if not _moving(status) and self._work_position(status) is not None:
                 return self._reading(status)
@@ -234,8 +234,8 @@ class GrblDialect:
             if fault.reason is FaultReason.TIMEOUT:
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"homing has not ended within {self._transport.now() - began:.0f} s"
-                    " (arm.homing_timeout): look for an axis that does not reach its switch",
+                    f"homing has not ended within {self._transport.now() - began:.0f} s "
+                    "(arm.homing_timeout): check for an axis that does not reach its switch",
                 ) from fault
             if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
                 raise HardwareFault(
@@ -499,14 +499,14 @@ class GrblDialect:
             if told:
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
-                    f"Grbl version {told!r} is not understood: this driver speaks Grbl 1.1,"
-                    " grbl-Mega-5X, grblHAL and FluidNC 3 and 4",
+                    f"Grbl version {told!r} is not supported: this driver speaks Grbl 1.1, "
+                    "grbl-Mega-5X, grblHAL and FluidNC 3 and 4",
                 )
             if banner is None:
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
-                    f"the controller on {self._transport.name} answers but names no Grbl version:"
-                    " check the dialect parameter",
+                    f"the controller on {self._transport.name} answers but reports no Grbl "
+                    "version: check the dialect parameter",
                 )
             self._controller, self._forces_origin = GRBL, False
             version = banner.version
@@ -516,10 +516,10 @@ class GrblDialect:
         if count < AXIS_COUNT or missing:
             raise HardwareFault(
                 FaultReason.UNKNOWN_FIRMWARE,
-                f"{self._controller.name} {version} on {self._transport.name} has {count} axes"
-                f" ({known}), {AXIS_COUNT} are needed ({self._settings.letters}): build its"
-                f" firmware with {AXIS_COUNT} axes, take another controller, or correct"
-                " arm.axis_letters",
+                f"{self._controller.name} {version} on {self._transport.name} has {count} "
+                f"axes ({known}), {AXIS_COUNT} are needed ({self._settings.letters}): build "
+                f"its firmware with {AXIS_COUNT} axes, use another controller, or correct "
+                "arm.axis_letters",
             )
         self._columns = [letters.index(letter) for letter in self._settings.letters]
         self._count = count
@@ -575,8 +575,8 @@ class GrblDialect:
             Finding(
                 controller.hold_setting,
                 held,
-                "must be 255: else the motors lose their torque when they stand and the arm sinks"
-                " unseen",
+                "must be 255: otherwise the motors lose their torque at standstill and the "
+                "arm sinks unnoticed",
                 held == "255",
                 f"{controller.hold_setting}=255{controller.store_words}",
                 storable=True,
@@ -669,8 +669,9 @@ class GrblDialect:
         if not self._homed_place:
             if missing:
                 self._homed_unknown = (
-                    f"the controller does not list {', '.join(missing)}, so that nobody knows where"
-                    " its homing ends: connect again; if it stays so, set arm.home_place"
+                    f"the controller does not list {', '.join(missing)}, so the position "
+                    "after homing is unknown: connect again; if it persists, set "
+                    "arm.home_place"
                 )
                 return
             forced = self._forces_origin or (
@@ -718,8 +719,9 @@ class GrblDialect:
                     self._homed_place[axis] = float(told)
                 except ValueError:
                     self._homed_unknown = (
-                        f"the controller does not tell {section}/mpos_mm, so that nobody knows"
-                        " where its homing ends: connect again; if it stays so, set arm.home_place"
+                        f"the controller does not report {section}/mpos_mm, so the position "
+                        "after homing is unknown: connect again; if it persists, set "
+                        "arm.home_place"
                     )
 
     def _check_homed(self, status: grbl.Status) -> None:
@@ -735,9 +737,10 @@ class GrblDialect:
         if wrong or len(place) < AXIS_COUNT:
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                f"after homing the controller stands with {', '.join(wrong) or 'no position'},"
-                " where its settings do not end a homing: home again; if it stays so, set"
-                " arm.home_place, or name joints that have no switch in arm.axes_without_switch",
+                f"after homing the controller reports {', '.join(wrong) or 'no position'}, "
+                "which does not match its settings: home again; if it persists, set "
+                "arm.home_place, or name joints that have no switch in "
+                "arm.axes_without_switch",
             )
 
     def _mark_is_there(self, deadline: float) -> bool:

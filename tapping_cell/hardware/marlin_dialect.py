@@ -198,9 +198,9 @@ class MarlinDialect:
             if fault.reason is FaultReason.TIMEOUT:
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"homing has not ended within {self._transport.now() - began:.0f} s"
-                    f" (arm.homing_timeout; {fault}): look for an axis that does not reach its end"
-                    " stop",
+                    f"homing has not ended within {self._transport.now() - began:.0f} s "
+                    f"(arm.homing_timeout; {fault}): check for an axis that does not reach "
+                    "its end stop",
                 ) from fault
             if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
                 raise HardwareFault(
@@ -210,8 +210,8 @@ class MarlinDialect:
         if self._beginnings != beginnings:
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                "the controller lost count of its lines while homing, so that nobody knows whether"
-                " it homed: home again",
+                "the controller lost count of its lines while homing, so it is unknown "
+                "whether it homed: home again",
             )
 
     def set_position(self, axes: Axes, deadline: float) -> None:
@@ -249,7 +249,7 @@ class MarlinDialect:
             if isinstance(frame, marlin.Unknown):
                 raise HardwareFault(
                     FaultReason.REJECTED,
-                    f"the controller does not know {frame.code!r}: build its firmware"
+                    f"the controller does not support {frame.code!r}: build its firmware"
                     " with that code",
                 )
 
@@ -442,14 +442,14 @@ class MarlinDialect:
             if not name.startswith("Marlin"):
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
-                    f"firmware {name!r} is not understood: this driver speaks Marlin; check the"
-                    " dialect parameter",
+                    f"firmware {name!r} is not supported: this driver speaks Marlin; check "
+                    "the dialect parameter",
                 )
             return name.removeprefix("Marlin").strip()
         raise HardwareFault(
             FaultReason.UNKNOWN_FIRMWARE,
-            f"the controller on {self._transport.name} does not say what it is (M115): check the"
-            " dialect parameter",
+            f"the controller on {self._transport.name} does not report its firmware (M115): "
+            "check the dialect parameter",
         )
 
     def _figures(self, code: str, deadline: float) -> dict[str, float]:
@@ -513,9 +513,9 @@ class MarlinDialect:
         why = f" ({self._halted_why})" if self._halted_why else ""
         return HardwareFault(
             FaultReason.NEEDS_PERSON,
-            f"the arm's controller on {self._transport.name} no longer answers, as Marlin does once"
-            f" it was halted{why}: press the reset button on its board (or look after power and"
-            " cable), then clear the fault and home again",
+            f"the arm's controller on {self._transport.name} no longer answers, as Marlin "
+            f"does once it was halted{why}: press the reset button on its board (or check "
+            "power and cable), then clear the fault and home again",
         )
 
     def _restarted(self) -> HardwareFault:
@@ -529,7 +529,7 @@ class MarlinDialect:
 
     def _still_busy(self) -> HardwareFault:
         self.counters.timeouts += 1
-        return HardwareFault(FaultReason.TIMEOUT, "the controller still says that it is busy")
+        return HardwareFault(FaultReason.TIMEOUT, "the controller still reports that it is busy")
 
     def _dead(self, what: str) -> HardwareFault:
         self.counters.timeouts += 1

@@ -174,8 +174,8 @@ class OutputTapperDriver:
         if channel:
             raise self._noted(
                 FaultReason.SETTINGS_MISMATCH,
-                f"channel {channel} was asked for, but {self._link.name} fires one tapper, channel"
-                " 0; correct the channels in the cell file",
+                f"channel {channel} was requested, but {self._link.name} fires one tapper, "
+                "channel 0; correct the channels in the cell file",
             )
         least, most = self.settings.energies[0], self.settings.energies[-1]
         if not (0 < shot <= protocol.MAXIMUM_SHOT and least <= energy <= most):
@@ -204,12 +204,12 @@ class OutputTapperDriver:
         self._require()
         self._refuse_spent(shot)
         if self._ready is None or self._ready[0] != shot:
-            return self._not_fired(shot, f"the tapper was not made ready for shot {shot}")
+            return self._not_fired(shot, f"the tapper was not prepared for shot {shot}")
         pulse, self._ready = self._ready[1], None
         try:
             self._memory.keep(shot)
         except OSError as error:
-            return self._not_fired(shot, f"shot {shot} could not be noted on disk ({error})")
+            return self._not_fired(shot, f"shot {shot} could not be recorded on disk ({error})")
         self._attempted = shot
         if not self.status().interlock_closed:
             return self._not_fired(shot, f"the guard of {self._link.name} is open: close it")
@@ -275,8 +275,8 @@ class OutputTapperDriver:
         held = self._link.now() - sent
         if held > LONG_PULSE * pulse:
             self.counters.last_error = (
-                f"the output was on for {1e3 * held:.1f} ms where {1e3 * pulse:.1f} ms were asked:"
-                " this computer was too slow, and the striker faster than planned"
+                f"the output was on for {1e3 * held:.1f} ms, but {1e3 * pulse:.1f} ms were "
+                "requested: this computer was too slow, and the striker faster than planned"
             )
         return on, off
 
@@ -331,8 +331,8 @@ class OutputTapperDriver:
         return FireResult(
             FireOutcome.UNKNOWN,
             shot,
-            f"whether shot {shot} was fired is not known ({why}): look where the object is, do not"
-            " fire again",
+            f"it is unknown whether shot {shot} was fired ({why}): check where the object is, "
+            "do not fire again",
             release_by,
         )
 
@@ -384,8 +384,8 @@ class OutputTapperDriver:
                 what = "guard" if self._link.guard is None else "read_back"
                 raise self._noted(
                     FaultReason.TIMEOUT,
-                    f"nothing is heard on the topic tapper.output.{what}: it must come at least"
-                    f" every {self.settings.guard_timeout:g} s (std_msgs/Bool)",
+                    f"no message has arrived on the topic tapper.output.{what}: one is needed "
+                    f"at least every {self.settings.guard_timeout:g} s (std_msgs/Bool)",
                 )
             self._link.wait(WAIT)
 

@@ -100,12 +100,14 @@ class Ros2ControlDialect:
             ),
         ]
         remarks = [
-            f"{name} can send trajectories to {self._link.name} as well: while the cell works,"
-            " nothing else may"
+            f"{name} can also send trajectories to {self._link.name}: nothing else may do so "
+            "while the cell works"
             for name in self._link.rivals
         ]
         if heard and heard[-1].velocities is None:
-            remarks.append("the joint states tell no velocities: rest is seen by positions alone")
+            remarks.append(
+                "the joint states contain no velocities: rest is detected from positions alone"
+            )
         # Nothing proves that the arm's driver or its drives were not restarted meanwhile.
         firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))
         return firmware, findings
@@ -183,7 +185,7 @@ class Ros2ControlDialect:
             if self._link.now() >= deadline:
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"{self._link.name} still moves after the stop: stop it at its own panel",
+                    f"{self._link.name} still moves after the stop: stop it with its own panel",
                 )
 
     def _check_goal(self) -> GoalState:
@@ -192,9 +194,9 @@ class Ros2ControlDialect:
         if progress.state is GoalState.FAILED:
             raise HardwareFault(
                 FaultReason.REJECTED,
-                f"{self._link.name} did not carry out a trajectory: {progress.words}: look for an"
-                " obstacle, for limits and tolerances of the controller, and for another program"
-                " that sends it trajectories",
+                f"{self._link.name} did not carry out a trajectory: {progress.words}: check "
+                "for an obstacle, the controller's limits and tolerances, and another "
+                "program that sends it trajectories",
             )
         return progress.state
 
@@ -214,8 +216,8 @@ class Ros2ControlDialect:
         samples = self._link.samples
         late = bool(samples) and self._link.now() - samples[-1].received < 0.1
         told = (
-            "come with stamps that are too old: the arm's computer has another clock, or the"
-            " network is slow; synchronise the clocks"
+            "have time stamps that are too old: the clock of the arm's computer differs, or "
+            "the network is slow; synchronise the clocks"
             if late
             else "have stopped: check the arm's driver, its joint_state_broadcaster and the network"
         )
@@ -235,9 +237,10 @@ class Ros2ControlDialect:
                 heard = f"only messages with the joints {other}" if other else "nothing"
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"no joint states of {', '.join(self._settings.joints)} for"
-                    f" {self._link.name}; heard was {heard}: check arm.ros2_control.joint_states"
-                    " and .joints, and that the joint_state_broadcaster is active",
+                    f"no joint states of {', '.join(self._settings.joints)} for "
+                    f"{self._link.name}; received: {heard}: check "
+                    "arm.ros2_control.joint_states and .joints, and that the "
+                    "joint_state_broadcaster is active",
                 )
             self._link.wait(WAIT)
 
@@ -266,8 +269,8 @@ class Ros2ControlDialect:
         if sample.ahead > CLOCK_LIMIT:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the joint states of {self._link.name} are stamped {sample.ahead:.2f} s in the"
-                " future: how old they are is not known; synchronise the clocks (chrony, PTP)",
+                f"the joint states of {self._link.name} have time stamps {sample.ahead:.2f} s "
+                "in the future, so their age is unknown; synchronise the clocks (chrony, PTP)",
             )
         return sample
 

@@ -150,8 +150,8 @@ class ScaraGeometry:
     def __post_init__(self) -> None:
         if not (self.upper_arm > 0 and self.forearm > 0):
             raise ValueError(
-                f"links of {self.upper_arm:g} m and {self.forearm:g} m make no arm: both must be"
-                " longer than 0"
+                f"links of {self.upper_arm:g} m and {self.forearm:g} m are invalid: both must "
+                "be above 0"
             )
         for name, low, high in zip(Joints._fields, self.lower, self.upper, strict=True):
             if not low < high:
@@ -337,8 +337,8 @@ class ScaraGeometry:
         if code is ReachCode.TOO_NEAR:
             limit = abs(self.upper_arm - self.forearm) * 1e3
             return (
-                f"{where}: the wrist would be {excess * 1e3:.1f} mm inside the least reach of"
-                f" {limit:.1f} mm; choose a pose farther from the shoulder"
+                f"{where}: the wrist would be {excess * 1e3:.1f} mm inside the minimum reach "
+                f"of {limit:.1f} mm; choose a pose farther from the shoulder"
             )
         if code is ReachCode.SINGULAR:
             return (

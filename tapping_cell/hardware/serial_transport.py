@@ -131,8 +131,8 @@ class SerialTransport:
             elif self.now() > deadline:
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"{self._path} took no byte for {timeout:g} s with {len(rest)} bytes left:"
-                    " check the cable and the flow control, then clear the fault",
+                    f"{self._path} accepted no byte for {timeout:g} s with {len(rest)} bytes "
+                    "left: check the cable and the flow control, then clear the fault",
                 )
             else:
                 self._wait_writable(port)
@@ -184,9 +184,8 @@ class SerialTransport:
                 port.close()
         return HardwareFault(
             FaultReason.DISCONNECTED,
-            f"{self._path} went away ({error}): check the cable and power; the driver opens"
-            " it again"
-            " when it returns",
+            f"{self._path} disappeared ({error}): check the cable and power; the driver opens "
+            "it again when it returns",
         )
 
     def _open_fault(self, error: Exception) -> HardwareFault:
@@ -194,8 +193,8 @@ class SerialTransport:
         if code in (errno.EAGAIN, errno.EBUSY):
             return HardwareFault(
                 FaultReason.PORT_BUSY,
-                f"{self._path} is held by another program{_holder(self._path)}: end that program,"
-                " then connect again",
+                f"{self._path} is in use by another program{_holder(self._path)}: end that "
+                "program, then connect again",
             )
         if code == errno.EACCES:
             return HardwareFault(

@@ -345,19 +345,19 @@ class TapperDriver:
             self.discharge()
             raise self._noted(
                 FaultReason.PROTOCOL,
-                f"the tapper is charged for shot {reply.shot} with {reply.energy:g} J on channel"
-                f" {reply.channel}, asked was shot {shot} with {energy:g} J on channel {channel}:"
-                " it was discharged",
+                f"the tapper is charged for shot {reply.shot} with {reply.energy:g} J on "
+                f"channel {reply.channel}, requested was shot {shot} with {energy:g} J on "
+                f"channel {channel}: it was discharged",
             )
         self._channel = channel
         return reply
 
     def _no_such_channel(self, channel: int) -> str:
         return (
-            f"channel {channel} was asked for, but the board on {self._transport.name} has"
-            f" {self._channels} (firmware {self._version}): correct the channels in the cell file,"
-            " or flash the build for more (make -C firmware/tapper DRIVE=SOLENOID CHANNELS=8 flash"
-            " PORT=...)"
+            f"channel {channel} was requested, but the board on {self._transport.name} has "
+            f"{self._channels} (firmware {self._version}): correct the channels in the cell "
+            "file, or flash the build for more (make -C firmware/tapper DRIVE=SOLENOID "
+            "CHANNELS=8 flash PORT=...)"
         )
 
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
@@ -504,8 +504,8 @@ class TapperDriver:
         return FireResult(
             FireOutcome.UNKNOWN,
             shot,
-            f"whether shot {shot} was fired is not known ({why}): look where the object is, do not"
-            " fire again",
+            f"it is unknown whether shot {shot} was fired ({why}): check where the object is, "
+            "do not fire again",
             release_by,
         )
 

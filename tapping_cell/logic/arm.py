@@ -234,7 +234,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._effects.append(Answer(token, self._hold_still(request, now)))
 
     def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None:
-        raise AssertionError(f"the arm asked nothing as {token!r}")
+        raise AssertionError(f"the arm has no pending request {token!r}")
 
     def _tap_command(self, command: TapCommand, now: Now) -> None:
         if command.request == TapCommand.WITHDRAW:
@@ -354,7 +354,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._answer(token, False, enabling.RELEASED[1])
         else:
             self._begin_homing()
-            self._answer(token, True, "homing has begun; arm_state tells when it is done")
+            self._answer(token, True, "homing has started; arm_state reports its end")
 
     def _begin_homing(self) -> None:
         self._machine.move(Event.HOME, S.HOMING)
@@ -409,8 +409,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
-                f"the arm stands still for up to {self._longest_hold:g} s, asked were"
-                f" {request.duration:g} s",
+                f"the arm stands still for at most {self._longest_hold:g} s, requested were "
+                f"{request.duration:g} s",
             )
         if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
             return (
@@ -419,7 +419,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                 f" tap {self._tap_id})",
             )
         if self._outcome_told == request.tap_id:
-            return ErrorCode.COMMAND_REPEATED, f"tap {request.tap_id} has its outcome already"
+            return ErrorCode.COMMAND_REPEATED, f"tap {request.tap_id} already has an outcome"
         reading = self._reading_kept
         age = math.inf if reading is None else now.steady - reading.stamp
         if age > FRESH_READING_S or self._strayed or now.ros > self._expiry:
@@ -534,8 +534,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._fail_to(S.FAULT)
             self._say(
                 ErrorCode.ARM_POSITION_MISMATCH,
-                "the arm does not stay at the strike pose; look for what pushes it, then call"
-                " clear_fault and home",
+                "the arm does not stay at the strike pose; check what pushes it, then call "
+                "clear_fault and home",
             )
 
     def _take_in(self, reading: Reading, now: Now) -> None:
@@ -583,7 +583,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._machine.move(event, S.NOT_HOMED)
             self._trouble = (
                 ErrorCode.ARM_NOT_HOMED,
-                "the arm is not homed; see that its way is free, then call the service home",
+                "the arm is not homed; make sure that its path is free, then call the service home",
             )
 
     def _homed(self) -> bool:

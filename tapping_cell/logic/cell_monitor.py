@@ -188,7 +188,9 @@ class CellMonitor:
         for board in self._boards.values():
             if not self.has_arm and (not board.mounts_proven or board.away):
                 code = board.error_code or ErrorCode.TAPPER_MOUNT_NOT_PROVEN
-                return code, board.error_msg or "the mounts of the tappers are not proven yet"
+                return code, board.error_msg or (
+                    "the strikers are not yet confirmed to be at their mounts"
+                )
         if not all(board.interlock_closed for board in self._boards.values()):
             return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
         if self._own is None or self.silent("object", now):
@@ -289,8 +291,8 @@ class CellMonitor:
         if seen is None:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,
-                f"nothing is heard of {name} on object_states; give camera_pose the same cell file"
-                " and other_object_files as tap_planner",
+                f"object_states has no message about {name}; give camera_pose the same cell "
+                "file and other_object_files as tap_planner",
             )
         if seen.error_code:
             told = str(seen.error_msg)
@@ -319,18 +321,18 @@ class CellMonitor:
             )
         return (
             ErrorCode.OBJECT_NOT_AT_REST,
-            f"{name} was not at rest within {waited:.0f} s; see that nothing moves it and send"
-            " the goal again",
+            f"{name} was not at rest within {waited:.0f} s; make sure that nothing moves it, "
+            "then send the goal again",
         )
 
     def _silence(self, name: str, now: Now) -> str:
         heard = now.steady - self._last_heard(name)
         node = NAMES[name]
         if math.isinf(heard):
-            return f"{node} has not been heard; start it"
+            return f"{node} has not sent a message yet; start it"
         return (
-            f"{node} was last heard {heard:.1f} s ago (limit {self._silence_limit:.1f} s); check"
-            " that it is running"
+            f"{node} sent its last message {heard:.1f} s ago (limit {self._silence_limit:.1f} s); "
+            "check that it is running"
         )
 
 

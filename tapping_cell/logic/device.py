@@ -303,8 +303,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._fail(now)
         self._say(
             ErrorCode.INTERNAL,
-            f"a defect of this program ({error!r}): please report it with the log, then start the"
-            " node again",
+            f"internal error ({error!r}): report it with the log, then restart the node",
         )
 
     def _run(self, name: str, run: Callable[[JobContext], object]) -> None:
@@ -384,7 +383,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _levels_told(self, token: Token, levels: StopLevels | None, now: Now) -> None:
         if not self._configured or not self._stops.stopped:
-            self._answer(token, False, "the node's state changed meanwhile; call it again")
+            self._answer(token, False, "the node's state changed meanwhile; call the service again")
             return
         refusal = self._stops.try_reset(levels, now)
         if refusal:
@@ -397,4 +396,4 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _clear_granted(self, token: Token, now: Now) -> None:
         self._begin_clear(now)
-        self._answer(token, True, "clearing; the node's state tells the result")
+        self._answer(token, True, "clearing; the node's state reports the result")

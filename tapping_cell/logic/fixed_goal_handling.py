@@ -45,7 +45,7 @@ class FixedGoalHandling(GoalHandling):
     def _update(self, task: Task) -> None:
         assert isinstance(task.session, FixedTapperSession)
         if task.free_space is not self._space:
-            task.session.use_room(self._space)
+            task.session.use_free_space(self._space)
             task.free_space = self._space
 
     def _goal_refusal(self, goal: Pose) -> Refusal | None:
@@ -81,8 +81,8 @@ class FixedGoalHandling(GoalHandling):
         """Refuse: prescribed taps are not yet supported for fixed tappers."""
         return Refused(
             ErrorCode.COMMAND_INVALID,
-            "single taps are prescribed for a tapper on an arm alone; send goals, whose taps are"
-            " recorded, and calibrate the mounts from their records",
+            "single taps can be prescribed only for a tapper on an arm; send goals, whose "
+            "taps are recorded, and calibrate the mounts from their records",
         )
 
 

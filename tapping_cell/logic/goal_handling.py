@@ -172,7 +172,7 @@ class GoalHandling:
             assert isinstance(task.session, (PositioningSession, PrescribedSession))
             single = isinstance(task, SingleTapTask)
             space = self.map.experiments if single else self.map.space
-            task.session.use_room(space, self.map.free)
+            task.session.use_free_space(space, self.map.free)
             task.free_space = self.map.free
 
     def _goal_refusal(self, goal: Pose) -> Refusal | None:
@@ -212,7 +212,7 @@ class GoalHandling:
         if names:
             return (
                 ErrorCode.NOT_READY,
-                f"nothing is heard of the object {names} on other_objects; give camera_pose the "
+                f"other_objects has no message about the object {names}; give camera_pose the "
                 "same other_object_files as tap_planner",
             )
         self._locate_others(now)
@@ -356,9 +356,9 @@ class GoalHandling:
         if not curve.slowest <= asked.striker_speed <= curve.fastest:
             return Refused(
                 ErrorCode.TAPPER_SPEED_OUT_OF_RANGE,
-                f"the striker speed is {1000 * asked.striker_speed:.1f} mm/s, the tapper makes "
-                f"{1000 * curve.slowest:.0f} to {1000 * curve.fastest:.0f} mm/s; ask for one of "
-                "these",
+                f"the striker speed is {1000 * asked.striker_speed:.1f} mm/s, but the "
+                f"tapper's range is {1000 * curve.slowest:.0f} to {1000 * curve.fastest:.0f} "
+                "mm/s; give a speed within it",
             )
         names = self.cell.tapper_names
         if asked.tapper and asked.tapper not in names:
@@ -401,8 +401,8 @@ class GoalHandling:
         if self.cell.file.arm is None:
             return Refused(
                 ErrorCode.NO_ARRANGEMENT,
-                "this cell has fixed tappers, which arrange no several objects; use a cell with an"
-                " arm",
+                "this cell has fixed tappers, which cannot arrange several objects; use a "
+                "cell with an arm",
             )
         wanted = self._wanted(asked, now)
         if isinstance(wanted, Refused):

@@ -58,14 +58,14 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
     if not is_finite(message.pose):
         return Refused(
             ErrorCode.GOAL_NOT_FINITE,
-            f"the goal {_numbers(message)} holds a number that is not finite; send a valid pose",
+            f"the goal {_numbers(message)} contains a number that is not finite; send a valid pose",
         )
     norm = quaternion_norm(message.pose)
     if abs(norm - 1) > NORM_SLACK:
         return Refused(
             ErrorCode.GOAL_BAD_ORIENTATION,
-            f"the goal's quaternion has length {norm:.3f}, but must have 1 within {NORM_SLACK:g}; "
-            "for an angle a about z send z = sin(a/2), w = cos(a/2)",
+            f"the goal's quaternion has length {norm:.3f}, but must have length 1 within "
+            f"{NORM_SLACK:g}; for an angle a about z send z = sin(a/2), w = cos(a/2)",
         )
     frame, pose = message.header.frame_id, message.pose
     if frame != TABLE:
@@ -87,8 +87,9 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
     if stamp > 0 and not -FARTHEST_AHEAD_S <= age <= OLDEST_S:
         return Refused(
             ErrorCode.GOAL_STALE,
-            f"the goal's stamp is {age:.1f} s old; at most {OLDEST_S:.0f} s are taken (and "
-            f"{FARTHEST_AHEAD_S:.0f} s ahead); send it again with a fresh stamp or none",
+            f"the goal's stamp is {age:.1f} s old; at most {OLDEST_S:.0f} s are accepted (and "
+            f"{FARTHEST_AHEAD_S:.0f} s in the future); send it again with a fresh stamp or "
+            "none",
         )
     return from_message(pose)
 

@@ -67,8 +67,8 @@ class GoalWatch:
             if now - self._heard > RETURN_S:
                 return Ended(
                     ErrorCode.NOT_READY,
-                    "the planner ended while the goal was under way and was not heard for "
-                    f"{RETURN_S:.0f} s; read its log, start it, then send the goal again",
+                    "the planner ended while the goal was under way and sent no message for "
+                    f"{RETURN_S:.0f} s; check its log, start it, then send the goal again",
                 )
             return None
         same = plan is not None and pose is not None and pose.distance_to(self._goal) < SAME_M
@@ -77,7 +77,7 @@ class GoalWatch:
             if now - self._quiet_since > RESUMING_S:
                 return Ended(
                     ErrorCode.NOT_READY,
-                    "the planner was started again while the goal was under way and did not "
+                    "the planner was restarted while the goal was under way and did not "
                     "resume it; send the goal again",
                 )
             return None

@@ -72,8 +72,8 @@ from tapping_cell.se2 import Pose
 TICK_S = 0.1
 WITHDRAWN_BY_ANOTHER = (
     ErrorCode.NOT_READY,
-    "the tap was ended before it was fired, and not by this planner; see who else publishes"
-    " tap_command or tapper_state",
+    "the tap was ended before it was fired by another program; check who else publishes "
+    "tap_command or tapper_state",
 )
 """Error of a tap that was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
@@ -112,11 +112,11 @@ class Event(Enum):
     TAP_DROPPED = "proposed tap dropped"
     TAP_COMMANDED = "tap commanded"
     IN_POSITION = "arm in position"
-    OUTCOME_TOLD = "tapper told the outcome"
+    OUTCOME_TOLD = "tapper reported the outcome"
     GIVEN_UP = "tap given up"
     WITHDRAWN = "arm withdrawn"
     HIDDEN = "object hidden"
-    LOOK_WANTED = "longer look wanted"
+    LOOK_WANTED = "longer observation requested"
     GOAL_MET = "goal met"
     GOAL_FAILED = "goal failed"
     GOAL_CANCELED = "goal canceled"
@@ -355,7 +355,7 @@ class PlannerLogic:
             self._finish(
                 S.FAILED,
                 ErrorCode.INTERNAL,
-                f"a defect of this program ({error!r}): please report it with the log",
+                f"internal error ({error!r}): report it with the log",
                 now,
             )
         return self._drain()
@@ -435,9 +435,7 @@ class PlannerLogic:
     def _begin(self, task: Task, now: Now) -> None:
         if self._task is not None:
             self._end_tap(now)
-            self._finish(
-                S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal took this one's place", now
-            )
+            self._finish(S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal replaced this one", now)
         self._task = task
         self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
         self._keep_goal(task, now)
@@ -484,7 +482,7 @@ class PlannerLogic:
             taps, ask = int(kept["max_taps"]), bool(kept["ask"])
             name = str(kept["object_id"])
         except (KeyError, TypeError, ValueError, OverflowError):
-            self._log(LogLevel.WARNING, "the goal kept over the crash cannot be read")
+            self._log(LogLevel.WARNING, "the goal saved before the crash cannot be read")
             return
         message.header.frame_id = "table"
         self._resumed = Request(message, position, angle, taps, limit, ask=ask, object_id=name)
@@ -706,11 +704,11 @@ class PlannerLogic:
             self._advance(now)  # first handle received messages and passed deadlines
         shot, task = self._proposed, self._task
         if shot is None or task is None or shot.tap_id != asked.tap_id:
-            waiting = f"tap {shot.tap_id} does" if shot is not None else "none does"
+            waiting = f"tap {shot.tap_id} is" if shot is not None else "none is"
             return ConfirmTap.Response(
                 error_code=ErrorCode.TAP_NOT_AWAITED,
-                error_msg=f"tap {asked.tap_id} does not wait for confirmation, {waiting}; look at "
-                "what is shown now and answer for that",
+                error_msg=f"tap {asked.tap_id} is not waiting for confirmation ({waiting}); "
+                "answer for the tap that is shown now",
             )
         if not asked.confirm:
             task.session.skip(shot.strike)
@@ -915,7 +913,7 @@ class PlannerLogic:
         try:
             self.goals.learn(task)
         except OSError as error:
-            self._log(LogLevel.WARNING, f"what was learnt of the object was not kept: {error}")
+            self._log(LogLevel.WARNING, f"the learnt gains of the object were not saved: {error}")
         if code:
             self._log(LogLevel.ERROR, f"goal ended ({code}): {sentence}")
         else:

@@ -82,23 +82,25 @@ class StopLatch:
     def try_reset(self, levels: StopLevels | None, now: Now) -> str:
         """Reset if the publishers' levels allow it; return why not, or "" after the reset."""
         if levels is None:
-            return "the publishers of emergency_stop could not be asked; call clear_fault again"
+            return (
+                "the publishers of emergency_stop could not be determined; call clear_fault again"
+            )
         if self._heard != self._asked:
-            return "a stop came while clear_fault was asked for; " + self.advice()
+            return "a stop occurred during clear_fault; " + self.advice()
         if levels.asserted:
             self._asserted = True
-            names = ", ".join(levels.publishers) or "a publisher that is not known"
+            names = ", ".join(levels.publishers) or "an unknown publisher"
             return (
                 f"the emergency stop is still held; publishers of emergency_stop: {names}."
                 " Release it there, then call clear_fault again"
             )
         if (self._asserted or levels.gone) and now.steady > self._confirm_until:
             self._confirm_until = now.steady + CONFIRM_WITHIN_S
-            names = ", ".join(levels.gone) or "not known by name"
+            names = ", ".join(levels.gone) or "name unknown"
             return (
-                f"what held the emergency stop ({names}) vanished without releasing it. Go to the"
-                " cell and see that nobody is in danger; then call clear_fault again within"
-                f" {CONFIRM_WITHIN_S:.0f} s"
+                f"the publisher that asserted the emergency stop ({names}) disappeared "
+                "without releasing it. Go to the cell and make sure that nobody is in "
+                f"danger; then call clear_fault again within {CONFIRM_WITHIN_S:.0f} s"
             )
         self._sources.clear()
         self._asserted = False

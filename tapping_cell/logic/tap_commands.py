@@ -41,7 +41,7 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
         sentence = f"its frame is '{command.header.frame_id}', but must be 'table'"
         return ErrorCode.COMMAND_INVALID, sentence
     if not (is_finite(command.strike_pose) and math.isfinite(command.striker_speed)):
-        return ErrorCode.COMMAND_INVALID, "it holds a number that is not finite"
+        return ErrorCode.COMMAND_INVALID, "it contains a number that is not finite"
     if abs(quaternion_norm(command.strike_pose) - 1) > 0.01:
         return ErrorCode.COMMAND_INVALID, "the quaternion of its strike pose has no unit length"
     largest = largest_id(last_tap_id, now)
@@ -54,7 +54,8 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
     if command.tap_id <= last_tap_id:
         return (
             ErrorCode.COMMAND_REPEATED,
-            f"tap ids rise, and {last_tap_id} was served already; a tap is never served twice",
+            f"tap ids must increase, and {last_tap_id} was executed already; a tap is never "
+            "executed twice",
         )
     ahead = (to_nanoseconds(command.header.stamp) - now.ros) / NANOSECONDS
     if ahead > CLOCK_TOLERANCE_S:
@@ -66,7 +67,7 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
     if left > LONGEST_EXPIRY_S:
         return (
             ErrorCode.COMMAND_INVALID,
-            f"it expires in {left:.0f} s; the most is {LONGEST_EXPIRY_S:.0f} s",
+            f"it expires in {left:.0f} s; the limit is {LONGEST_EXPIRY_S:.0f} s",
         )
     return None
 

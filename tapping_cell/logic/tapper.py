@@ -519,7 +519,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     # Jobs
 
     def _job_told(self, name: str, content: Any, now: Now) -> None:
-        assert isinstance(content, Reply), f"the job {name} tells replies of the board alone"
+        assert isinstance(content, Reply), f"the job {name} may report only replies of the board"
         self._hear_switch(content, now)
 
     def _job_done(self, name: str, result: Any, now: Now) -> None:

@@ -85,8 +85,8 @@ class Mounts:
         if not self.fitted:
             return (
                 ErrorCode.TAPPER_MOUNT_NOT_PROVEN,
-                "the board has no switches at its mounts, so that it cannot prove that the strikers"
-                " are back; flash firmware 2.1 or newer, built for its channels",
+                "the board has no switches at its mounts, so that it cannot confirm that the "
+                "strikers are back; flash firmware 2.1 or newer, built for its channels",
             )
         if self.away:
             return (
@@ -97,7 +97,8 @@ class Mounts:
         if not self.proven:
             return (
                 ErrorCode.TAPPER_MOUNT_NOT_PROVEN,
-                "the strikers were not yet proven to be at their mounts since the board's start",
+                "the strikers have not been confirmed to be at their mounts since the "
+                "board's start",
             )
         return None
 
@@ -252,7 +253,7 @@ class TapperPeers:
         for names in sorted(self._other_boards):
             state, heard = self._boards.get(names, (None, -math.inf))
             if state is None or now.steady - heard > self._limits.silence:
-                how = "has not been heard" if state is None else "is silent"
+                how = "has sent no message" if state is None else "is silent"
                 return (
                     ErrorCode.TAPPER_OTHER_ACTIVE,
                     f"the board of '{names[0]}' {how}; check its tapper_trigger",
@@ -290,8 +291,8 @@ class TapperPeers:
                 self._picture_at,
                 silence,
                 ErrorCode.CAMERA_SILENT,
-                "the camera's last usable picture is {:.2f} s old, more than {:.2f} s; check the"
-                " camera and its node",
+                "the camera's last usable image is {:.2f} s old, more than {:.2f} s; check "
+                "the camera and its node",
             ),
         ):
             if heard is not None and now.steady - heard > limit:
@@ -313,7 +314,7 @@ class TapperPeers:
         if self._mounts is not None and not seen.at_rest:
             return (
                 ErrorCode.OBJECT_NOT_AT_REST,
-                "the object moves; a fixed tapper fires at an object at rest alone",
+                "the object moves; a fixed tapper fires only at an object at rest",
             )
         pose = from_message(seen.pose.pose)
         moved, turned = planned.distance_to(pose), abs(planned.rotation_to(pose))

@@ -106,13 +106,13 @@ def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -
     way = np.array([scene.predicted.x, scene.predicted.y]) - before
     places = before + along[:, None] * way
     of_object = np.column_stack([places, np.full(PLACES, height)])
-    room = view_clearance(scene.camera, start, end, radius, of_object)
-    seen = np.all(room > cell.object.body().bounding_radius, axis=1)
+    clearance = view_clearance(scene.camera, start, end, radius, of_object)
+    seen = np.all(clearance > cell.object.body().bounding_radius, axis=1)
     markers = cell.references.markers
     of_markers = np.array([[marker.x, marker.y, 0.0] for marker in markers])
     half_diagonals = np.array([marker.size / math.sqrt(2.0) for marker in markers])
-    room = view_clearance(scene.camera, start, end, radius, of_markers)
-    hidden = np.sum(room <= half_diagonals, axis=1)
+    clearance = view_clearance(scene.camera, start, end, radius, of_markers)
+    hidden = np.sum(clearance <= half_diagonals, axis=1)
     return np.asarray(seen & (hidden <= min(MARKERS_HIDDEN, len(markers) // 2)))
 
 

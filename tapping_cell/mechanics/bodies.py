@@ -250,7 +250,7 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     size = float(lengths.max())
     if lengths.min() <= 1e-9 * size:
         i = int(lengths.argmin())
-        raise InvalidBodyError(f"polygon vertex {i} at {raw[i].tolist()} m stands there twice.")
+        raise InvalidBodyError(f"polygon vertex {i} at {raw[i].tolist()} m appears twice.")
     following = np.roll(edges, -1, axis=0)
     turn = np.arctan2(_cross(edges, following), np.einsum("ij,ij->i", edges, following))
     if turn.sum() < 0:

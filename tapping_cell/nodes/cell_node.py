@@ -16,18 +16,22 @@ from typing import Any, Generic, Protocol, TypeVar
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.lifecycle import LifecycleState as Previous
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes import parameters, security
 from tapping_cell.nodes.cell_identity import key_of
+from tapping_cell.nodes.connection_check import ConnectionCheck
 from tapping_cell.nodes.memory import keep_memory
 
 
@@ -54,6 +58,8 @@ BEST_EFFORT_COMMAND = QoSProfile(
 )
 """QoS of subscriptions to commands from best-effort publishers."""
 
+CONNECTION_CHECK_S = 5.0
+"""Period at which the topics are checked for endpoints that cannot connect."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}
 """Fast DDS profile for nodes that transport images (True) and for other nodes (False)."""
@@ -106,7 +112,20 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         for profile in (LATCHED, COMMAND):
             self.create_subscription(Bool, "emergency_stop", self.hear_stop, profile)
         self.create_timer(1.0, self._publish_diagnostics)
+        self._connections = ConnectionCheck(self)
+        self.create_timer(CONNECTION_CHECK_S, self._check_connections)
         self._autostart = self.create_timer(0.05, self._start) if self.settings.autostart else None
+
+    def create_publisher(self, *arguments: Any, **options: Any) -> Publisher:
+        """Create a publisher without events, which :class:`ConnectionCheck` replaces."""
+        options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
+        return super().create_publisher(*arguments, **options)
+
+    def create_subscription(self, *arguments: Any, **options: Any) -> Subscription:
+        """Create a subscription without events, which :class:`ConnectionCheck` replaces."""
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        options.setdefault("event_callbacks", events)
+        return super().create_subscription(*arguments, **options)
 
     # Methods that a subclass overrides
 
@@ -236,6 +255,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         return SetParametersResult(successful=True)
 
     # Diagnostics
+
+    def _check_connections(self) -> None:
+        for sentence in self._connections.new_mismatches():
+            self.get_logger().warning(sentence)
 
     def _publish_diagnostics(self) -> None:
         level, sentence, values = self.health()

@@ -97,7 +97,7 @@ class FixedTapperSession(GoalSession):
         self._skipped: frozenset[int] = frozenset()
         self._solver = GoalSolver() if solver is None else solver
         self._points = scatter_points(settings, POINTS)
-        self.use_room(space)
+        self.use_free_space(space)
 
     @property
     def settings(self) -> PlannerSettings:
@@ -109,7 +109,7 @@ class FixedTapperSession(GoalSession):
         """Name of the planning method, for records."""
         return METHOD
 
-    def use_room(self, space: FixedStrikeSpace) -> None:
+    def use_free_space(self, space: FixedStrikeSpace) -> None:
         """Replace the space, because the obstacles on the table may have changed."""
         self._nominal = space
         self._space = believed(space, self.mounts)
@@ -163,12 +163,12 @@ class FixedTapperSession(GoalSession):
 
     def edge_warning(self, pose: ArrayLike) -> str:
         """Return a warning if the object has left the working area, else an empty string."""
-        room = float(self._space.area.room(np.asarray(pose, dtype=float)[:2]))
-        if room >= 0.0:
+        clearance = float(self._space.area.clearance(np.asarray(pose, dtype=float)[:2]))
+        if clearance >= 0.0:
             return ""
         return (
-            f"the object at {place_text(pose)} lies {-1e3 * room:.1f} mm outside the working area; "
-            "only taps that bring it back are made"
+            f"the object at {place_text(pose)} lies {-1e3 * clearance:.1f} mm outside the "
+            "working area; only taps that bring it back are made"
         )
 
     def _index(self, strike: Strike) -> int:
@@ -179,12 +179,13 @@ class FixedTapperSession(GoalSession):
         coarse = self._camera_refusal(left, box)
         if coarse is not None:
             return coarse
-        room = float(self._space.area.room(pose[:2]))
-        if room < -OUTER:
+        clearance = float(self._space.area.clearance(pose[:2]))
+        if clearance < -OUTER:
             return Refusal(
                 RefusalReason.OBJECT_OFF_TABLE,
-                f"the object's centre at {place_text(pose)} is {-1e3 * room:.1f} mm outside the "
-                f"working area, the limit is {1e3 * OUTER:.0f} mm; put it back by hand",
+                f"the object's centre at {place_text(pose)} is {-1e3 * clearance:.1f} mm "
+                f"outside the working area, the limit is {1e3 * OUTER:.0f} mm; put it back by "
+                "hand",
             )
         if self.taps >= self._most_taps:
             return Refusal(
@@ -263,17 +264,17 @@ class FixedTapperSession(GoalSession):
         object must stay on the table, off the keep-outs and where a tap can bring it back. An
         object outside the working area must come nearer to the area."""
         far = self._way(pose, commanded, expected, DEVIATIONS)
-        here = float(self._space.area.room(pose[:2]))
+        here = float(self._space.area.clearance(pose[:2]))
         needed = min(
             self._space.object_radius,
-            float(self._space.workspace.object_room(pose[:2])),
+            float(self._space.workspace.object_clearance(pose[:2])),
         )
-        safe = np.all(self._space.workspace.object_room(far) >= needed - 1e-9, axis=(-2, -1))
-        room = self._space.area.room(self._way(pose, commanded, expected, RETRIEVABLE))
+        safe = np.all(self._space.workspace.object_clearance(far) >= needed - 1e-9, axis=(-2, -1))
+        clearance = self._space.area.clearance(self._way(pose, commanded, expected, RETRIEVABLE))
         if here >= 0.0:
-            safe &= np.all(room >= -OUTER, axis=(-2, -1))
+            safe &= np.all(clearance >= -OUTER, axis=(-2, -1))
         else:
-            safe &= np.all(room[..., -1] > here, axis=-1)
+            safe &= np.all(clearance[..., -1] > here, axis=-1)
         return np.asarray(safe)
 
     def _way(self, pose: Array, commanded: Array, expected: Array, deviations: float) -> Array:
@@ -304,16 +305,16 @@ def check_fixed_goal(goal_pose: ArrayLike, space: FixedStrikeSpace) -> Refusal |
             RefusalReason.GOAL_NOT_FINITE,
             f"the goal {goal.tolist()} is not three finite numbers x, y, theta; send a valid pose",
         )
-    room = float(space.area.room(goal[:2]))
-    if room < 0.0:
+    clearance = float(space.area.clearance(goal[:2]))
+    if clearance < 0.0:
         return Refusal(
             RefusalReason.GOAL_OUTSIDE_WORKING_AREA,
-            f"the goal {place_text(goal)} lies {-1e3 * room:.1f} mm outside the working area of "
-            f"{1e3 * space.area.radius:.0f} mm radius about ({1e3 * space.area.x:.1f} mm, "
+            f"the goal {place_text(goal)} lies {-1e3 * clearance:.1f} mm outside the working area "
+            f"of {1e3 * space.area.radius:.0f} mm radius about ({1e3 * space.area.x:.1f} mm, "
             f"{1e3 * space.area.y:.1f} mm); send a goal inside it",
         )
     table = space.workspace
-    if float(table.object_room(goal[:2])) < space.object_radius:
+    if float(table.object_clearance(goal[:2])) < space.object_radius:
         near = table.nearest_keep_out(goal[:2]) or "the table's edge"
         return Refusal(
             RefusalReason.GOAL_IN_KEEP_OUT,

@@ -76,7 +76,7 @@ class WorkingArea:
         corners = np.array([self.x, self.y]) + self.radius * ring
         return np.stack([corners[:-1], corners[1:]], axis=1)
 
-    def room(self, points: ArrayLike) -> Array:
+    def clearance(self, points: ArrayLike) -> Array:
         """Distance of points (..., 2) to the area's edge, negative outside, m."""
         p = np.asarray(points, dtype=float)
         return np.asarray(self.radius - np.hypot(p[..., 0] - self.x, p[..., 1] - self.y))

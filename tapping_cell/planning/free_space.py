@@ -72,7 +72,7 @@ class FreeSpace:
         self._space = space
         self._blocked = blocked
         self._tappable = ~np.any(_has_long_run(blocked), axis=0)
-        fits = space.workspace.object_room(self.centres) >= space.object_radius
+        fits = space.workspace.object_clearance(self.centres) >= space.object_radius
         self.workable: BoolArray = self._tappable & fits
 
     def among(self, areas: Sequence[KeepOut]) -> FreeSpace:
@@ -120,8 +120,8 @@ class FreeSpace:
                 i = np.clip(low[..., 0] + dx, 0, self._shape[0] - 1)
                 j = np.clip(low[..., 1] + dy, 0, self._shape[1] - 1)
                 found |= self._tappable[i, j]
-        room = self._space.workspace.object_room(p)
-        return np.asarray(found & (room >= self._space.object_radius - 1e-9))
+        clearance = self._space.workspace.object_clearance(p)
+        return np.asarray(found & (clearance >= self._space.object_radius - 1e-9))
 
     def outline(self) -> Array:
         """Edges between workable and other cells, (edges, 2 ends, 2), for drawing, m in `table`."""
@@ -211,7 +211,7 @@ def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
         poses = np.empty((*p.shape[:-1], DIRECTIONS, 3))
         poses[..., :2] = p[..., None, :] + tips[:, :2]
         poses[..., 2] = tips[:, 2]
-        possible = np.any(space.elbows(poses), axis=-1) & space.tool_has_room(poses)
+        possible = np.any(space.elbows(poses), axis=-1) & space.tool_is_clear(poses)
         gap = np.maximum(gap, _largest_run(~possible))
     return gap
 
@@ -224,7 +224,7 @@ def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolA
         poses = np.empty((*centres.shape[:-1], DIRECTIONS, 3))
         poses[..., :2] = centres[..., None, :] + turn[:, :2]
         poses[..., 2] = turn[:, 2]
-        found.append(~(np.any(space.elbows(poses), axis=-1) & space.tool_has_room(poses)))
+        found.append(~(np.any(space.elbows(poses), axis=-1) & space.tool_is_clear(poses)))
     return np.stack(found)
 
 

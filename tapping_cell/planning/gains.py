@@ -346,9 +346,9 @@ class Gains:
                 or not 0.0 <= spread <= widest
             ):
                 raise PlanningError(
-                    f"the kept gain of {name} is {kept!r} with deviation {spread!r}; allowed is "
-                    f"{LOWEST[index]:g} to {HIGHEST[index]:g} with 0 to {widest:g}; delete the "
-                    "file to start afresh"
+                    f"the saved gain of {name} is {kept!r} with deviation {spread!r}; allowed "
+                    f"is {LOWEST[index]:g} to {HIGHEST[index]:g} with 0 to {widest:g}; delete "
+                    "the file to start afresh"
                 )
             value[index], deviation[index] = kept, spread
         made = cls.start()

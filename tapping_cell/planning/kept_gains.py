@@ -57,10 +57,10 @@ def load_gains(object_name: str, cell: str) -> Gains:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise PlanningError(
-            f"{path}: the kept gains cannot be read ({error}); delete it"
+            f"{path}: the saved gains cannot be read ({error}); delete it"
         ) from error
     if not isinstance(content, dict):
-        raise PlanningError(f"{path}: the kept gains are no JSON object; delete the file")
+        raise PlanningError(f"{path}: the saved gains are not a JSON object; delete the file")
     try:
         return Gains.from_numbers(content)
     except PlanningError as error:

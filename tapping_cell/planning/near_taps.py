@@ -84,7 +84,7 @@ def best_first(
     tip: Array,
 ) -> Array:
     """The taps in the order of the time that is expected, (m, 3). A tap after which the arm has no
-    room for the direct one costs one more.
+    clearance for the direct one costs one more.
 
     ``space``: strike space; ``times``: durations of the arm's motions; ``tip``: pose of the arm's
     tip, x, y, height, yaw in `table`. The other arguments are as for ``near_taps``.
@@ -92,10 +92,10 @@ def best_first(
     commanded, follow = taps.commanded, taps.follow
     after = gains.predict(commanded, pose[2])
     following = _strikes_to_goal(pose + after, left - after, space)
-    room = np.any(space.elbows(following), axis=-1) & space.tool_has_room(following)
+    clearance = np.any(space.elbows(following), axis=-1) & space.tool_is_clear(following)
     # One direct tap more where about one follows; where two do, the first may go anywhere.
     direct = np.clip(np.minimum(follow, 2.0 - follow), 0.0, 1.0)
-    cost = follow + np.where(room, 0.0, direct)
+    cost = follow + np.where(clearance, 0.0, direct)
     possible, strikes = space.strike_poses(pose, commanded)
     next_way = times.between(strikes, following) - times.mean_way
     seconds = times.to_strikes(tip, strikes) + cost * times.mean_tap + direct * next_way

@@ -53,12 +53,12 @@ def load_policy(settings: PlannerSettings) -> Solution | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        _log.warning("the kept plan %s cannot be read (%s); solving it again", path, error)
+        _log.warning("the cached plan %s cannot be read (%s); solving it again", path, error)
         return None
     shape = (solution.distances.size, solution.rotations.size)
     tables = (solution.value, solution.tap, solution.turn)
     if any(table.shape != shape or not np.all(np.isfinite(table)) for table in tables):
-        _log.warning("the kept plan %s is damaged; solving it again", path)
+        _log.warning("the cached plan %s is damaged; solving it again", path)
         return None
     return solution
 
@@ -75,6 +75,6 @@ def keep_policy(settings: PlannerSettings, solution: Solution) -> None:
         for old in kept[:-MOST_FILES]:
             old.unlink(missing_ok=True)
     except OSError as error:
-        _log.warning("the solved plan cannot be kept in %s: %s", path.parent, error)
+        _log.warning("the solved plan cannot be saved in %s: %s", path.parent, error)
         with contextlib.suppress(OSError, UnboundLocalError):
             os.unlink(part.name)

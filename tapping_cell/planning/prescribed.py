@@ -180,7 +180,7 @@ class PrescribedSession:
         """See ``goal.edge_warning``."""
         return edge_warning(pose, self._space)
 
-    def use_room(self, space: StrikeSpace, free: FreeSpace) -> None:
+    def use_free_space(self, space: StrikeSpace, free: FreeSpace) -> None:
         """Replace the space and its map, because the obstacles on the table may have changed."""
         self._space = space
         self._free = free
@@ -286,8 +286,8 @@ class PrescribedSession:
         distance = 1e3 * math.hypot(moved[index, 0], moved[index, 1])
         farthest = 1e3 * float(np.max(np.linalg.norm(slide[index] - pose[:2], axis=-1)))
         words = (
-            f"the tap would send the object from {place} {distance:.0f} mm, at most "
-            f"{farthest:.0f} mm for all that is known of it,"
+            f"the tap would move the object from {place} by {distance:.0f} mm (at most "
+            f"{farthest:.0f} mm within its uncertainty)"
         )
         if problems["table"][index]:
             return Refusal(
@@ -299,7 +299,7 @@ class PrescribedSession:
         if problems["view"][index]:
             return Refusal(
                 RefusalReason.TAP_LEAVES_VIEW,
-                f"{words} out of the part of the table that the camera surely sees (between the "
+                f"{words} out of the part of the table that the camera certainly sees (between the "
                 "reference markers); ask for a lower striker speed or another direction, or move "
                 "the object towards the middle",
             )

@@ -82,7 +82,7 @@ def make_planner(
         ) from error
     if not isinstance(planner, Planner):
         raise PlanningError(
-            f"the registered planning method {name!r} ({registered[name].value}) made a "
-            f"{type(planner).__name__}, which has no name, settings, choose and taps_to_go"
+            f"the registered planning method {name!r} ({registered[name].value}) returned a "
+            f"{type(planner).__name__}, which lacks name, settings, choose or taps_to_go"
         )
     return planner

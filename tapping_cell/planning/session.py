@@ -26,6 +26,7 @@ from tapping_cell.planning.stopping import (
 )
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
+from tapping_cell.planning.visited import VisitedPoses
 from tapping_cell.se2 import Pose, wrap_angle
 
 MOST_TAPS = 100
@@ -206,9 +207,21 @@ class GoalSession(ABC):
         if pose.shape != (3,) or not np.all(np.isfinite(pose)):
             return Refusal(
                 RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"the object's pose {pose.tolist()} is not three finite numbers; look again",
+                f"the object's pose {pose.tolist()} is not three finite numbers; observe the "
+                "object again",
             )
-        left = self.residual(pose)
+        arrived = self.arrived(pose, covariance, look_again=look_again)
+        if arrived is not None:
+            return arrived
+        left, box = self.residual(pose), self.stopping(covariance)
+        return self._refusal_before_tap(pose, left, box) or self._next_tap(pose, left)
+
+    def arrived(
+        self, object_pose: ArrayLike, covariance: ArrayLike | None, *, look_again: bool
+    ) -> Done | LookAgain | None:
+        """Return whether the object is at the goal or may be, or None; arguments as for
+        ``decide``."""
+        left = self.residual(object_pose)
         box = self.stopping(covariance)
         residual = Pose(*left.tolist())
         probability = self._inside(left, covariance, box)
@@ -216,7 +229,7 @@ class GoalSession(ABC):
             return Done(residual, box)
         if look_again and probability >= WORTH_A_LOOK:
             return LookAgain(residual, probability)
-        return self._refusal_before_tap(pose, left, box) or self._next_tap(pose, left)
+        return None
 
     def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
         """Probability of being within the tolerance."""
@@ -235,10 +248,10 @@ class GoalSession(ABC):
         if within and not box.camera_suffices:
             return Refusal(
                 RefusalReason.CAMERA_TOO_COARSE,
-                "the object may be at the goal, but the camera is too uncertain to say so within "
-                f"{1e3 * settings.tolerance_position:.2f} mm and "
-                f"{math.degrees(settings.tolerance_angle):.2f} degrees; look longer at the object "
-                "at rest, calibrate the camera or widen the tolerance",
+                "the object may be at the goal, but the measured pose is too uncertain to "
+                f"confirm it within {1e3 * settings.tolerance_position:.2f} mm and "
+                f"{math.degrees(settings.tolerance_angle):.2f} degrees; observe the object at "
+                "rest for longer, calibrate the camera or widen the tolerance",
             )
         return None
 
@@ -301,9 +314,10 @@ class PositioningSession(GoalSession):
         self._adapt = adapt
         self._probes_left = MOST_PROBES if probe else 0
         self._most_taps = most_taps
-        self.use_room(space, FreeSpace(space) if free is None else free)
+        self._visited = VisitedPoses(self.goal)
+        self.use_free_space(space, FreeSpace(space) if free is None else free)
 
-    def use_room(self, space: StrikeSpace, free: FreeSpace) -> None:
+    def use_free_space(self, space: StrikeSpace, free: FreeSpace) -> None:
         """Replace the space and its map, because the obstacles on the table may have changed."""
         self._space = space
         self._free = free
@@ -384,9 +398,9 @@ class PositioningSession(GoalSession):
         if not self._paths.reachable(pose):
             return Refusal(
                 RefusalReason.NO_PATH_TO_GOAL,
-                f"no path of places where the object can be tapped leads from {place_text(pose)} "
-                f"to the goal {place_text(self.goal)}; remove a keep-out or choose another goal"
-                + others_text(self._space),
+                f"there is no path from {place_text(pose)} to the goal "
+                f"{place_text(self.goal)} along which the object can be tapped; remove a "
+                "keep-out or choose another goal" + others_text(self._space),
             )
         if self.taps >= self._most_taps:
             return Refusal(
@@ -423,7 +437,7 @@ class PositioningSession(GoalSession):
         if missed and self._skipped and "skipped" not in detour:
             detour += "; another tap was skipped"
         allowed = struck = trusted = False
-        for candidates in alternative_taps(
+        for candidates, cost in alternative_taps(
             pose,
             self.goal,
             first,
@@ -432,12 +446,12 @@ class PositioningSession(GoalSession):
             self._paths,
             self._space.tap,
             self._space.strikeable,
+            self._visited,
         ):
             short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
             fits = short <= self._longest_tap() * (1.0 + 1e-9)
-            safe = candidates[
-                fits & _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
-            ]
+            fits &= _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
+            safe = candidates[fits]
             if safe.shape[0] == 0:
                 trusted = trusted or bool(np.any(self._ends_well(pose, candidates, trusting=True)))
                 continue
@@ -445,6 +459,7 @@ class PositioningSession(GoalSession):
             struck = struck or bool(np.any(self._space.tap.reachable(safe, pose)))
             found = self._space.first_strike(Pose(*pose.tolist()), safe)
             if found is not None:
+                self._visited.add(pose, 1.0 + float(cost[fits][found[0]]))
                 return self._made(pose, left, safe[found[0]], found[1], detour)
         if missed:
             return self._strike(pose, left, missed=())
@@ -490,18 +505,18 @@ class PositioningSession(GoalSession):
         if allowed and not struck:
             return Refusal(
                 RefusalReason.NO_CONTACT,
-                f"no contact of the object at {place} gives a tap that is safe and leads on: its "
-                "edges pass on impulses within the contact friction of their normals only (first: "
-                f"{first}); turn the object by hand, or move it towards the middle",
+                f"no contact of the object at {place} gives a safe tap that makes progress: "
+                f"its edges transmit only impulses within the friction cone (first: {first}); "
+                "turn the object by hand, or move it towards the middle",
             )
         longest = self._longest_factor()
         if trusted and not allowed and longest > UNKNOWN:
             return Refusal(
                 RefusalReason.PROBE_NEEDED,
-                f"no tap is surely safe with the object at {place}: until its friction is measured "
-                f"it may slide {longest:.1f} times as far as its file says; ask for a probe "
-                "(goal --probe: a few of the smallest taps), or move it towards the middle"
-                + others_text(self._space),
+                f"no tap is certain to be safe with the object at {place}: until its friction "
+                f"is measured it may slide {longest:.1f} times as far as its file says; "
+                "request a probe (goal --probe: a few of the smallest taps), or move it "
+                "towards the middle" + others_text(self._space),
             )
         return Refusal(
             RefusalReason.NO_STRIKE,
@@ -577,9 +592,19 @@ class PositioningSession(GoalSession):
             return "the last tap in this direction did not move the object"
         if self._blocked(pose):
             return "the straight line to the goal is blocked"
+        if self._leads_back(pose, commanded):
+            return "the tap along the line leads to a place that did not lead on before"
         if bool(self._ends_well(pose, commanded[None, :])[0]):
             return ""
         return "the tap along the line might leave the table, enter a keep-out or end out of reach"
+
+    def _leads_back(self, pose: Array, commanded: Array) -> bool:
+        """Return whether a displacement (3,) ends where the goal was not reached as estimated."""
+        after = (pose + self.gains.predict(commanded, pose[2]))[None, :]
+        left = self.residual(after[0])
+        distance, turn, _ = self.gains.to_plan(left)
+        cost = np.atleast_1d(self.planner.taps_to_go(distance, turn))
+        return bool(self._visited.extra(after, cost)[0] >= 1.0)
 
     def _blocked(self, pose: Array) -> bool:
         """Return whether an obstacle blocks the straight line from the object to the goal."""

@@ -191,9 +191,11 @@ class StrikeSpace:
         An object that is already closer to an edge or a keep-out than the margin may move away from
         it, but not closer to it.
         """
-        room = self.workspace.object_room(self.footprint(object_pose, displacement, spread))
-        needed = np.minimum(self.object_radius, room[..., 0, 0]) - 1e-9
-        return np.asarray(np.all(room >= needed[..., None, None], axis=(-2, -1)))
+        clearance = self.workspace.object_clearance(
+            self.footprint(object_pose, displacement, spread)
+        )
+        needed = np.minimum(self.object_radius, clearance[..., 0, 0]) - 1e-9
+        return np.asarray(np.all(clearance >= needed[..., None, None], axis=(-2, -1)))
 
     def tool_points(self, tip_poses: ArrayLike, count: int = 8) -> Array:
         """Points on the axis of the bar behind the tips: (..., count, 2), m."""
@@ -202,12 +204,12 @@ class StrikeSpace:
         points = np.stack([-behind, np.zeros_like(behind)], axis=-1)
         return transform_points(poses[..., None, :], points)
 
-    def tool_has_room(self, tip_poses: ArrayLike) -> BoolArray:
+    def tool_is_clear(self, tip_poses: ArrayLike) -> BoolArray:
         """Return whether the tip and the bar at tip poses (..., 3) avoid the keep-outs and stay
         within the allowed overhang of the table."""
         poses = np.asarray(tip_poses, dtype=float)
-        bar = self.workspace.striker_room(self.tool_points(poses)) >= self.settings.tool_radius
-        tip = self.workspace.striker_room(poses[..., :2]) >= self.tip_radius
+        bar = self.workspace.striker_clearance(self.tool_points(poses)) >= self.settings.tool_radius
+        tip = self.workspace.striker_clearance(poses[..., :2]) >= self.tip_radius
         return np.asarray(np.all(bar, axis=-1) & tip)
 
     def tool_clears_object(self, object_pose: ArrayLike, tip_poses: ArrayLike) -> BoolArray:
@@ -290,7 +292,7 @@ class StrikeSpace:
         rest = self.rest_pose(contact_poses)
         return np.asarray(
             np.any(self.elbows(rest), axis=-1)
-            & self.tool_has_room(rest)
+            & self.tool_is_clear(rest)
             & self.tool_clears_object(object_pose, rest)
         )
 

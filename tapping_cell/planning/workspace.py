@@ -131,7 +131,7 @@ class Workspace:
         string."""
         return ", ".join(f"'{area.name}'" for area in self.keep_outs if area.name)
 
-    def object_room(self, points: ArrayLike) -> Array:
+    def object_clearance(self, points: ArrayLike) -> Array:
         """Largest radius of an object centred at the points that keeps both margins."""
         return np.asarray(
             np.minimum(
@@ -140,7 +140,7 @@ class Workspace:
             )
         )
 
-    def striker_room(self, points: ArrayLike) -> Array:
+    def striker_clearance(self, points: ArrayLike) -> Array:
         """Largest radius of a part of the striker centred at the points."""
         return np.asarray(
             np.minimum(

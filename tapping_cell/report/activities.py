@@ -14,9 +14,9 @@ TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, LOOKS, THINKS, ASKS = (
     "the tapper charges and fires",
     "the object slides",
     "the arm withdraws",
-    "the camera looks",
+    "the camera measures",
     "the planner waits or plans",
-    "a person is asked",
+    "waiting for confirmation",
 )
 LOWERED_M = 0.003
 """Descent of the tip during a move, in m, above which the arm is lowering the striker."""

@@ -136,7 +136,7 @@ class BagWriter:
             BagError: the topic was already added.
         """
         if name in self._topics:
-            raise BagError(f"the topic {name} is in {self.folder} already")
+            raise BagError(f"the topic {name} was already added to {self.folder}")
         text, fingerprint = self._types.definition(kind)
         self._topics[name] = self._writer.add_connection(
             name, kind, msgdef=text, rihs01=fingerprint, offered_qos_profiles=(_profile(quality),)
@@ -222,7 +222,7 @@ class Bag:
         except (SerdeError, KeyError, struct.error, ValueError, IndexError) as error:
             topic = message.topic
             raise BagError(
-                f"{self.path}: a message of {topic.name} is no {topic.kind}: {error}"
+                f"{self.path}: a message of {topic.name} is not a {topic.kind}: {error}"
             ) from error
 
 
@@ -321,7 +321,7 @@ def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
     The footer follows. A truncated record ends the iteration; all records before it are complete.
     """
     if stream.read(8) != _MAGIC:
-        raise BagError(f"{file} is no MCAP file")
+        raise BagError(f"{file} is not an MCAP file")
     size = os.fstat(stream.fileno()).st_size
     while len(head := stream.read(9)) == 9:
         kind, length = struct.unpack("<BQ", head)
@@ -351,7 +351,7 @@ def _in_chunk(body: memoryview) -> Iterator[tuple[int, memoryview]]:
     try:
         records = memoryview(decompress(packed, compression, size, checksum))
     except Exception as error:  # each codec has its own exception classes
-        raise ReaderError(f"a piece cannot be unpacked: {error}") from error
+        raise ReaderError(f"a chunk cannot be decompressed: {error}") from error
     place = 0
     while place < len(records):
         kind, length = struct.unpack_from("<BQ", records, place)

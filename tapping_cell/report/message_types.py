@@ -71,7 +71,7 @@ def definition_file(kind: str) -> Path:
     """
     parts = kind.split("/")
     if len(parts) != 3 or not all(parts):
-        raise UnknownMessageType(f"'{kind}' is no message type; they are written package/msg/Name")
+        raise UnknownMessageType(f"'{kind}' is not a message type; give it as package/msg/Name")
     package, folder, name = parts
     try:
         share = Path(get_package_share_directory(package))
@@ -79,12 +79,12 @@ def definition_file(kind: str) -> Path:
         # Without a build, the ament index lacks this package, so use the source tree.
         if package != _OWN_PACKAGE or not _OWN_SOURCES.is_dir():
             raise UnknownMessageType(
-                f"the definition of {kind} is not known: the package {package} is not installed"
+                f"the definition of {kind} was not found: the package {package} is not installed"
             ) from error
         share = _OWN_SOURCES
     file = share / folder / f"{name}.msg"
     if not file.is_file():
-        raise UnknownMessageType(f"the definition of {kind} is not known: there is no {file}")
+        raise UnknownMessageType(f"the definition of {kind} was not found: there is no {file}")
     return file
 
 

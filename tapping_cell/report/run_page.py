@@ -78,7 +78,7 @@ def page(story: Story) -> str:
         _figures(run),
         '<section class="two">',
         f"<figure>{overview(run)}<figcaption>{_legend(run)}</figcaption></figure>",
-        _picture(story.pictures[-1], "the last look") if story.pictures else "",
+        _picture(story.pictures[-1], "the last image") if story.pictures else "",
         "</section>",
         _film(run),
         _charts(run),
@@ -173,7 +173,7 @@ def _film(run: Run) -> str:
     if not drawing:
         return ""
     return (
-        f'<section><h2>The run as a film</h2><figure class="film">{drawing}<figcaption>'
+        f'<section><h2>Animation of the run</h2><figure class="film">{drawing}<figcaption>'
         f"Every tap takes {TAP_S:g} s here; the run took {run.wall_time:.1f} s.</figcaption>"
         "</figure></section>"
     )
@@ -292,7 +292,7 @@ def _timeline(run: Run) -> str:
 
 def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
     before = [picture for picture in pictures if picture.at <= tap.commanded_at]
-    photo = _picture(before[-1], f"the look before tap {tap.number}") if before else ""
+    photo = _picture(before[-1], f"the image before tap {tap.number}") if before else ""
     missed = 1000 * tap.predicted.distance_to(tap.measured)
     turned = math.degrees(tap.predicted.rotation_to(tap.measured))
     gate = (
@@ -313,7 +313,7 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
     if math.isfinite(tap.learnt.distance):
-        rows += [("learnt", _gains(tap.learnt)), ("learnt of the aim", _aim(tap.learnt))]
+        rows += [("learnt", _gains(tap.learnt)), ("learnt error of the aim", _aim(tap.learnt))]
     table = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
     return (
         f'<section class="tap"><h2>Tap {tap.number} <small>{escape(tap.method)}</small></h2>'

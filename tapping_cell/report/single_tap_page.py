@@ -21,10 +21,10 @@ _CAPTIONS = {
     figures.PROFILES: "Velocity profiles of single trials (as figure 4), predicted from the "
     "displacement with the fitted torque factor. The fit itself compares poses, on the right, not "
     "velocities.",
-    figures.RESIDUALS: "Residuals trial by trial: what is left between measured and calculated, "
-    "and the friction that each trial shows by itself.",
-    figures.ERRORS: "Prediction error of each run's mean. The last two hold the tapper's own "
-    "scatter: ten taps of 5 % scatter in speed leave 3 % in their mean displacement.",
+    figures.RESIDUALS: "Residuals of each trial: differences between measured and calculated "
+    "values, and the friction of each trial alone.",
+    figures.ERRORS: "Prediction error of each run's mean. The last two include the tapper's own "
+    "scatter: the mean displacement of ten taps with 5 % scatter in speed scatters by 3 %.",
     figures.VALUES: "Fitted values and 95 % intervals beside the old ones.",
 }
 
@@ -37,7 +37,7 @@ def write_page(report: SingleTapReport, folder: Path) -> Path:
         f'<header class="good"><h1>{escape(report.title)}</h1>'
         f"<p>{escape(_summary(report))}</p></header>",
         _section("Fitted values", _values(report.parameters)),
-        _section("What the trials tell apart", _list(report.sentences)) if report.sentences else "",
+        _section("What the trials determine", _list(report.sentences)) if report.sentences else "",
         *(_figure(file) for file in drawn),
         _section("Prediction error of each run, percent", _errors(report.runs)),
         _section("Striker", _list(report.tapper)) if report.tapper else "",

@@ -71,8 +71,8 @@ class GrblEmulator:
         self._reference = start
         self._due: float | None = None
         self._after: Callable[[float], None] | None = None
-        self._wants_room: Callable[[float], None] | None = None
-        self._wants_rest: Callable[[float], None] | None = None
+        self._waiting_for_block: Callable[[float], None] | None = None
+        self._waiting_for_rest: Callable[[float], None] | None = None
         self._systems = {number: np.zeros(AXES) for number in range(54, 60)}
         self._restart(now, hard=True)
 
@@ -182,7 +182,7 @@ class GrblEmulator:
         self._held = False
         self._busy = ""
         self._due = self._after = None
-        self._wants_room = self._wants_rest = None
+        self._waiting_for_block = self._waiting_for_rest = None
         self._present_acceleration = 1.0
         self._reports = 0
         self._feed_override = 100
@@ -257,7 +257,7 @@ class GrblEmulator:
         self._track.freeze(now)
         self._blocks.clear()
         self._busy = ""
-        self._due = self._after = self._wants_room = self._wants_rest = None
+        self._due = self._after = self._waiting_for_block = self._waiting_for_rest = None
         self._state = "Alarm"
         self._homed = False
         if self._variant.alarm_cuts_torque:
@@ -325,7 +325,7 @@ class GrblEmulator:
 
     def _work(self, now: float) -> None:
         """Process lines until one has to wait."""
-        while self._wants_room is None and self._wants_rest is None:
+        while self._waiting_for_block is None and self._waiting_for_rest is None:
             end = next((i for i, b in enumerate(self._received) if b in b"\r\n"), None)
             if end is None:
                 return
@@ -490,7 +490,7 @@ class GrblEmulator:
                 self._begin(at)
 
         if len(self._blocks) >= PLANNER_BLOCKS:
-            self._wants_room = enqueue
+            self._waiting_for_block = enqueue
         else:
             enqueue(now)
 
@@ -531,11 +531,11 @@ class GrblEmulator:
             # After a cancelled move, the parser continues from the position of the axes.
             self._parser_position = self._machine_position(now)
         self._busy = ""
-        waiting = self._wants_room or (None if self._blocks else self._wants_rest)
+        waiting = self._waiting_for_block or (None if self._blocks else self._waiting_for_rest)
         if self._blocks:
             self._begin(now)
         if waiting is not None:
-            self._wants_room = self._wants_rest = None
+            self._waiting_for_block = self._waiting_for_rest = None
             waiting(now)
 
     def _when_still(self, now: float, act: Callable[[float], None]) -> None:
@@ -543,15 +543,15 @@ class GrblEmulator:
         if self._due is None and not self._blocks:
             act(now)
         else:
-            self._wants_rest = act
+            self._waiting_for_rest = act
 
     def _dwell(self, seconds: float, now: float) -> None:
-        self._wants_rest = _nothing
+        self._waiting_for_rest = _nothing
         self._busy = "Run"
 
         def done(at: float) -> None:
             self._busy = ""
-            self._wants_rest = None
+            self._waiting_for_rest = None
             self._ok(at)
 
         self._due, self._after = now + seconds, done
@@ -560,7 +560,7 @@ class GrblEmulator:
         """Seek the switches axis by axis (quill first), pull off, and set the homed position."""
         self._state, self._busy = "Idle", "Home"
         self._power(now)
-        self._wants_rest = _nothing
+        self._waiting_for_rest = _nothing
         errors = self.machine.errors
         noise = self._rng.normal(0.0, 1.0, AXES) * self._units(errors.homing)
         place = self._units(self.machine.home_joints) + noise
@@ -593,7 +593,7 @@ class GrblEmulator:
             self._parser_position = homed
             self._busy = ""
             self._homed = True
-            self._wants_rest = None
+            self._waiting_for_rest = None
             self._ok(at)
 
         following(now)

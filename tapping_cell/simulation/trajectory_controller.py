@@ -176,10 +176,10 @@ class TrajectoryController:
         if not points:
             return "an empty trajectory"
         if any(len(point.positions) != len(names) for point in points):
-            return "a point has not a position for each joint"
+            return "a point does not have a position for each joint"
         times = [point.time for point in points]
         if any(b <= a for a, b in pairwise(times)):
-            return "the times do not rise"
+            return "the times do not increase"
         return ""
 
     def _follows(self, time: float) -> Array:

@@ -18,7 +18,7 @@ class SupportTruth:
     friction_factor: float = quantity(
         "ratio of the true to the configured friction", "", 0.1, 10.0, default=1.0
     )
-    torque_factor_factor: float = quantity(
+    torque_factor_ratio: float = quantity(
         "ratio of the true to the configured torque factor", "", 0.05, 20.0, default=1.0
     )
     pressure: str = choice(

@@ -46,7 +46,7 @@ class VirtualClock:
         self._still = self._still + 1 if target == self.now else 0
         self.now = target
         if self.now > self.limit or self._still > IDLE_READS:
-            raise HangError(f"a driver's call was not over at {self.now:.1f} s")
+            raise HangError(f"a driver's call had not returned at {self.now:.1f} s")
         for line in self._lines:
             line.advance(self.now)
 

@@ -80,7 +80,7 @@ class World:
         surface = truth.surface
         friction = TableFriction(
             friction=content.friction * truth.support.friction_factor,
-            torque_factor=content.torque_factor * truth.support.torque_factor_factor,
+            torque_factor=content.torque_factor * truth.support.torque_factor_ratio,
             gravity=GRAVITY,
             slope=truth.support.slope,
             anisotropy=surface.anisotropy,

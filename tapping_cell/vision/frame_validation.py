@@ -45,7 +45,8 @@ class FrameValidator:
                 f"the frame {when} one already used; it is left out",
             )
         self._stamp = stamp
-        signature = zlib.crc32(image[:: max(1, self._camera.height // 64)].tobytes())
+        rows = np.ascontiguousarray(image[:: max(1, self._camera.height // 64)])
+        signature = zlib.crc32(rows.data)
         if signature in self._seen:
             return (
                 Problem.FROZEN_FRAME,

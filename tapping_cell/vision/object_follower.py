@@ -170,8 +170,8 @@ class ObjectFollower(ABC):
                 frame.stamp,
                 frame.table,
                 Problem.REFERENCES_HIDDEN,
-                "no reference markers are seen in this frame and the object seems to have moved: "
-                "it may be the camera that did",
+                "no reference markers are seen in this frame and the object seems to have "
+                "moved: possibly the camera moved instead",
             )
         self._vain_since = None
         motion = self.track.add(frame.stamp, pose, covariance)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -41,34 +42,33 @@ class SceneChange:
         self._windows: tuple[Window, ...] = ()
         self._kept: list[Image] = []
         self._noise: list[deque[float]] = []
+        self._limits: list[float] = []
 
     def watch(self, image: Image, regions: list[NDArray[np.float64]]) -> None:
         """Start from a measured frame, with a window around each region, points (N, 2) in
         pixels."""
         self._windows = tuple(_window(points, image) for points in regions)
         self._noise = [deque(maxlen=4 * _LEARNT) for _ in self._windows]
+        self._limits = []
         self._keep(image)
 
     def learn(self, image: Image) -> None:
         """Add a measured frame of the same scene; its difference from the last one is noise."""
         for values, difference in zip(self._noise, self._differences(image), strict=True):
             values.append(difference)
+        self._limits = [
+            _limit(window, values)
+            for window, values in zip(self._windows, self._noise, strict=True)
+            if len(values) >= _LEARNT
+        ]
         self._keep(image)
 
     def unchanged(self, image: Image) -> bool:
         """Return True if no window differs from the last measured frame by more than the noise."""
-        if not self._windows or len(self._noise[0]) < _LEARNT:
-            return False
-        for window, values, difference in zip(
-            self._windows, self._noise, self._differences(image), strict=True
-        ):
-            level = float(np.median(values))
-            scatter = 1.4826 * float(np.median(np.abs(np.asarray(values) - level)))
-            pixels = max(1, (window[2] - window[0]) * (window[3] - window[1]))
-            expected = level * math.sqrt(2.0 / pixels)
-            if level > _NOISY or difference > level + _CONFIDENCE * max(scatter, expected):
-                return False
-        return True
+        return bool(self._limits) and all(
+            difference <= limit
+            for difference, limit in zip(self._differences(image), self._limits, strict=True)
+        )
 
     def _keep(self, image: Image) -> None:
         self._kept = [image[y0:y1, x0:x1].copy() for x0, y0, x1, y1 in self._windows]
@@ -78,6 +78,18 @@ class SceneChange:
             cv2.norm(image[y0:y1, x0:x1], kept, cv2.NORM_L2SQR) / max(1, kept.size)
             for (x0, y0, x1, y1), kept in zip(self._windows, self._kept, strict=True)
         ]
+
+
+def _limit(window: Window, noise: Sequence[float]) -> float:
+    """Return the largest mean squared difference that is noise; negative if the window is too
+    noisy to detect a change."""
+    level = float(np.median(noise))
+    if level > _NOISY:
+        return -1.0
+    scatter = 1.4826 * float(np.median(np.abs(np.asarray(noise) - level)))
+    pixels = max(1, (window[2] - window[0]) * (window[3] - window[1]))
+    expected = level * math.sqrt(2.0 / pixels)
+    return level + _CONFIDENCE * max(scatter, expected)
 
 
 def _window(points: NDArray[np.float64], image: Image) -> Window:

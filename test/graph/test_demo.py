@@ -91,7 +91,7 @@ def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
     assert f"Goal reached in {len(rows)} tap" in (folder / "report.html").read_text()
     again = start(folder)
     output, _ = again.communicate(timeout=60)
-    assert again.returncode == 2 and "holds a run already" in " ".join(output.split())
+    assert again.returncode == 2 and "already contains a run" in " ".join(output.split())
 
 
 def the_bag_tells_the_run(folder: Path, taps: int) -> None:

@@ -316,12 +316,12 @@ def test_the_goals_of_a_queue_are_reached_one_after_the_other(page: Page) -> Non
         page.element("enqueue").click()
         page.wait(lambda: "added" in page.text("queue-answer"), "the goal waits")
         page.driver.execute_script("document.getElementById('queue-answer').textContent = ''")
-    assert "2 goals wait" in page.text("queue-words")
+    assert "2 goals are waiting" in page.text("queue-words")
     assert page.mode() == "ready", "nothing moves before the queue is run"
     before = page.text("log").count("goal reached")
     page.element("queue-run").click()
     page.wait(lambda: page.text("log").count("goal reached") == before + 2, "both goals", 200.0)
-    page.wait(lambda: page.text("queue-words") == "No goal waits.", "the queue is empty")
+    page.wait(lambda: page.text("queue-words") == "No goal is waiting.", "the queue is empty")
     true = page.client.settled_truth()
     assert true is not None and abs(true.x - (seen.x - 0.015)) < 1.2e-3
 
@@ -333,7 +333,7 @@ def test_a_named_goal_is_there_again_after_a_reload(page: Page) -> None:
     page.type_goal("12.5", "-7.5", "33")
     page.element("new-name").send_keys("beside the light")
     page.element("keep").click()
-    page.wait(lambda: "kept as" in page.text("queue-answer"), "the name is kept")
+    page.wait(lambda: "saved as" in page.text("queue-answer"), "the name is kept")
     page.driver.refresh()
     page.ready()
     page.element("more").find_element("tag name", "summary").click()

@@ -100,12 +100,12 @@ def own_signals() -> Iterator[None]:
     ("options", "word"),
     [
         (("--speeds", "2300"), "leave the table"),
-        (("--speeds", "5"), "tapper makes"),
+        (("--speeds", "5"), "tapper's range is"),
         (("--incidences", "75"), "75.0 deg"),
         (("--trials", "0"), "1 to 1000"),
         (("--slow-motion", "0.5"), "1 to 100"),
         (("--object", "/nowhere/disk.yaml"), "/nowhere/disk.yaml"),
-        (("--resume", "/nowhere/at/all"), "no experiment"),
+        (("--resume", "/nowhere/at/all"), "contains no"),
     ],
     ids=[
         "too fast",

@@ -69,7 +69,7 @@ def test_the_end_of_a_folder_is_said_and_not_begun_again(tmp_path):
     folder = write(tmp_path / "shots")
     with bench(lambda: [OverheadCamera()], parameters(folder)) as b:
         pictures, _, diagnostics = listen(b)
-        b.wait(lambda: says(diagnostics, "no more pictures"), "the end is said")
+        b.wait(lambda: says(diagnostics, "no more images"), "the end is said")
         count = len(pictures)
         b.wait(lambda: len(diagnostics) >= 4, "two more seconds")
         assert len(pictures) == count <= 3
@@ -84,7 +84,7 @@ def test_a_source_that_goes_away_comes_back(tmp_path):
         b.wait(lambda: says(diagnostics, "there is no camera"), "the loss is said")
         count = len(pictures)
         shutil.move(tmp_path / "away", folder)
-        b.wait(lambda: len(pictures) > count + 3, "pictures again")
+        b.wait(lambda: len(pictures) > count + 3, "images again")
 
 
 def test_no_source_is_said():

@@ -271,7 +271,7 @@ def test_a_homing_that_did_not_run_is_not_believed(plug: Callable[..., PseudoTer
 
     with cell.port.lock:
         cell.emulator.receive = garbled  # type: ignore[method-assign]
-    with pytest.raises(HardwareFault, match="after homing the controller stands with") as caught:
+    with pytest.raises(HardwareFault, match="after homing the controller reports") as caught:
         cell.driver.home(HomingStrategy.FIRMWARE)
     assert caught.value.reason is FaultReason.HOMING_FAILED
     assert not cell.driver.homed

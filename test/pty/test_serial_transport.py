@@ -66,7 +66,7 @@ def test_bytes_go_both_ways(terminal: RawTerminal) -> None:
 def test_a_second_program_is_refused(terminal: RawTerminal) -> None:
     first, second = (SerialTransport(str(terminal.link)) for _ in range(2))
     first.open(1)
-    with pytest.raises(HardwareFault, match="held by another program") as caught:
+    with pytest.raises(HardwareFault, match="in use by another program") as caught:
         second.open(0)
     assert caught.value.reason is FaultReason.PORT_BUSY
     assert f"process {os.getpid()}: " in str(caught.value)

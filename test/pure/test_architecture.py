@@ -1,4 +1,4 @@
-"""The arrows between the rooms point one way; outside libraries are imported where they belong."""
+"""Imports between subpackages point one way; outside libraries are imported where they belong."""
 
 import ast
 import sys
@@ -10,7 +10,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "tapping_cell"
 
-# What each room may import of ours: a room, or one module of it. A room may import itself.
+# What each subpackage may import of ours: a subpackage, or one module of it. A subpackage may
+# import itself.
 ARROWS = {
     "se2": set(),
     "messages": set(),
@@ -72,8 +73,8 @@ ARROWS = {
     },
     "__main__": {"cli"},
 }
-ROS_ROOMS = {"nodes", "cli"}
-# Outside libraries that only these rooms import.
+ROS_SUBPACKAGES = {"nodes", "cli"}
+# Outside libraries that only these subpackages import.
 HOMES = {
     "serial": {"hardware"},
     "matplotlib": {"report"},
@@ -84,14 +85,14 @@ HOMES = {
 }
 # These open real ports; the simulated world must never do that, so it gets none of them.
 DRIVERS = {"serial_transport", "arm", "tapper"}
-# Everything else that may be imported at all, by the rooms that may.
+# Everything else that may be imported at all, by the subpackages that may.
 COMMON = {"numpy", "scipy", "cv2", "yaml", "ament_index_python"}
 
 
 class Import(NamedTuple):
-    """One import statement of a module: ``room`` is the importing room."""
+    """One import statement of a module: ``subpackage`` is the importing subpackage."""
 
-    room: str
+    subpackage: str
     file: str
     line: int
     name: str
@@ -104,7 +105,7 @@ def imports_of(package: Path) -> Iterator[Import]:
     """Every import below the package, wherever in a module it stands."""
     for file in sorted(package.rglob("*.py")):
         place = file.relative_to(package)
-        room = place.parts[0].removesuffix(".py")
+        subpackage = place.parts[0].removesuffix(".py")
         parents = (package.name, *place.parts[:-1])
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Import):
@@ -112,7 +113,7 @@ def imports_of(package: Path) -> Iterator[Import]:
             elif isinstance(node, ast.ImportFrom):
                 base = ".".join(parents[: len(parents) + 1 - node.level]) if node.level else ""
                 module = ".".join(part for part in (base, node.module) if part)
-                # ``from tapping_cell import se2`` imports a room, not the package
+                # ``from tapping_cell import se2`` imports a subpackage, not the package
                 names = [
                     f"{module}.{alias.name}" if module == package.name else module
                     for alias in node.names
@@ -120,7 +121,7 @@ def imports_of(package: Path) -> Iterator[Import]:
             else:
                 continue
             for name in dict.fromkeys(names):
-                yield Import(room, str(place), node.lineno, name)
+                yield Import(subpackage, str(place), node.lineno, name)
 
 
 def is_ros(name: str) -> bool:
@@ -174,10 +175,10 @@ def against_the_arrows(imports: list[Import], package: str) -> list[Import]:
     wrong = []
     for found in imports:
         parts = found.name.split(".")
-        if parts[0] != package or found.room == "__init__":
+        if parts[0] != package or found.subpackage == "__init__":
             continue
         target = parts[1] if len(parts) > 1 else ""
-        allowed = ARROWS.get(found.room, set()) | {found.room}
+        allowed = ARROWS.get(found.subpackage, set()) | {found.subpackage}
         if {".".join(parts[1:end]) for end in range(2, len(parts) + 1)} & allowed:
             continue
         if target not in ARROWS and target != "":
@@ -187,14 +188,14 @@ def against_the_arrows(imports: list[Import], package: str) -> list[Import]:
 
 
 def strangers(imports: list[Import], package: str) -> list[Import]:
-    """Imports of outside libraries in rooms where they do not belong."""
+    """Imports of outside libraries in subpackages where they do not belong."""
     wrong = []
     for found in imports:
         top = found.name.split(".")[0]
         if top == package or top in sys.stdlib_module_names or top in COMMON:
             continue
-        home = ROS_ROOMS if is_ros(found.name) else HOMES.get(top, set())
-        if found.room not in home:
+        home = ROS_SUBPACKAGES if is_ros(found.name) else HOMES.get(top, set())
+        if found.subpackage not in home:
             wrong.append(found)
     return wrong
 
@@ -205,23 +206,23 @@ def drivers_in_the_world(imports: list[Import], package: str) -> list[Import]:
     return [
         found
         for found in imports
-        if found.room == "simulation"
+        if found.subpackage == "simulation"
         and found.name.startswith(prefix)
         and found.name.removeprefix(prefix).split(".")[0] in DRIVERS
     ]
 
 
 def cycles(edges: dict[str, set[str]]) -> list[str]:
-    """The rooms that can be reached from themselves."""
+    """The subpackages that can be reached from themselves."""
     found = []
     for start in edges:
         seen: set[str] = set()
         ahead = list(edges[start])
         while ahead:
-            room = ahead.pop()
-            if room not in seen:
-                seen.add(room)
-                ahead.extend(edges.get(room, ()))
+            subpackage = ahead.pop()
+            if subpackage not in seen:
+                seen.add(subpackage)
+                ahead.extend(edges.get(subpackage, ()))
         if start in seen:
             found.append(start)
     return found
@@ -233,16 +234,16 @@ def real_imports() -> list[Import]:
 
 
 def test_every_room_has_its_arrows():
-    rooms = {
+    subpackages = {
         path.name.removesuffix(".py")
         for path in PACKAGE.iterdir()
         if path.suffix == ".py" or any(path.glob("*.py"))
     }
-    assert rooms - {"__init__"} <= set(ARROWS)
+    assert subpackages - {"__init__"} <= set(ARROWS)
 
 
 def test_arrows_point_one_way():
-    edges = {room: {name.split(".")[0] for name in to} for room, to in ARROWS.items()}
+    edges = {subpackage: {name.split(".")[0] for name in to} for subpackage, to in ARROWS.items()}
     assert cycles(edges) == []
 
 

@@ -1,4 +1,4 @@
-"""The documents: every link leads somewhere, every room and every page is named."""
+"""The documents: every link leads somewhere, every subpackage and every page is named."""
 
 import re
 from pathlib import Path
@@ -31,9 +31,9 @@ def test_every_page_is_pointed_at() -> None:
 
 def test_every_room_stands_in_the_architecture_page() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
-    rooms = {
+    subpackages = {
         folder.name + "/"
         for folder in (ROOT / "tapping_cell").iterdir()
         if folder.is_dir() and (folder / "__init__.py").exists()
     }
-    assert rooms == set(re.findall(r"^\| `(\w+/)` \|", text, re.MULTILINE))
+    assert subpackages == set(re.findall(r"^\| `(\w+/)` \|", text, re.MULTILINE))

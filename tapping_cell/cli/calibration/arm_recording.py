@@ -48,8 +48,8 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     own = cell.arm.ros2_control
     if own is not None and own.chain is not None:
         raise CalibrationRefused(
-            "arm.ros2_control.chain: the joints of this arm are calibrated by its own driver; only "
-            "arm.base and chain.tool are the cell's, measure them"
+            "arm.ros2_control.chain: the joints of this arm are calibrated by its own "
+            "driver; only arm.base and chain.tool belong to the cell; measure them"
         )
     session.end_on_signals()
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
@@ -58,7 +58,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
             session.wait_until_ready(client, READY_PATIENCE_S, lambda: None, console)
             _visit(arguments, cell, client, growing, console)
     except KeyboardInterrupt:
-        console.print("interrupted; --resume goes on")
+        console.print("interrupted; continue with --resume")
         return False
     except (ArmRefused, session.NotReadyInTime) as error:
         raise CalibrationRefused(str(error)) from error
@@ -89,8 +89,8 @@ def _visit(
     left = [joints for joints in places if not _among(joints, done)]
     number, blind = len(done), 0
     console.print(
-        f"the arm goes to {arguments.poses - number} postures over the table, as high as it is now;"
-        " Ctrl-C stops it after a move"
+        f"the arm moves to {arguments.poses - number} postures over the table at its present "
+        "height; Ctrl-C stops it after the current move"
     )
     for joints in left:
         if number >= arguments.poses:
@@ -101,9 +101,9 @@ def _visit(
             console.print("not recorded: the camera does not see the marker at rest there")
             if blind >= BLIND:
                 raise CalibrationRefused(
-                    f"in {blind} postures in a row the camera did not see the marker at rest; is"
-                    " the object file that camera_pose was started with that of the marker which"
-                    " the arm holds, and the marker uncovered?"
+                    f"in {blind} postures in a row the camera did not see the marker at rest; "
+                    "check that the marker is uncovered and that camera_pose was started "
+                    "with the object file of the marker on the arm"
                 )
             continue
         blind = 0
@@ -115,8 +115,8 @@ def _visit(
         )
     if number < arguments.poses:
         raise CalibrationRefused(
-            f"only {number} of {arguments.poses} postures that the arm can take show the marker;"
-            " they are in the record: calibrate with them, or move the camera"
+            f"only {number} of {arguments.poses} postures that the arm can take show the "
+            "marker; they are recorded: calibrate with them, or move the camera"
         )
 
 
@@ -128,8 +128,9 @@ def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
     told = from_message(client.arm_state.tip_pose)
     if thought.distance_to(told) > _SAME_TIP:
         raise CalibrationRefused(
-            f"by {cell.path} the tip is at {session.pose_text(thought)}, by the running cell at"
-            f" {session.pose_text(told)}; give the running cell's own file with --cell"
+            f"according to {cell.path} the tip is at {session.pose_text(thought)}, according "
+            f"to the running cell at {session.pose_text(told)}; give the running cell's own "
+            "file with --cell"
         )
 
 

@@ -51,7 +51,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("record", type=Path, metavar="RECORD.csv", help="the poses")
     parser.add_argument(
-        "--cell", type=Path, metavar="FILE", help="cell file to start from (the package's own)"
+        "--cell",
+        type=Path,
+        metavar="FILE",
+        help="cell file to start from (default: the package's cell.yaml)",
     )
     parser.add_argument("--links", action="store_true", help="fit the links' lengths as well")
     parser.add_argument(
@@ -59,12 +62,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("X", "Y", "THETA"),
-        help="pose of the held marker in the frame striker (mm, mm, deg), if it is known: then the"
-        " tip's place on the tool is calibrated too",
+        help="pose of the held marker in the frame striker (mm, mm, deg), if known; the position "
+        "of the tip on the tool is then calibrated too",
     )
     add_recording_arguments(parser)
     parser.add_argument(
-        "--poses", type=int, default=20, metavar="N", help="with --record: how many poses (20)"
+        "--poses", type=int, default=20, metavar="N", help="with --record: number of poses (20)"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
@@ -137,14 +140,16 @@ def _provenance(
 ) -> Provenance:
     tip = []
     if result.turns is None:
-        tip.append("tip_yaw is kept: touched points do not tell the line of travel")
+        tip.append("tip_yaw is kept: touched points do not determine the line of travel")
     elif arguments.marker_on_tip is None:
         tip.append(
-            "the tip on the tool is kept: the tool's zero and the marker's place on it cannot be"
-            " told apart unless --marker-on-tip says where it sits"
+            "the tip on the tool is kept: the tool's zero offset and the marker's position "
+            "on it cannot be separated unless --marker-on-tip gives that position"
         )
     turned = result.angle_rms
-    angle = [] if turned is None else [f"angles left: {math.degrees(turned):.4f} deg rms"]
+    angle = (
+        [] if turned is None else [f"residual of the angles: {math.degrees(turned):.4f} deg rms"]
+    )
     return Provenance(
         by="calibrate arm",
         made=now(),
@@ -154,7 +159,7 @@ def _provenance(
         residual=result.position_rms,
         residual_of="root mean square distance of points, m",
         uncertainty=result.wrist_deviation,
-        uncertainty_of="place of the wrist over the poses, m",
+        uncertainty_of="position of the wrist over the poses, m",
         deviations=dict(result.deviations),
         notes=(
             *angle,
@@ -201,8 +206,8 @@ def lines(found: dict[str, Any]) -> list[str]:
     rows += [f"left out: {text}" for text in found["left_out"]]
     turned = found["angle_rms"]
     rows.append(
-        f"{found['used']} poses; points left {1e3 * found['position_rms']:.3f} mm rms"
-        + ("" if turned is None else f", angles {math.degrees(turned):.3f} deg rms")
+        f"{found['used']} poses; residual of the points {1e3 * found['position_rms']:.3f} mm rms"
+        + ("" if turned is None else f", of the angles {math.degrees(turned):.3f} deg rms")
     )
     rows.append(
         f"the wrist is known to {1e3 * found['wrist_deviation']:.3f} mm, the forearm's heading to"

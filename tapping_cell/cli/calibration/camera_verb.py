@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--target",
         choices=("charuco", "chessboard"),
         default="charuco",
-        help="kind of the calibration target in the pictures",
+        help="kind of the calibration target in the images",
     )
     group = parser.add_mutually_exclusive_group(required=True)
     group.add_argument(
@@ -77,11 +77,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         choices=("auto", "plumb_bob", "rational_polynomial"),
         default="auto",
-        help="lens model (auto: what predicts left-out views best)",
+        help="lens model (auto: the model that predicts left-out views best)",
     )
     parser.add_argument("--name", default="overhead_camera", help="camera_name in the file")
     parser.add_argument(
-        "--annotate", type=Path, metavar="DIR", help="write pictures: errors, coverage"
+        "--annotate", type=Path, metavar="DIR", help="write plots of the errors and the coverage"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, "camera_info.yaml")
@@ -91,7 +91,7 @@ def counts(word: str) -> tuple[int, int]:
     """Parse two counts from a word such as 8x6."""
     found = re.fullmatch(r"(\d+)[xX](\d+)", word)
     if not found:
-        raise argparse.ArgumentTypeError(f"{word!r} is no pair of counts such as 8x6")
+        raise argparse.ArgumentTypeError(f"{word!r} is not a pair of counts such as 8x6")
     return int(found[1]), int(found[2])
 
 
@@ -148,7 +148,7 @@ def image_files(paths: list[Path]) -> list[Path]:
         if path.is_dir():
             inside = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGE_ENDINGS)
             if not inside:
-                raise CalibrationRefused(f"{path}: the folder holds no image")
+                raise CalibrationRefused(f"{path}: the folder contains no images")
             found.extend(inside)
         elif path.is_file():
             found.append(path)
@@ -170,7 +170,7 @@ def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
         CalibrationRefused: names the images of another size, or reports that there is no image.
     """
     if not sizes:
-        raise CalibrationRefused("none of the files is an image that can be read")
+        raise CalibrationRefused("none of the files is a readable image")
     counted = Counter(sizes.values()).most_common()
     size, number = counted[0]
     if len(counted) > 1:

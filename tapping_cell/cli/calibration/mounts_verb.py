@@ -119,9 +119,9 @@ def _provenance(fits: list[MountFit], table: CsvTable, cell: Cell) -> Provenance
         observations=sum(fit.taps for fit in fits),
         left_out=sum(fit.left_out for fit in fits) + len(table.faults),
         residual=math.sqrt(sum(fit.residual**2 for fit in fits) / len(fits)),
-        residual_of="residuals over the scatter that the object file tells",
+        residual_of="residuals relative to the scatter in the object file",
         uncertainty=max(fit.line_deviation for fit in fits),
-        uncertainty_of="line where it meets the object, the worst tapper, m",
+        uncertainty_of="line at the object, worst tapper, m",
         deviations={f"{fit.name}_direction": fit.angle_deviation for fit in fits},
         notes=tuple(
             f"{fit.name}: speed {100 * (fit.speed_factor - 1):+.1f} % of the curve's, if the "
@@ -169,9 +169,9 @@ def lines(found: dict[str, Any]) -> list[str]:
     for fit in found["tappers"]:
         if fit["line_deviation"] > WANTED:
             rows.append(
-                f"note: the line of '{fit['name']}' is known to {1e3 * fit['line_deviation']:.2f} "
-                f"mm where it meets the object, {1e3 * WANTED:.1f} mm is wanted; make about "
-                f"{fit['taps_wanted']} taps"
+                f"note: the line of '{fit['name']}' is known to "
+                f"{1e3 * fit['line_deviation']:.2f} mm at the object ({1e3 * WANTED:.1f} mm "
+                f"is needed); make about {fit['taps_wanted']} taps"
             )
     if found["without_taps"]:
         rows.append(f"note: without taps, unchanged: {', '.join(found['without_taps'])}")

@@ -38,15 +38,17 @@ PIXEL = 0.00025
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--output", type=Path, required=True, metavar="FOLDER", help="folder of the pictures"
+        "--output", type=Path, required=True, metavar="FOLDER", help="folder for the images"
     )
     parser.add_argument(
-        "--what", choices=("target", "table"), default="target", help="what is photographed"
+        "--what", choices=("target", "table"), default="target", help="subject of the images"
     )
     parser.add_argument(
-        "--count", type=argument_types.whole(1, 200), default=20, help="how many pictures (20)"
+        "--count", type=argument_types.whole(1, 200), default=20, help="number of images (20)"
     )
-    parser.add_argument("--seed", type=argument_types.seed, default=1, help="of views and noise")
+    parser.add_argument(
+        "--seed", type=argument_types.seed, default=1, help="random seed of views and noise"
+    )
     parser.add_argument("--camera", type=Path, help="camera_info file (default: the package's)")
     parser.add_argument("--table", type=Path, help="table file (default: the package's)")
 

@@ -54,33 +54,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         choices=SHEETS,
         default=["charuco", "table", "objects"],
-        help="the pages (charuco table objects)",
+        help="pages to print (charuco table objects)",
     )
     parser.add_argument(
-        "--squares", type=counts, default=(10, 7), metavar="CxR", help="of the target (10x7)"
+        "--squares",
+        type=counts,
+        default=(10, 7),
+        metavar="CxR",
+        help="numbers of squares of the target (10x7)",
     )
     parser.add_argument(
-        "--square-size", type=float, default=25.0, metavar="MM", help="of the target in mm (25)"
+        "--square-size",
+        type=float,
+        default=25.0,
+        metavar="MM",
+        help="side of the target's squares in mm (25)",
     )
     parser.add_argument(
-        "--target-dictionary", default="4X4_250", help="of a ChArUco target (4X4_250)"
+        "--target-dictionary",
+        default="4X4_250",
+        help="marker dictionary of a ChArUco target (4X4_250)",
     )
     parser.add_argument(
         "--dictionary",
         default="APRILTAG_36h11",
-        help="of reference and object markers (APRILTAG_36h11)",
+        help="dictionary of reference and object markers (APRILTAG_36h11)",
     )
     parser.add_argument(
-        "--marker-size", type=float, default=30.0, metavar="MM", help="of reference markers (30)"
+        "--marker-size",
+        type=float,
+        default=30.0,
+        metavar="MM",
+        help="side of the reference markers in mm (30)",
     )
     parser.add_argument(
         "--first-id", type=int, default=101, help="number of the first reference marker (101)"
     )
     parser.add_argument(
-        "--object-size", type=float, default=50.0, metavar="MM", help="of object markers (50)"
+        "--object-size",
+        type=float,
+        default=50.0,
+        metavar="MM",
+        help="side of the object markers in mm (50)",
     )
     parser.add_argument(
-        "--object-ids", type=int, nargs="+", default=[1, 2, 3], help="of object markers (1 2 3)"
+        "--object-ids",
+        type=int,
+        nargs="+",
+        default=[1, 2, 3],
+        help="numbers of the object markers (1 2 3)",
     )
     parser.add_argument(
         "--table",
@@ -92,7 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", type=Path, required=True, metavar="FILE", help="a .pdf, or a .png of one page"
     )
-    parser.add_argument("--force", action="store_true", help="replace the files if they are there")
+    parser.add_argument("--force", action="store_true", help="replace existing files")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -100,7 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
     output: Path = arguments.output.expanduser()
     picture = output.suffix.lower() == ".png"
     if picture and len(arguments.what) != 1:
-        raise CalibrationRefused("a PNG holds one page: name one with --what, or write a .pdf")
+        raise CalibrationRefused("a PNG has only one page: name it with --what, or write a .pdf")
     if not picture and output.suffix.lower() != ".pdf":
         raise CalibrationRefused(f"{output}: end it in .pdf, or in .png for one page")
     given: Path | None = arguments.table
@@ -111,8 +133,8 @@ def run(arguments: argparse.Namespace) -> int:
     for path in (output, table):
         if path is not None and path.exists() and not arguments.force:
             raise KeptFile(
-                f"{path}: is there already and stays as it is; give another --output, or --force to"
-                " replace it"
+                f"{path} exists already and was not replaced; give another --output, or "
+                "--force to replace it"
             )
     try:
         pages, text = _pages(arguments)

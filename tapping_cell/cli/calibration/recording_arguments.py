@@ -15,10 +15,10 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "--record",
         action="store_true",
         dest="record_first",
-        help="make the record first, with the cell that is running (verb `up`)",
+        help="first make the record with the running cell (verb `up`)",
     )
     parser.add_argument(
-        "--resume", action="store_true", help="with --record: go on with a record that is there"
+        "--resume", action="store_true", help="with --record: continue an existing record"
     )
     parser.add_argument(
         "--namespace", default="", help="with --record: namespace of the running cell's nodes"

@@ -54,19 +54,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--camera",
         type=Path,
         metavar="FILE",
-        help="ROS camera_info file of the camera that took them (the package's own)",
+        help="ROS camera_info file of the camera (default: the package's)",
     )
     parser.add_argument(
         "--table", type=Path, metavar="OLD", help="table file that gives sizes, ids and the frame"
     )
     parser.add_argument(
-        "--dictionary", default="APRILTAG_36h11", help="without --table (APRILTAG_36h11)"
+        "--dictionary",
+        default="APRILTAG_36h11",
+        help="without --table: marker dictionary (APRILTAG_36h11)",
     )
     parser.add_argument(
         "--size", type=float, metavar="MM", help="without --table: side of every marker in mm"
     )
     parser.add_argument(
-        "--ids", type=int, nargs="+", help="without --table: the reference markers (all seen)"
+        "--ids",
+        type=int,
+        nargs="+",
+        help="without --table: numbers of the reference markers (all seen)",
     )
     parser.add_argument("--origin", type=int, metavar="ID", help="marker at the frame's origin")
     parser.add_argument("--x-axis", type=int, metavar="ID", help="marker on the positive x axis")
@@ -74,13 +79,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--distance",
         nargs=3,
         metavar=("ID", "ID", "MM"),
-        help="measured between the middles of two markers: sets the scale",
+        help="measured distance between the centres of two markers, which sets the scale",
     )
     parser.add_argument(
         "--sheet", type=Path, help="instead of images: table file of a printed sheet"
     )
     parser.add_argument(
-        "--ruler", type=float, metavar="MM", help="what the sheet's 100 mm ruler measures"
+        "--ruler", type=float, metavar="MM", help="measured length of the sheet's 100 mm ruler"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
@@ -106,7 +111,9 @@ def _from_sheet(arguments: argparse.Namespace) -> tuple[ReferenceMap, Provenance
     if arguments.images:
         raise CalibrationRefused("give images or --sheet, not both")
     if arguments.ruler is None:
-        raise CalibrationRefused("--sheet needs --ruler: what its 100 mm ruler measures, in mm")
+        raise CalibrationRefused(
+            "--sheet needs --ruler, the measured length of its 100 mm ruler in mm"
+        )
     factor = arguments.ruler / (RULER * 1e3)
     if not 0.9 <= factor <= 1.1:
         raise CalibrationRefused(
@@ -121,7 +128,7 @@ def _from_sheet(arguments: argparse.Namespace) -> tuple[ReferenceMap, Provenance
         observations=1,
         left_out=0,
         residual=0.0,
-        residual_of="nothing: one ruler was read",
+        residual_of="none (a single reading of a ruler)",
         uncertainty=0.0002 / RULER * farthest,
         uncertainty_of="farthest marker, m, for a ruler read to 0.2 mm",
         deviations={},
@@ -161,7 +168,7 @@ def _from_images(
         residual=result.rms,
         residual_of="root mean square of the distances of corners, pixels",
         uncertainty=largest,
-        uncertainty_of="position of the least known marker against all of them, m",
+        uncertainty_of="position of the least certain marker relative to all markers, m",
         deviations={
             f"{name}{m.id}": value
             for m, row in zip(references.markers, result.deviations.tolist(), strict=True)
@@ -206,7 +213,7 @@ def _placed(
     notes = []
     if arguments.distance:
         references, factor = _at_distance(references, arguments.distance)
-        notes.append(f"scale by a measured distance: the printed sizes were off by {factor:.5f}")
+        notes.append(f"scale from a measured distance; the printed sizes were off by {factor:.5f}")
     if arguments.origin is not None or arguments.x_axis is not None:
         if arguments.origin is None or arguments.x_axis is None:
             raise CalibrationRefused("--origin and --x-axis go together: give both markers")
@@ -235,8 +242,8 @@ def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceM
     apart = math.dist(places[first], places[second])
     if first == second or not 0.8 * apart <= wanted <= 1.25 * apart:
         raise CalibrationRefused(
-            f"--distance: markers {first} and {second} are about {apart * 1e3:.1f} mm apart by"
-            f" their printed size; {wanted * 1e3:g} mm cannot be"
+            f"--distance: markers {first} and {second} are about {apart * 1e3:.1f} mm apart "
+            f"by their printed size; {wanted * 1e3:g} mm is not plausible"
         )
     return scaled(references, wanted / apart), wanted / apart
 

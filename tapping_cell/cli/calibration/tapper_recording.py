@@ -19,8 +19,8 @@ from tapping_cell.calibration.growing_csv import GrowingCsv
 from tapping_cell.calibration.tapper import RECORD_COLUMNS, SHARES, launch_ratio
 from tapping_cell.calibration.trials import Trial, completed
 from tapping_cell.cli import session
+from tapping_cell.cli.tap_feasibility import TapFeasibility
 from tapping_cell.cli.tap_maker import SeriesStopped, TapMaker, trial_of
-from tapping_cell.cli.tap_room import TapRoom
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClient
@@ -50,18 +50,18 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     done = _recorded(growing, arguments.record)
     left = list(order(energies, arguments.taps, done))
     console.print(
-        f"{len(left)} taps of {1e3 * energies[0]:.3g} to {1e3 * energies[-1]:.3g} mJ about the"
-        " middle of the table; Ctrl-C stops them"
+        f"{len(left)} taps of {1e3 * energies[0]:.3g} to {1e3 * energies[-1]:.3g} mJ near the "
+        "middle of the table; Ctrl-C stops them"
     )
     try:
         with SingleTapClient("calibrate_tapper", arguments.namespace) as client:
             session.wait_until_ready(client, READY_PATIENCE_S, lambda: None, console)
             _make(cell, client, left, growing, console)
     except KeyboardInterrupt:
-        console.print("interrupted; --resume goes on")
+        console.print("interrupted; continue with --resume")
         return False
     except (SeriesStopped, NoAnswer, session.NotReadyInTime) as error:
-        raise CalibrationRefused(f"{error}; --resume goes on with what is recorded") from error
+        raise CalibrationRefused(f"{error}; continue with --resume") from error
     return True
 
 
@@ -72,7 +72,11 @@ def energies_of(cell: Cell) -> list[float]:
     Raises:
         CalibrationRefused: there is not enough clearance, or the tapper's range is too narrow.
     """
-    tap, curve, room = assembly.make_tap(cell), cell.file.tapper.curve(), TapRoom(cell)
+    tap, curve, feasibility = (
+        assembly.make_tap(cell),
+        cell.file.tapper.curve(),
+        TapFeasibility(cell),
+    )
     still = np.zeros(2)
     launch = tap.sliding.launch(np.array([cell.object.smallest_tap, LONGEST]), still).speed
     ratio = float(launch_ratio(tap.impact, np.zeros(1))[0])
@@ -80,10 +84,10 @@ def energies_of(cell: Cell) -> list[float]:
         min(max(speed / ratio, curve.slowest), curve.fastest)
         for speed in np.atleast_1d(launch).tolist()
     )
-    while problem := room.problem(fastest, 0.0):
+    while problem := feasibility.problem(fastest, 0.0):
         fastest *= _STEP
         if fastest < 1.5 * slowest:
-            raise CalibrationRefused(f"no range of taps has room on the table: {problem}")
+            raise CalibrationRefused(f"no series of taps fits on the table: {problem}")
     low, high = curve.energy_for(slowest), curve.energy_for(fastest)
     # Slightly inside the range, so that rounding does not exceed the tapper's speed limits.
     return [float(e) for e in np.geomspace(low * (1 + 1e-9), high * (1 - 1e-9), len(SHARES))]
@@ -121,8 +125,8 @@ def _make(
     if client.object_state is None or client.object_state.object_id != cell.object.name:
         seen = client.object_state.object_id if client.object_state else "nothing"
         raise CalibrationRefused(
-            f"the camera looks for '{seen}', but the taps are to be on '{cell.object.name}'; give"
-            " the running cell's own --object"
+            f"the camera tracks '{seen}', but the taps are to be on '{cell.object.name}'; "
+            "give the running cell's own --object"
         )
     maker = TapMaker(client, lambda: None)
     curve, tap = cell.file.tapper.curve(), assembly.make_tap(cell)
@@ -150,7 +154,7 @@ def _make(
             console.print(f"not recorded: {trial.outcome} ({trial.note})", highlight=False)
             if useless >= _USELESS:
                 raise CalibrationRefused(
-                    f"{useless} taps in a row cannot be used, the last: {trial.note}"
+                    f"{useless} consecutive taps are unusable, the last because: {trial.note}"
                 )
         useless = 0
         growing.append(_row(energy, trial))

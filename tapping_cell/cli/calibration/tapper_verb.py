@@ -52,7 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("record", type=Path, metavar="RECORD.csv", help="the taps")
     parser.add_argument(
-        "--cell", type=Path, metavar="FILE", help="cell file to start from (the package's own)"
+        "--cell",
+        type=Path,
+        metavar="FILE",
+        help="cell file to start from (default: the package's cell.yaml)",
     )
     parser.add_argument(
         "--object", type=Path, metavar="FILE", help="object that was tapped (the cell's)"
@@ -183,5 +186,5 @@ def lines(found: dict[str, Any]) -> list[str]:
         f" {1e3 * found['least_travel']:.1f} mm"
     )
     if not math.isclose(found["by_friction"], 0.5, abs_tol=0.02):
-        rows.append(f"speeds go with the friction to the power {found['by_friction']:.2f}")
+        rows.append(f"speeds are proportional to friction to the power {found['by_friction']:.2f}")
     return [*rows, *(f"note: {text}" for text in found["notes"]), f"written: {found['output']}"]

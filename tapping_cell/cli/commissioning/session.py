@@ -90,7 +90,9 @@ class Session:
         if self.unattended:
             return
         self.console.print(f"[cyan]>[/] {escape(sentence)}")
-        self.console.input("  press Enter when that is so, Ctrl-C to stop (it can be resumed) ")
+        self.console.input(
+            "  press Enter when this is done, Ctrl-C to stop (to be continued later) "
+        )
 
     def ask(self, question: str, default: str) -> str:
         """Return a person's answer, or the default in unattended mode."""

@@ -90,11 +90,13 @@ def ports(session: Session) -> Proof:
     for name, now in (("arm", cell.arm.port), ("tapper", cell.file.tapper.port)):
         port = session.ask(f"serial port of the {name}; there are: {known or 'none'}", now)
         if not Path(port).expanduser().exists():
-            raise StepFailed(f"the {name}'s port {port} is not there; there are: {known or 'none'}")
+            raise StepFailed(
+                f"the {name}'s port {port} does not exist; there are: {known or 'none'}"
+            )
         text = with_value(text, f"{name}.port", port)
         values[name] = port
     session.cell_file.write_text(text, encoding="utf-8")
-    return Proof("both ports are there", values)
+    return Proof("both ports exist", values)
 
 
 def connections(session: Session) -> Proof:
@@ -122,7 +124,7 @@ def _doctor(cell_file: Path, session: Session) -> Proof:
     if wrong:
         raise StepFailed("; ".join(wrong))
     names = {row.device: row.found for row in rows if row.setting in ("controller", "firmware")}
-    return Proof(f"{len(rows)} findings, all right", {"findings": len(rows), **names})
+    return Proof(f"{len(rows)} findings, all OK", {"findings": len(rows), **names})
 
 
 def camera(session: Session) -> Proof:
@@ -161,7 +163,9 @@ def _photographs(session: Session, folder: Path, what: str, count: int) -> None:
     if session.hardware:
         folder.mkdir(parents=True, exist_ok=True)
         sheet = "the printed target (calibrate print)" if what == "target" else "the whole table"
-        session.instruct(f"put {count} photographs of {sheet}, of the cell's camera, into {folder}")
+        session.instruct(
+            f"put {count} photographs of {sheet}, taken by the cell's camera, into {folder}"
+        )
         if not any(folder.iterdir()):
             raise StepFailed(f"{folder} is empty")
         return
@@ -174,8 +178,8 @@ def _photographs(session: Session, folder: Path, what: str, count: int) -> None:
 def homing(session: Session) -> Proof:
     """Home the arm in set-up mode."""
     session.instruct(
-        "see that the arm's way is free and hold the enabling device (the page's key, or the foot"
-        " switch): the arm homes slowly"
+        "make sure that the arm's path is free and hold the enabling device (the page's key, "
+        "or the foot switch): the arm homes slowly"
     )
     with session.running(set_up=True) as graph, CellClient() as client:
         began = _home(session, client, graph)
@@ -212,8 +216,8 @@ def _home(session: Session, client: CellClient, graph: Graph) -> float:
 def _clear(session: Session, client: CellClient, graph: Graph) -> None:
     """Clear a stop or fault of an earlier session, which is stored across restarts."""
     session.instruct(
-        f"{client.mode().sentence}: remove the cause, see that everybody is clear of the cell, and"
-        " press the clear button at the tapper"
+        f"{client.mode().sentence}: remove the cause, make sure that nobody is near the cell, "
+        "and press the clear button at the tapper"
     )
     try:
         if not session.hardware:
@@ -260,13 +264,13 @@ def joints(session: Session) -> Proof:
                 assert here is not None
                 moved = getattr(here, name) - getattr(start, name)
                 if abs(moved - JOINT_STEP) > 0.2 * JOINT_STEP:
-                    raise StepFailed(f"{name} was sent {JOINT_STEP} rad and went {moved:.3f} rad")
+                    raise StepFailed(f"{name} was sent {JOINT_STEP} rad and moved {moved:.3f} rad")
                 values[f"{name}_step_deg"] = round(math.degrees(moved), 3)
                 question = f"did the {name} turn counter-clockwise, seen from above?"
                 turned = session.ask(question, "yes")
                 if not turned.lower().startswith("y"):
                     raise StepFailed(
-                        f"the {name} turns the wrong way: change its direction in the controller"
+                        f"the {name} turns in the wrong direction: change it in the controller"
                     )
                 client.go(start, SPEED, graph.check)
             for name in ("shoulder", "elbow"):
@@ -280,7 +284,7 @@ def joints(session: Session) -> Proof:
                 client.go(park, SPEED, graph.check)
         except ArmRefused as refused:
             raise StepFailed(str(refused)) from refused
-    return Proof("directions shown; shoulder and elbow went to 90 % of their way", values)
+    return Proof("directions confirmed; shoulder and elbow moved to 90 % of their range", values)
 
 
 def object_at_rest(session: Session) -> Proof:
@@ -299,12 +303,12 @@ def object_at_rest(session: Session) -> Proof:
                     places.append(from_message(seen.pose.pose))
             return len(places) >= LOOKS
 
-        wait(looked, READY_S, f"{LOOKS} looks at the object at rest", graph)
+        wait(looked, READY_S, f"{LOOKS} measurements of the object at rest", graph)
     spread = float(np.hypot(np.std([p.x for p in places]), np.std([p.y for p in places])))
     if spread > REST_SPREAD:
         raise StepFailed(
-            f"the object's place scatters by {1e3 * spread:.2f} mm (limit {1e3 * REST_SPREAD} mm):"
-            " look after light and focus"
+            f"the measured position scatters by {1e3 * spread:.2f} mm (limit "
+            f"{1e3 * REST_SPREAD} mm): check light and focus"
         )
     last = places[-1]
     return Proof(
@@ -345,7 +349,9 @@ def arm(session: Session) -> Proof:
         content["arm"]["holds"] = list(HELD)
         truth = session.folder / "held.yaml"
         truth.write_text(yaml.safe_dump(content), encoding="utf-8")
-    session.instruct("fix the object's marker to the striker; the arm will go over the whole table")
+    session.instruct(
+        "attach the object's marker to the striker; the arm will move over the whole table"
+    )
     record = session.folder / "arm.csv"
     resumed = ("--resume",) if record.exists() else ()
     with _homed(session, truth=truth):
@@ -356,7 +362,7 @@ def arm(session: Session) -> Proof:
         )
     rms = 1e3 * float(found["position_rms"])
     if rms > 1.0:
-        raise StepFailed(f"{rms:.2f} mm are left between arm and camera (limit 1 mm)")
+        raise StepFailed(f"{rms:.2f} mm residual between arm and camera (limit 1 mm)")
     return Proof(f"{rms:.3f} mm are left between arm and camera", {"residual_mm": round(rms, 4)})
 
 
@@ -386,7 +392,7 @@ def tapper(session: Session) -> Proof:
 
 def goal(session: Session) -> Proof:
     """Bring the object to a first goal."""
-    session.instruct("see that the guard is closed: the cell now works at its full speed")
+    session.instruct("make sure that the guard is closed: the cell now works at full speed")
     quiet = Console(quiet=True)
     with _homed(session) as (graph, _), GoalClient() as client:
         following.wait_until_ready(client, READY_S, graph.check, quiet)

@@ -191,7 +191,7 @@ class CameraPose(CellNode[Parameters]):
         """Report the number of processed images and the current error."""
         values: dict[str, object] = {
             "pictures": self._frames,
-            "pictures passed over": self._backlog.passed_over,
+            "dropped frames": self._backlog.passed_over,
             "milliseconds a picture": f"{1000 * self._busy_seconds / max(1, self._frames):.2f}",
         }
         trouble = self._last.error_msg or self._notice or self._backlog.sentence
@@ -261,7 +261,7 @@ class CameraPose(CellNode[Parameters]):
             self._refuse(
                 message,
                 ErrorCode.STAMP_INVALID,
-                f"the picture's stamp is {stamp:.0f}: its header holds no time; let the camera's "
+                f"the image's stamp is {stamp:.0f}: its header has no time; make the camera's "
                 "node set it",
             )
             return
@@ -271,7 +271,7 @@ class CameraPose(CellNode[Parameters]):
             self._refuse(
                 message,
                 ErrorCode.STAMP_INVALID,
-                f"the picture's stamp lies {ahead:.1f} s ahead of this node's clock (limit "
+                f"the image's stamp is {ahead:.1f} s ahead of this node's clock (limit "
                 f"{STAMP_AHEAD_S:.1f} s); synchronise the clocks",
             )
             return
@@ -302,8 +302,8 @@ class CameraPose(CellNode[Parameters]):
             self._refuse(
                 picture,
                 ErrorCode.CAMERA_NOT_CALIBRATED,
-                "pictures come but no calibration: nothing is heard on camera/camera_info; check "
-                "that the camera's node publishes it",
+                "images arrive without a calibration: there is no message on "
+                "camera/camera_info; check that the camera's node publishes it",
             )
 
     def _count_late(self, observation: Observation) -> None:
@@ -311,8 +311,8 @@ class CameraPose(CellNode[Parameters]):
         self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
         if self._late >= MOST_LATE and self._camera is not None and self._cell is not None:
             self.get_logger().warning(
-                f"{self._late} pictures in a row are older than one before: the camera's clock was "
-                "set back; beginning anew"
+                f"{self._late} consecutive images are older than an earlier one: the camera's "
+                "clock was set back; tracking restarts"
             )
             self._make_trackers(self._camera, self._cell)
 
@@ -401,8 +401,8 @@ class CameraPose(CellNode[Parameters]):
             self._refuse(
                 empty,
                 ErrorCode.CAMERA_SILENT,
-                f"no picture for {silent:.1f} s (limit {self.settings.silence_limit:.1f} s); check "
-                f"the camera, its cable and the topic {self._picture_topic}",
+                f"no image for {silent:.1f} s (limit {self.settings.silence_limit:.1f} s); "
+                f"check the camera, its cable and the topic {self._picture_topic}",
             )
 
 

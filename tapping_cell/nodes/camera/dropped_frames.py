@@ -58,9 +58,9 @@ class Backlog:
             return ""
         assert self._each is not None and self._between is not None
         return (
-            f"a picture takes {1e3 * self._each:.0f} ms but they come every "
-            f"{1e3 * self._between:.0f} ms: only the newest is looked at; lower the camera's rate "
-            "or relieve the machine"
+            f"an image takes {1e3 * self._each:.0f} ms to process, but images arrive every "
+            f"{1e3 * self._between:.0f} ms: only the newest is processed; lower the camera's "
+            "rate or the load of the machine"
         )
 
 

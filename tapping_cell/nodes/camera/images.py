@@ -80,8 +80,8 @@ def unpack(message: Image) -> NDArray[np.uint8]:
     width, needed = message.width * encoding.size, message.step * message.height
     if message.step < width or len(message.data) < needed or needed == 0:
         raise ImageRefused(
-            f"the image says {message.width} x {message.height} {message.encoding} with "
-            f"{message.step} bytes a row but holds {len(message.data)} bytes"
+            f"the image's header states {message.width} x {message.height} {message.encoding} "
+            f"with {message.step} bytes per row, but its data has {len(message.data)} bytes"
         )
     rows = np.frombuffer(message.data, dtype=np.uint8, count=needed)
     rows = np.ascontiguousarray(rows.reshape(message.height, message.step)[:, :width])
@@ -181,13 +181,14 @@ def from_camera_info(message: CameraInfo) -> CameraModel:
     whole = (0, 0, message.width, message.height)
     if max(message.binning_x, message.binning_y) > 1:
         raise CameraError(
-            f"camera_info tells of binning {message.binning_x} x {message.binning_y}; set the "
-            "camera to whole pixels, or calibrate with the binning and leave it out"
+            f"camera_info has binning {message.binning_x} x {message.binning_y}, which is not "
+            "supported; set the camera to full resolution, or calibrate with the binning and "
+            "leave it out"
         )
     if (roi.x_offset, roi.y_offset, roi.width, roi.height) not in ((0, 0, 0, 0), whole):
         raise CameraError(
-            f"camera_info tells of a part of {roi.width} x {roi.height} pixels at "
-            f"({roi.x_offset}, {roi.y_offset}); set the camera to the whole picture"
+            f"camera_info has a region of interest of {roi.width} x {roi.height} pixels at "
+            f"({roi.x_offset}, {roi.y_offset}); set the camera to the full image"
         )
     return CameraModel.from_camera_info(
         message.width, message.height, message.distortion_model, list(message.d), list(message.k)

@@ -161,7 +161,7 @@ class OverheadCamera(CellNode[Parameters]):
             self._pause(REOPEN_PERIOD_S)
             return
         if self._away:
-            self.get_logger().info(f"{self.settings.source} delivers pictures again")
+            self.get_logger().info(f"{self.settings.source} delivers images again")
             self._away = False
         self._send(frame)
 
@@ -170,9 +170,9 @@ class OverheadCamera(CellNode[Parameters]):
         picture, wanted = to_grey(frame.picture), self._settings
         if picture.shape != (wanted.height, wanted.width):
             self._say(
-                f"the picture is {picture.shape[1]} x {picture.shape[0]} pixels but the "
-                f"calibration is for {wanted.width} x {wanted.height}: not sent; calibrate at this "
-                "size or set the camera so"
+                f"the image is {picture.shape[1]} x {picture.shape[0]} pixels but the "
+                f"calibration is for {wanted.width} x {wanted.height}: not sent; calibrate at "
+                "this size or set the camera so"
             )
             return
         self._problem = ""

@@ -64,13 +64,13 @@ class ArmPoseClient(GoalClient):
         """Return the conditions that still prevent motion of the arm, as text; empty when it is
         ready."""
         if self.arm_state is None or self._trajectories.get_subscription_count() == 0:
-            return ["the arm's driver is not up"]
+            return ["the arm's driver is not running"]
         if self.arm_state.state != ArmState.IDLE:
             return [f"the arm is not idle ({self.arm_state.error_msg or 'busy'})"]
         if self.joints() is None or not self.arm_state.homed:
             return ["the arm's joints have not been read back yet: is it homed?"]
         if self.object_state is None:
-            return ["the camera has not looked yet"]
+            return ["camera_pose has not reported the object yet"]
         return []
 
     def joints(self) -> Joints | None:
@@ -129,11 +129,11 @@ class ArmPoseClient(GoalClient):
             if state.state == ArmState.IDLE and far < ARRIVED and read > sent:
                 return read
             if state.error_code and Time.from_msg(state.header.stamp) > sent:
-                raise ArmRefused(f"the arm does not go there: {state.error_msg}")
+                raise ArmRefused(f"the arm rejected the motion: {state.error_msg}")
             time.sleep(_POLL_S)
         raise ArmRefused(
-            f"the arm was not in its posture within {MOVE_PATIENCE_S:.0f} s; look after its driver,"
-            " then go on with --resume"
+            f"the arm did not reach its posture within {MOVE_PATIENCE_S:.0f} s; check its "
+            "driver, then continue with --resume"
         )
 
     def _look(self, sent: Time, arrived: Time, check: Callable[[], None]) -> ObjectState | None:

@@ -99,7 +99,7 @@ class ArrangeClient(ActionFollower[Event]):
         text."""
         reasons = []
         if not self.accepts_goals() or not self.planner_active:
-            reasons.append("the planner is not up")
+            reasons.append("the planner is not running")
         if self._arm is None or self._arm.state != ArmState.IDLE:
             reasons.append("the arm is not idle")
         if self._tapper is None or self._tapper.state != TapperState.SAFE:

@@ -182,7 +182,7 @@ class CellClient(ClientNode):
 
     def _call(self, client: Any, name: str, patience: float = 5.0) -> tuple[bool, str]:
         if not client.wait_for_service(patience):
-            return False, f"{name} does not answer; is it up?"
+            return False, f"{name} does not answer; is it running?"
         done = threading.Event()
         answers: list[Any] = []
 

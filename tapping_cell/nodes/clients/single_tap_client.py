@@ -132,8 +132,8 @@ class SingleTapClient(GoalClient):
             raise
         self.cancel()
         raise NoAnswer(
-            f"the planner did not end the tap within {LONGEST_TAP_S:.0f} s, or went away; look "
-            "after the node tap_planner, then go on with --resume"
+            f"the planner did not end the tap within {LONGEST_TAP_S:.0f} s, or disappeared; "
+            "check the node tap_planner, then continue with --resume"
         )
 
     def track_of(self, record: TapRecord) -> Track | None:

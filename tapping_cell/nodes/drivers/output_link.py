@@ -43,8 +43,8 @@ class KeptShot:
         shot = 0 if found is None else found.get("shot")
         if not isinstance(shot, int) or shot < 0:
             raise ValueError(
-                f"{self._file}, which keeps the last shot that was fired, cannot be read: see that"
-                " no tap is under way, then delete it"
+                f"{self._file}, which keeps the last shot that was fired, cannot be read: "
+                "make sure that no tap is under way, then delete it"
             )
         return shot
 
@@ -199,6 +199,6 @@ class RosOutputLink(RosLink):
     def _absence(self) -> str:
         what = "service" if self._client is not None else "topic"
         return (
-            f"nobody serves the {what} {self.name}: start the robot's driver, or correct"
-            " tapper.output.name and .interface"
+            f"there is no server of the {what} {self.name}: start the robot's driver, or "
+            "correct tapper.output.name and .interface"
         )

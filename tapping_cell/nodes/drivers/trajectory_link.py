@@ -178,8 +178,8 @@ class RosTrajectoryLink(RosLink):
             self._open = False
             raise HardwareFault(
                 FaultReason.DISCONNECTED,
-                f"nobody takes trajectories on {self._way()} any more: check the arm's driver and"
-                " that its joint_trajectory_controller is active",
+                f"nothing accepts trajectories on {self._way()} any more: check the arm's "
+                "driver and that its joint_trajectory_controller is active",
             )
         message = self._message(points)
         with self._lock:
@@ -219,7 +219,7 @@ class RosTrajectoryLink(RosLink):
                 return
             if not handle.accepted:
                 self._progress = Progress(
-                    GoalState.FAILED, "it refused the goal (its log says why; is it active?)"
+                    GoalState.FAILED, "it refused the goal (see its log; is it active?)"
                 )
                 return
             self._handle = handle
@@ -263,8 +263,8 @@ class RosTrajectoryLink(RosLink):
 
     def _absence(self) -> str:
         return (
-            f"nobody takes trajectories on {self._way()}: start the arm's driver and activate its"
-            " joint_trajectory_controller, or correct arm.ros2_control.controller"
+            f"nothing accepts trajectories on {self._way()}: start the arm's driver and "
+            "activate its joint_trajectory_controller, or correct arm.ros2_control.controller"
         )
 
     def _found(self) -> None:

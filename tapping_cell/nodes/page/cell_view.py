@@ -223,7 +223,7 @@ class CellView:
         if seen is not None and seen.error_code:
             return Mode("not ready", seen.error_msg, seen.error_code)
         if self._plan is None or time.monotonic() - self._plan_heard > 2 * SILENCE_LIMIT_S:
-            return Mode("not ready", "the planner says nothing; start tap_planner")
+            return Mode("not ready", "the planner sends no messages; start tap_planner")
         return Mode("ready", "the cell takes a goal")
 
     def state(self) -> dict[str, object]:
@@ -281,7 +281,11 @@ class CellView:
     def _object_state(self) -> dict[str, object]:
         seen = self._monitor.object
         if seen is None or self._monitor.silent("object", _now()):
-            return {"visible": False, "sentence": "camera_pose says nothing; start it", "code": 303}
+            return {
+                "visible": False,
+                "sentence": "camera_pose sends no messages; start it",
+                "code": 303,
+            }
         answer: dict[str, object] = {
             "visible": seen.visible,
             "at_rest": seen.at_rest,

@@ -117,7 +117,7 @@ class Ghost:
         with np.errstate(all="ignore"):
             x, y = (float(value) for value in self.view.on_plane(pixel, self.height))
         if not math.hypot(x, y) < FARTHEST:
-            raise BadRequest("there is no table at that place of the picture")
+            raise BadRequest("that point of the image is not on the table")
         return x, y
 
     def _seen(self, points: ArrayLike) -> list[list[float]]:

@@ -46,7 +46,9 @@ class GoalQueue:
     def add(self, goal: Wanted) -> None:
         """Append a goal. Raises QueueFull."""
         if len(self._waiting) >= MOST_WAITING:
-            raise QueueFull(f"{MOST_WAITING} goals wait already; remove one, or run the queue")
+            raise QueueFull(
+                f"{MOST_WAITING} goals are already waiting; remove one, or run the queue"
+            )
         self._waiting[next(self._numbers)] = goal
 
     def remove(self, number: int) -> bool:
@@ -65,12 +67,12 @@ class GoalQueue:
     def ended(self, reached: bool, sentence: str) -> None:
         """Process the end of any goal of the cell, whoever sent it."""
         if not reached:
-            self.hold(f"The queue holds: {sentence}")
+            self.hold(f"The queue is paused: {sentence}")
 
     def next(self, busy: bool, blocked: str) -> Wanted | None:
         """Remove and return the goal to send now, or None if none is to be sent."""
         if blocked:
-            self.hold(f"The queue holds. {blocked}")
+            self.hold(f"The queue is paused. {blocked}")
         if not self.running or busy:
             return None
         if not self._waiting:
@@ -100,7 +102,7 @@ class NamedGoals:
     def keep(self, name: str, pose: Pose) -> None:
         """Store a pose under a name, replacing the previous pose. Raises QueueFull."""
         if name not in self._poses and len(self._poses) >= MOST_NAMES:
-            raise QueueFull(f"{MOST_NAMES} goals have names already; remove one")
+            raise QueueFull(f"{MOST_NAMES} goals already have names; remove one")
         self._poses[name] = pose
 
     def forget(self, name: str) -> bool:

@@ -73,11 +73,11 @@ class Guard:
                 "add the name to the parameter host_names of operator_page"
             )
         if origin is None:
-            return "a request without an Origin is not taken" if command else ""
+            return "a request without an Origin is not accepted" if command else ""
         parts = urlsplit(origin) if _plain(origin) else None
         expected = host if page_port is None else _with_port(name, page_port)
         if parts is None or parts.scheme not in ("http", "https") or parts.netloc != expected:
-            return f"a page of {origin[:100]} may not speak to this cell"
+            return f"a page of {origin[:100]} may not connect to this cell"
         return ""
 
     def admits(self, token: object) -> bool:

@@ -134,6 +134,6 @@ class NodeWatch:
         if not peer.life:
             return {**row, "level": "error", "sentence": f"start {name}"}
         if time.monotonic() - peer.heard_at > SILENCE_LIMIT_S:
-            silent = NOT_YET if not peer.heard_at else "has gone silent"
+            silent = NOT_YET if not peer.heard_at else "has stopped sending"
             return {**row, "level": "warn", "sentence": silent}
         return {**row, "level": peer.level, "sentence": peer.sentence}

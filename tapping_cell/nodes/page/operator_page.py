@@ -277,7 +277,7 @@ class OperatorPage(CellNode[Parameters]):
         super().hear_stop(message)
         self._view.emergency_stop = message.data
         if message.data:
-            self._queue.hold("The queue holds: the cell was stopped.")
+            self._queue.hold("The queue is paused: the cell was stopped.")
 
     def _on_report(self, message: GoalReport) -> None:
         """Continue or pause the queue when a goal ended, whoever sent it."""
@@ -506,7 +506,7 @@ class OperatorPage(CellNode[Parameters]):
         try:
             if ghost is None:
                 raise BadRequest(
-                    "the camera's place over the table is not known yet; type the goal instead"
+                    "the camera's pose over the table is not known yet; type the goal instead"
                 )
             answer(ghost.answer(request))
         except BadRequest as error:
@@ -553,15 +553,15 @@ class OperatorPage(CellNode[Parameters]):
                 words = "goal added to the queue"
             elif isinstance(request, Unqueue):
                 found = self._queue.remove(request.number)
-                words = "goal removed" if found else "this goal has left the queue already"
+                words = "goal removed" if found else "this goal is no longer in the queue"
             elif isinstance(request, NameGoal):
                 self._named.keep(request.name, request.pose)
                 self._named_file.keep(self._named.as_content())
-                words = f"goal kept as '{request.name}'"
+                words = f"goal saved as '{request.name}'"
             else:
                 found = self._named.forget(request.name)
                 self._named_file.keep(self._named.as_content())
-                words = f"'{request.name}' removed" if found else "there is no such name"
+                words = f"'{request.name}' removed" if found else "there is no goal of this name"
         except (QueueFull, OSError) as error:
             answer(_answer("queue", False, str(error)))
             return
@@ -570,17 +570,19 @@ class OperatorPage(CellNode[Parameters]):
     def _run_queue(self, who: str, answer: server.Answer) -> None:
         self._queue.run()
         running = self._queue.running
-        answer(_answer("queue", running, "the queue runs" if running else "no goal waits"))
+        answer(
+            _answer("queue", running, "the queue is running" if running else "no goal is waiting")
+        )
         self._view.note(f"queue of goals started on the page ({who})")
 
     def _hold_queue(self, who: str, answer: server.Answer) -> None:
         self._queue.hold()
-        answer(_answer("queue", True, "the queue holds; the goal under way goes on"))
-        self._view.note(f"queue of goals held on the page ({who})")
+        answer(_answer("queue", True, "the queue is paused; the current goal continues"))
+        self._view.note(f"queue of goals paused on the page ({who})")
 
     def _send_goal(self, wanted: Wanted, who: str, answer: server.Answer) -> None:
         if not self._action.server_is_ready():
-            answer(_answer("goal", False, "the planner is not up; start tap_planner"))
+            answer(_answer("goal", False, "the planner is not running; start tap_planner"))
             return
         goal = PositionObject.Goal()
         goal.goal_pose.header.frame_id = "table"
@@ -593,7 +595,7 @@ class OperatorPage(CellNode[Parameters]):
             self._answer_due = time.monotonic() + STATE_PERIOD_S  # until plan_state contains it
             handle = future.result()
             if not handle.accepted:
-                answer(_answer("goal", False, "the planner did not take the goal"))
+                answer(_answer("goal", False, "the planner did not accept the goal"))
                 return
             answer(_answer("goal", True, "goal sent"))
             handle.get_result_async().add_done_callback(ended)
@@ -618,8 +620,8 @@ class OperatorPage(CellNode[Parameters]):
                 _answer(
                     "cancel",
                     False,
-                    "no goal of an action is under way; one of the topic goal_pose ends with the "
-                    "stop, or with another goal",
+                    "no goal of an action is active; a goal from the topic goal_pose is "
+                    "ended by a stop or by another goal",
                 )
             )
 
@@ -628,7 +630,7 @@ class OperatorPage(CellNode[Parameters]):
         self._view.note(f"cancel pressed on the page ({who})")
 
     def _clear(self, who: str, answer: server.Answer) -> None:
-        self._view.note(f"clearing asked for on the page ({who})")
+        self._view.note(f"clearing requested on the page ({who})")
         # The actors refuse to clear while a stop is held, so the page's own stop is released first.
         if self._stop is None or not self._stop.held:
             self._clear_actors(answer)
@@ -644,7 +646,7 @@ class OperatorPage(CellNode[Parameters]):
             self._call(client, Trigger.Request(), "clear", name, answer)
 
     def _home(self, who: str, answer: server.Answer) -> None:
-        self._view.note(f"homing asked for on the page ({who})")
+        self._view.note(f"homing requested on the page ({who})")
         self._call(self._home_client, Trigger.Request(), "home", "scara_arm", answer)
 
     def _enable(self, held: bool) -> None:
@@ -669,7 +671,7 @@ class OperatorPage(CellNode[Parameters]):
         """Call a service. The page receives its response, or a message that no server is
         available."""
         if not client.service_is_ready():
-            answer(_answer(to, False, f"{name}: does not answer; is it up?"))
+            answer(_answer(to, False, f"{name}: does not answer; is it running?"))
             return
 
         def told(future: Future) -> None:

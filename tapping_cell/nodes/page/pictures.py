@@ -22,5 +22,5 @@ def to_jpeg(message: Image, quality: int) -> bytes:
         ".jpg", np.ascontiguousarray(picture), [cv2.IMWRITE_JPEG_QUALITY, quality]
     )
     if not made:
-        raise ImageRefused("the picture cannot be made a JPEG")
+        raise ImageRefused("the image cannot be encoded as JPEG")
     return jpeg.tobytes()

@@ -55,9 +55,7 @@ class Recovery:
         steps = []
         if self._halted:
             now = "now" if halted else "done"
-            steps.append(
-                Step("Remove the cause, and see that everybody is clear of the cell.", now)
-            )
+            steps.append(Step("Remove the cause, and make sure that nobody is near the cell.", now))
             if self._tapper_halted:
                 pressed = "now" if tapper_halted else "done"
                 button = "press_button" if simulated else ""

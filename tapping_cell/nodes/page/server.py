@@ -278,7 +278,7 @@ class _Guarded(RequestHandler):
     def prepare(self) -> None:
         """Refuse a wrong Host or Origin, or an invalid path, before any other processing."""
         if not unquote(self.request.path).isprintable():
-            self.refuse(400, "the path holds characters that no path has")
+            self.refuse(400, "the path contains invalid characters")
             return
         headers = self.request.headers
         origin = headers.get("Origin") or headers.get("Sec-Websocket-Origin")
@@ -418,7 +418,7 @@ class PageSocket(_Guarded, WebSocketHandler):
         if self.ws_connection is None:  # closed by the server, so remaining messages are ignored
             return
         if self._messages.add() > MOST_MESSAGES:
-            self.close(TOO_MANY_MESSAGES, "too many messages in a second")
+            self.close(TOO_MANY_MESSAGES, "too many messages per second")
             return
         try:
             request = parse(message)
@@ -433,7 +433,7 @@ class PageSocket(_Guarded, WebSocketHandler):
             if request.number == self._awaited:
                 self._awaited = 0
         elif self._is_too_much(request):
-            text = f"more than {MOST_COMMANDS} commands in a second; wait a little"
+            text = f"more than {MOST_COMMANDS} commands per second; wait a moment"
             self.answer({"type": "answer", "ok": False, "text": text})
         else:
             self.server.backend.on_request(
@@ -475,7 +475,7 @@ class PageSocket(_Guarded, WebSocketHandler):
     def send(self, text: str) -> None:
         """Send a text. All texts arrive in order."""
         if len(self._answers) >= MOST_ANSWERS:
-            self.close(TOO_MANY_MESSAGES, "more messages at once than can be answered")
+            self.close(TOO_MANY_MESSAGES, "too many messages at the same time")
             return
         self._answers.append(text)
         self._wake.set()

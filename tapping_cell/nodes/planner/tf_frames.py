@@ -57,7 +57,7 @@ class TfFrames:
     def _refusal(self, frame: str, error: Exception) -> str:
         known = self._known()
         if frame in known:
-            return f"where the goal's frame '{frame}' is at the goal's stamp is not known: {error}"
+            return f"the pose of the goal's frame '{frame}' at the goal's stamp is unknown: {error}"
         return (
             f"the goal's frame_id is '{frame}', which is not connected to '{TABLE}'; known are "
             f"{', '.join((TABLE, *known))}"

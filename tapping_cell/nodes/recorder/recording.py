@@ -63,12 +63,12 @@ def new_folder(
     """
     try:
         parent.mkdir(parents=True, exist_ok=True)
-        check_room(parent, least_free)
+        check_disk_space(parent, least_free)
         runs = sum(1 for entry in parent.iterdir() if entry.is_dir())
         if runs >= most_runs:
             raise CannotRecord(
-                f"{parent} holds {runs} folders and most_runs is {most_runs}; nothing is deleted "
-                "by itself: move old runs away, or raise most_runs"
+                f"{parent} holds {runs} folders and most_runs is {most_runs}; nothing is "
+                "deleted automatically: move old runs away, or raise most_runs"
             )
         for number in range(1, most_runs + 2):
             folder = parent / (name if number == 1 else f"{name}_{number}")
@@ -80,13 +80,13 @@ def new_folder(
                 return folder
     except OSError as error:
         raise CannotRecord(
-            f"no run folder can be made in {parent} ({error.strerror}); set the parameter folder "
-            "to one that can be written"
+            f"no run folder can be made in {parent} ({error.strerror}); set the parameter "
+            "folder to a writable folder"
         ) from error
     raise CannotRecord(f"every name like {name} in {parent} is taken; choose another name")
 
 
-def check_room(folder: Path, least_free: float) -> None:
+def check_disk_space(folder: Path, least_free: float) -> None:
     """Check the free disk space.
 
     Raises:

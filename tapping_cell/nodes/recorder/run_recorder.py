@@ -52,7 +52,7 @@ from tapping_cell.nodes.recorder.recording import (
     RecordedTopic,
     Recording,
     cell_notes,
-    check_room,
+    check_disk_space,
     is_own_goal,
     new_folder,
     run_name,
@@ -467,10 +467,10 @@ class RunRecorder(CellNode[Parameters]):
             return
         try:
             recording.write(messages)
-            check_room(recording.folder, MEGABYTE * self.settings.least_free / 2)
+            check_disk_space(recording.folder, MEGABYTE * self.settings.least_free / 2)
         except (OSError, CannotRecord) as error:
             self._recording = None
-            self._complain(f"recording to {recording.folder} was given up: {error}")
+            self._complain(f"recording to {recording.folder} was stopped: {error}")
 
     def _keep_picture(self, data: bytes, stamp: int) -> None:
         """Compress an image to JPEG here rather than in the executor's thread, which must not lose
@@ -490,7 +490,7 @@ class RunRecorder(CellNode[Parameters]):
                 )
             coded, jpeg = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, 85))
         except (images.ImageRefused, ValueError, cv2.error) as error:
-            self.get_logger().warning(f"a picture was not kept: {error}", once=True)
+            self.get_logger().warning(f"an image was not recorded: {error}", once=True)
             return
         if coded:
             small = CompressedImage(header=message.header, format="bgr8; jpeg compressed bgr8")
@@ -508,7 +508,7 @@ class RunRecorder(CellNode[Parameters]):
         try:
             recording.close()
         except OSError as error:
-            self._complain(f"the bag in {recording.folder} has no end: {error}")
+            self._complain(f"the bag in {recording.folder} was not closed: {error}")
         # The tables are written immediately. Drawing takes seconds, during which the next goal may
         # start.
         self._tell(recording, pictures=False)

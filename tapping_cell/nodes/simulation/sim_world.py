@@ -343,7 +343,7 @@ class SimWorld(CellNode[Parameters]):
                 return response
             self._world.place(name, pose)
         response.success = True
-        response.message = f"'{name}' lies at x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm"
+        response.message = f"'{name}' is at x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm"
         return response
 
 

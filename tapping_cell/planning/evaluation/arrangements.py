@@ -282,8 +282,8 @@ def _slide(body: Body, moved: Array, bodies: Sequence[Body], true: dict[str, Arr
     count = 1
     if push > 1e-5:
         count += _slide(met, np.array([*(push * normal), 0.0]), bodies, true)
-        room = np.array([*(min(push, left) * normal), 0.0])
-        true[body.name] = _wrapped(true[body.name] + 0.9 * room)
+        shift = np.array([*(min(push, left) * normal), 0.0])
+        true[body.name] = _wrapped(true[body.name] + 0.9 * shift)
     return count
 
 

@@ -110,7 +110,7 @@ def _run_one(
     while isinstance(decision, Strike):
         pose = pose + _answer(true, decision, pose, settings, rng)
         pose[2] = wrap_angle(pose[2])
-        left = left or float(area.room(pose[:2])) < 0.0
+        left = left or float(area.clearance(pose[:2])) < 0.0
         before = seen
         session.observe(decision, before, pose + look * rng.standard_normal(3))
         decision, seen = _decide(session, pose, look, rng)

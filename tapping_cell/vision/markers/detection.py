@@ -195,7 +195,7 @@ class ReferenceMap:
             raise MarkerError("the table has no reference markers; list at least two")
         ids = [marker.id for marker in self.markers]
         if len(set(ids)) != len(ids):
-            raise MarkerError(f"the reference markers' ids {ids} hold one of them twice")
+            raise MarkerError(f"the reference markers' ids {ids} contain an id twice")
         for marker in self.markers:
             if not 0.0 < marker.size < 10.0:
                 raise MarkerError(f"reference marker {marker.id} has the size {marker.size} m")

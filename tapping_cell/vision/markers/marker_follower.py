@@ -107,8 +107,8 @@ class MarkerFollower(ObjectFollower):
             # The diagnosis of the last search is valid until the next search.
             return self.trouble or (
                 Problem.OBJECT_HIDDEN,
-                f"the object's marker {self.marker.id} is not seen, or not the whole of it, or "
-                "from too far aside (tilted?)",
+                f"the object's marker {self.marker.id} is not seen, is partly covered, or is "
+                "seen at too flat an angle (tilted?)",
             )
         shape = shape_deviation(frame.working, edges, 0, self.marker, fit, frame.table.bloom)
         limit = self._size_tolerance

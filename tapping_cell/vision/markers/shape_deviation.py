@@ -113,8 +113,8 @@ class ShapeWarnings:
             self._said = said = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * said[0] * 1e3
         return (
-            f"{self._looks(*said)}: lifted (by {lifted:.0f} mm?), tilted, or not of the object "
-            "file's size and height; the pose is uncertain accordingly"
+            f"{self._looks(*said)}: lifted (by {lifted:.0f} mm?), tilted, or not of the "
+            "object file's size and height; the reported uncertainty includes this"
         )
 
     def refusal(self, shape: ShapeDeviation, limit: float) -> str:
@@ -127,7 +127,7 @@ class ShapeWarnings:
 
     def _looks(self, stretch: float, strain: float) -> str:
         text = (
-            f"the object's marker looks {stretch * 100:+.1f} % larger than its "
+            f"the object's marker appears {stretch * 100:+.1f} % larger than its "
             f"{self._marker.size * 1e3:.1f} mm"
         )
         return text if strain < 0.001 else f"{text} and {strain * 100:.1f} % out of square"

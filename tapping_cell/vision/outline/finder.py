@@ -135,6 +135,6 @@ class OutlineFinder:
         shade = "brighter" if self.outline.brighter else "darker"
         return (
             Problem.OBJECT_HIDDEN,
-            f"the object's outline is not seen: nothing {shade} than the table has its size, or "
-            "too little of it is in sight",
+            f"the object's outline is not seen: nothing {shade} than the table has its size, "
+            "or too little of it is visible",
         )

@@ -39,9 +39,9 @@ class Pixels:
 def softened(image: Image, view: View, outline: ObjectOutline, pose: Array, width: float) -> Image:
     """Return the image with the object's surroundings blurred."""
     seen = view.project(transform_points(pose, outline.points()), outline.height)
-    room = math.ceil(3.0 * width)
-    x0, y0 = np.maximum(np.floor(seen.min(axis=0)).astype(int) - room, 0)
-    x1, y1 = np.maximum(np.ceil(seen.max(axis=0)).astype(int) + room, 1)
+    clearance = math.ceil(3.0 * width)
+    x0, y0 = np.maximum(np.floor(seen.min(axis=0)).astype(int) - clearance, 0)
+    x1, y1 = np.maximum(np.ceil(seen.max(axis=0)).astype(int) + clearance, 1)
     soft = image.copy()
     part = image[y0:y1, x0:x1]
     if part.size:
@@ -79,9 +79,9 @@ def rim_pixels(
 
 def dot_pixels(view: View, outline: ObjectOutline, dot: Dot, pose: Array) -> Pixels | None:
     """Select the pixels of the dot and of the uniform part of the top around it."""
-    room = -float(outline.distance(np.array([dot.offset]))[0][0])
+    clearance = -float(outline.distance(np.array([dot.offset]))[0][0])
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
-    reach = min(room - pixel, dot.radius + 5.0 * pixel)
+    reach = min(clearance - pixel, dot.radius + 5.0 * pixel)
     angle = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False)
     circle = np.array(dot.offset) + reach * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     seen = view.project(transform_points(pose, circle), outline.height)

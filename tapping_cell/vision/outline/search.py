@@ -200,7 +200,7 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
     seen = 0.0 if rim is None else rim.seen
     return Refused(
         OTHER_SHAPE,
-        f"what is there agrees with its outline along {seen * 100:.0f} % of the rim (at least "
+        f"the image agrees with its outline along {seen * 100:.0f} % of the rim (at least "
         f"{least * 100:.0f} % are needed)",
     )
 
@@ -231,7 +231,7 @@ def wrong_size(fit: OutlineFit) -> Refused:
     """Reject a region that is too large or too small."""
     return Refused(
         OTHER_SIZE,
-        f"it looks {(fit.size - 1.0) * 100:+.1f} % larger than its file says (limit "
+        f"it appears {(fit.size - 1.0) * 100:+.1f} % larger than in its file (limit "
         f"{LARGEST_STRETCH * 100:.0f} %): lifted, tilted, another object, or a wrong height",
     )
 

@@ -176,9 +176,9 @@ class ObjectOutline:
             return np.full(count, self.radius)
         normals, offsets = self.sides()
         facing = direction @ normals.T
-        room = offsets - normals @ self.middle
+        clearance = offsets - normals @ self.middle
         with np.errstate(divide="ignore"):
-            return np.asarray(np.where(facing > 1e-12, room / facing, np.inf).min(axis=1))
+            return np.asarray(np.where(facing > 1e-12, clearance / facing, np.inf).min(axis=1))
 
     def turns(self) -> tuple[float, ...]:
         """Rotations (rad, from 0 to a full turn) under which the outline is unchanged; empty if it

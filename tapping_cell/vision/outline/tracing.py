@@ -156,7 +156,7 @@ def _marker(
         image, found[0].corners[None], [marker_pattern(dictionary, number)], searched=True
     )
     if not (edges.good[0] and sure[0]):
-        raise NotTraced(f"marker {number} on the object is not sharp: mend focus and light")
+        raise NotTraced(f"marker {number} on the object is not sharp: improve focus and light")
     corners = view.on_plane(edges.corners[0], height)
     sides = np.roll(corners, -1, axis=0) - corners
     size = float(np.hypot(sides[:, 0], sides[:, 1]).mean())
@@ -242,7 +242,7 @@ def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
     terms = np.stack([one, x, y, x * x, x * y, y * y], axis=-1)
     known = (free > 0) & np.isfinite(seen)
     if not known.any():
-        raise NotTraced("nothing of the table lies within the picture")
+        raise NotTraced("no part of the table is in the image")
     every = max(1, int(known.sum()) // 40_000)
     a, b = terms[known][::every].astype(float), seen[known][::every].astype(float)
     # Most pixels show the table, so start from the most frequent grey level.
@@ -274,8 +274,8 @@ def _object(
     if not found:
         raise NotTraced(
             f"nothing on the table differs from it by {_LEAST_CONTRAST:.0f} grey levels over "
-            f"{2e3 * _LEAST_REACH:.0f} mm: put the object on it, or a plain sheet that it stands "
-            "out from below both"
+            f"{2e3 * _LEAST_REACH:.0f} mm: put the object on it, or a plain sheet of "
+            "contrasting brightness under the object"
         )
     area, outline, brighter = max(found, key=lambda one: one[0])
     apart = [
@@ -284,10 +284,10 @@ def _object(
         if other == brighter and one is not outline and cv2.contourArea(one) > _APART * area
     ]
     if apart:
-        raise NotTraced(f"{len(apart) + 1} things lie on the table: leave one object on it")
+        raise NotTraced(f"{len(apart) + 1} objects lie on the table: leave one object on it")
     x, y, width, height = cv2.boundingRect(outline)
     if x <= 0 or y <= 0 or x + width >= plane.size[0] or y + height >= plane.size[1]:
-        raise NotTraced("the object reaches the edge of what is seen: put it below the camera")
+        raise NotTraced("the object reaches the edge of the visible area: put it below the camera")
     filled = np.zeros(excess.shape, dtype=np.uint8)
     cv2.drawContours(filled, [outline], 0, (255,), cv2.FILLED)
     return filled, brighter
@@ -340,7 +340,8 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     place = _ACROSS[last] + (one - 0.5) / np.maximum(one - two, 1e-9) * (_ACROSS[1] - _ACROSS[0])
     if len(place) < 0.5 * count:
         raise NotTraced(
-            "the object's rim is not sharp: mend focus and light, so that it casts no hard shadow"
+            "the object's rim is not sharp: improve focus and light, so that it casts no "
+            "hard shadow"
         )
     return np.asarray(rough[good] + place[:, None] * outward[good])
 

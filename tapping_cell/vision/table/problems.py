@@ -62,16 +62,18 @@ def _contradiction(table: TableTracker) -> str:
     names = ", ".join(map(str, table.used))
     if table.apart:
         return (
-            f"the reference markers {names} no longer lie to each other as they did: one of them "
-            "was moved; put it back, or measure the table again and configure again"
+            f"the reference markers {names} have changed their relative positions: one of "
+            "them was moved; put it back, or measure the table again and configure again"
         )
     if table.error > table.settings.displaced:
         return (
-            f"the reference markers {names} do not lie as the table file says: after the best fit "
-            f"by up to {table.error:.1f} pixels beside it (limit {table.settings.displaced:.1f}); "
-            "check their places, angles and sizes in the file and on the table"
+            f"the reference markers {names} do not match the table file: after the best fit "
+            f"they are off by up to {table.error:.1f} pixels (limit "
+            f"{table.settings.displaced:.1f}); check their positions, angles and sizes in the "
+            "file and on the table"
         )
     return (
-        f"the sides of the reference markers {names} look {2.0 * table.bloom:+.1f} pixels longer "
-        "than the table file's places and sizes let expect; check the sizes (of the black squares)"
+        f"the sides of the reference markers {names} appear {2.0 * table.bloom:+.1f} pixels longer "
+        "than expected from the table file's positions and sizes; check the "
+        "sizes (of the black squares)"
     )

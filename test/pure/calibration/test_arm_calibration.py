@@ -132,7 +132,7 @@ def test_what_the_poses_do_not_tell_is_held_and_said() -> None:
     [
         (lambda rows: rows[:5], "too few"),
         (lambda rows: np.repeat(rows[:1], 12, axis=0), "1 different poses"),
-        (lambda rows: rows[:, [1, 0, 2, 4, 3, 5]], "fit no arm|agree"),
+        (lambda rows: rows[:, [1, 0, 2, 4, 3, 5]], "no arm|consistent"),
     ],
 )
 def test_records_that_do_not_do_are_refused_in_words(change, words: str) -> None:
@@ -157,7 +157,7 @@ def test_the_verb_refuses_wrong_units_and_keeps_the_file(tmp_path: Path, capsys)
     assert main(["calibrate", "arm", str(record), *words]) == 2
     noisy = write(tmp_path / "noisy.csv", simulated(2, noise=4.0)[2])
     assert main(["calibrate", "arm", str(noisy), *words, "--force"]) == 2
-    assert "better and stays" in capsys.readouterr().err
+    assert "better and was kept" in capsys.readouterr().err
     assert output.read_text() == before
     assert main(["calibrate", "arm", str(noisy), *words, "--force", "--accept-worse"]) == 0
     assert output.read_text() != before

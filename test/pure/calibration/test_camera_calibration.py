@@ -99,7 +99,7 @@ def flat_views() -> list[TargetView]:
     [
         (lambda: views_of(4, count=5)[1], "too few"),
         (lambda: [views_of(4, count=1)[1][0]] * 20, "duplicate"),
-        (flat_views, "straight on"),
+        (flat_views, "faces the camera"),
     ],
 )
 def test_sets_that_do_not_do_are_refused_in_words(views, words: str) -> None:

@@ -49,7 +49,7 @@ def test_semicolons_and_a_byte_order_mark_are_read(tmp_path: Path) -> None:
         ("inf,1", "not a finite number"),
         (",1", "x is '', not a number"),
         ("250,1", "x is 250, outside -3 to 3"),
-        ("0.25", "has 1 cells where the header has 2"),
+        ("0.25", "has 1 cells, but the header has 2"),
         ("0.25,1,9", "has 3 cells"),
     ],
 )

@@ -168,7 +168,7 @@ def test_the_design_is_kept_and_never_overwritten(tmp_path: Path) -> None:
     assert read_design(tmp_path / "new") == design
     with pytest.raises(RecordError, match="--resume"):
         write_design(tmp_path / "new", Design())
-    with pytest.raises(RecordError, match="no experiment"):
+    with pytest.raises(RecordError, match="contains no"):
         read_design(tmp_path)
     (tmp_path / "new" / "design.yaml").write_text("speeds: [0.5]\ntrials: many\n")
     with pytest.raises(RecordError, match="trials"):

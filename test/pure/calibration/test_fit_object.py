@@ -91,7 +91,7 @@ def test_a_better_file_stays(records, fit, tmp_path, capsys):
     worse = write(tmp_path / "noisy", taps(noise=(0.05, 0.2), trials=4))
     assert main(["fit", str(worse), "--output", str(output), "--force"]) == 2
     said = capsys.readouterr().err
-    assert "better and stays" in said
+    assert "better and was kept" in said
     assert "torque factor" in said
     assert output.read_bytes() == before
     assert main(["fit", str(worse), "--output", str(output), "--force", "--accept-worse"]) == 0

@@ -48,9 +48,9 @@ def test_a_picture_becomes_an_object_file(
     assert content.mass == pytest.approx(0.0648, rel=0.03)
     # What is there is not written over, and what the picture contradicts is refused.
     assert main([*words, "--output", str(made)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert main([*words, "--ring", "--output", str(tmp_path / "ring.yaml")]) == 2
-    assert "the picture shows a polygon" in capsys.readouterr().err
+    assert "the image shows a polygon" in capsys.readouterr().err
 
 
 def test_goals_that_measure_an_object_stay_about_its_place_and_turn_back_and_forth() -> None:

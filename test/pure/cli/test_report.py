@@ -75,4 +75,4 @@ def test_what_is_no_run_is_refused_in_words(
     (tmp_path / "text.mcap").write_text("hello")
     assert main(["report", str(tmp_path / "text.mcap"), str(runs / "good")]) == 1
     told = " ".join(capsys.readouterr().err.split())
-    assert "is this a run folder?" in told and "no MCAP file" in told
+    assert "is this a run folder?" in told and "not an MCAP file" in told

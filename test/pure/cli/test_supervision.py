@@ -22,7 +22,7 @@ class FakeGraph:
         del self.down[name]
         self.started.append(name)
 
-    def end(self, name: str, status: int = -9, words: str = "it said nothing") -> None:
+    def end(self, name: str, status: int = -9, words: str = "it printed nothing") -> None:
         self.down[name] = Ended(name, status, words)
 
 

@@ -13,7 +13,7 @@ from tapping_cell.configuration.files import shared_folder
 LONGEST_S = 2.0
 """Of processor time: the machine may be busy with something else."""
 WRONG: list[tuple[str, str]] = [
-    ("", "which verb?"),
+    ("", "no verb was given"),
     ("dance", "there is no verb 'dance'"),
     ("gaol 1 2 3", "did you mean 'goal'?"),
     ("--planner exact", "there is no verb '--planner'"),
@@ -28,9 +28,9 @@ WRONG: list[tuple[str, str]] = [
     ("goal 1 2 3 --tolerance -1 1", "limits 0 to 1000"),
     ("goal 1 2 3 --tolerence 1 1", "did you mean '--tolerance'?"),
     ("goal 1 2 3 --wait -1", "limits 0 to 3600"),
-    ("goal 1 2 3 --namespace bad-name!", "'bad-name!' is no ROS namespace"),
-    ("goal 1 2 3 --namespace 9lives", "no ROS namespace"),
-    ("up --namespace a//b", "no ROS namespace"),
+    ("goal 1 2 3 --namespace bad-name!", "'bad-name!' is not a ROS namespace"),
+    ("goal 1 2 3 --namespace 9lives", "not a ROS namespace"),
+    ("up --namespace a//b", "not a ROS namespace"),
     ("up --planner guess", "no planning method 'guess'"),
     ("up --planner guess", "(404)"),
     ("up --seed -1", "limits 0 to 2147483647"),

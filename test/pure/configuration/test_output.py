@@ -63,7 +63,7 @@ def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> N
         ({"dialect": "board", "output": None}, "'tapper.port' is missing"),
         ({"output": SECTION | {"pulses": [0.01, 0.02]}}, "2 values, tapper.energies has 3"),
         ({"output": SECTION | {"pulses": [0.01, 0.01, 0.02]}}, "must increase"),
-        ({"output": SECTION | {"pulses": [0.01, 0.05, 0.08]}}, "promises to stand still"),
+        ({"output": SECTION | {"pulses": [0.01, 0.05, 0.08]}}, "stands still for at most"),
         ({"output": SECTION | {"name": "set_output"}}, "must be a full name"),
         ({"output": SECTION | {"guard": ""}}, "must be a full name"),
         ({"output": SECTION | {"interface": "gpio"}}, "service, topic, commands, pulse"),

@@ -38,7 +38,7 @@ def folder(tmp_path: Path) -> Path:
     (folder / "b.png").write_bytes((folder / "a.png").read_bytes()[:60])
     cv2.imwrite(str(folder / "c.jpg"), cv2.cvtColor(grey(90), cv2.COLOR_GRAY2BGR))
     cv2.imwrite(str(folder / "d.png"), grey(120).astype(np.uint16) * 257)
-    (folder / "e.txt").write_text("no picture")
+    (folder / "e.txt").write_text("no image")
     return folder
 
 
@@ -90,12 +90,12 @@ def test_a_folder_whose_pictures_vanish_while_it_begins_again_has_not_ended(fold
         source.read()
     for file in folder.iterdir():
         file.write_bytes(b"")  # still listed, but not to be read
-    with pytest.raises(CameraSourceError, match="no picture that can be decoded"):
+    with pytest.raises(CameraSourceError, match="no image that can be decoded"):
         source.read()
 
 
 def test_a_folder_without_pictures_and_one_with_broken_ones_only(tmp_path):
-    with pytest.raises(CameraSourceError, match="holds no pictures"):
+    with pytest.raises(CameraSourceError, match="contains no images"):
         open_source(str(tmp_path), FAST)
     (tmp_path / "x.png").write_bytes(b"\x89PNG broken")
     with pytest.raises(CameraSourceError, match="can be decoded"):

@@ -372,7 +372,7 @@ def test_a_moving_arm_is_not_homed(cell: Cell) -> None:
     points = straight_points(START, [StraightMove(GOAL, 60.0)], GEOMETRY.max_acceleration)
     cell.controller.take(NAMES, points, cell.time)
     cell.sleep(0.2)
-    with pytest.raises(HardwareFault, match="wait until it stands"):
+    with pytest.raises(HardwareFault, match="wait until it stops"):
         cell.driver.home(HomingStrategy.NONE)
 
 

@@ -270,11 +270,11 @@ URDF = (Path(__file__).parents[3] / "examples" / "six_axis_cell" / "six_axis_arm
 @pytest.mark.parametrize(
     ("text", "base", "tip", "names", "words"),
     [
-        ("<robot", "base_link", "flange", NAMES, "no XML"),
+        ("<robot", "base_link", "flange", NAMES, "not XML"),
         ("<robot xmlns:xacro='a'><xacro:arm/></robot>", "a", "b", NAMES, "xacro FILE"),
         (URDF, "base_link", "tool0", NAMES, "its links are base_link"),
         (URDF, "base_link", "flange", NAMES[:5], "in this order"),
-        (URDF.replace('velocity="7.5"', ""), "base_link", "flange", NAMES, "limit with velocity"),
+        (URDF.replace('velocity="7.5"', ""), "base_link", "flange", NAMES, "velocity limit"),
         (URDF.replace('"revolute"', '"floating"', 1), "base_link", "flange", NAMES, "floating"),
     ],
 )

@@ -369,7 +369,7 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
     cell.network.leave("panel")
     cell.run(0.5)
     first = cell.call("~/clear_fault")
-    assert not first.success and "vanished without releasing it" in first.message
+    assert not first.success and "disappeared without releasing it" in first.message
     assert cell.last.state == ArmState.STOPPED
     assert cell.call("~/clear_fault").success
     cell.wait_state(ArmState.NOT_HOMED)

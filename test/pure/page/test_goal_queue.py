@@ -77,10 +77,10 @@ def test_what_does_not_fit_is_refused_in_words() -> None:
     for number in range(MOST_WAITING):
         queue.add(Wanted(Pose(0.0, 0.0, 0.0)))
         names.keep(f"place {number}", Pose(0.0, 0.0, 0.0))
-    with pytest.raises(QueueFull, match="50 goals wait already"):
+    with pytest.raises(QueueFull, match="50 goals are already waiting"):
         queue.add(Wanted(Pose(0.0, 0.0, 0.0)))
     assert MOST_NAMES == MOST_WAITING
-    with pytest.raises(QueueFull, match="50 goals have names"):
+    with pytest.raises(QueueFull, match="50 goals already have names"):
         names.keep("one more", Pose(0.0, 0.0, 0.0))
     names.keep("place 0", Pose(1.0, 0.0, 0.0))
     assert names.rows()[0] == ("place 0", Pose(1.0, 0.0, 0.0))

@@ -244,7 +244,7 @@ def test_any_pixel_and_any_pose_gets_numbers_or_a_sentence(a: float, b: float, c
         try:
             json.dumps(made.answer(request), allow_nan=False)
         except BadRequest as refused:
-            assert "no table" in str(refused)
+            assert "not on the table" in str(refused)
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def among(space):
 
 
 @pytest.fixture(scope="module")
-def room(among):
+def free_space(among):
     return FreeSpace(among)
 
 
@@ -46,16 +46,16 @@ def rim(area):
     return np.concatenate([a + share * (b - a) for a, b in sides])
 
 
-def test_no_slide_and_no_striker_touches_another_object(tap, settings, among, room):
+def test_no_slide_and_no_striker_touches_another_object(tap, settings, among, free_space):
     planner = make_planner("exact", settings)
     rims = np.concatenate([rim(SQUARE), rim(DISK)])
     rng = np.random.default_rng(5)
     strikes = 0
     for _ in range(120):
         start, goal = (rng.uniform((-0.2, -0.14, -3), (0.2, 0.14, 3)) for _ in range(2))
-        if not (room.contains(start[:2]) and room.contains(goal[:2])):
+        if not (free_space.contains(start[:2]) and free_space.contains(goal[:2])):
             continue
-        decision = PositioningSession(goal, planner, among, room).decide(start)
+        decision = PositioningSession(goal, planner, among, free_space).decide(start)
         if not isinstance(decision, Strike):
             continue
         strikes += 1
@@ -80,17 +80,17 @@ def test_an_object_that_comes_and_goes_changes_the_answer_and_is_named(
     first = session.decide(pose)
     assert isinstance(first, Strike) and not first.detour
     full = space.among((CircleArea(0.15, 0.05, 0.03, "cup"),))
-    session.use_room(full, FreeSpace(full))
+    session.use_free_space(full, FreeSpace(full))
     refusal = session.decide(pose)
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.GOAL_IN_KEEP_OUT
     assert "'cup'" in refusal.sentence and "20.0 mm" in refusal.sentence
     wall = PolygonArea(((0.02, -0.22), (0.04, -0.22), (0.04, 0.22), (0.02, 0.22)), "ruler")
     shut = space.among((wall,))
-    session.use_room(shut, FreeSpace(shut))
+    session.use_free_space(shut, FreeSpace(shut))
     refusal = session.decide(pose)
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.NO_PATH_TO_GOAL
     assert "'ruler'" in refusal.sentence
-    session.use_room(space, free)
+    session.use_free_space(space, free)
     assert session.decide(pose) == first
     assert space.workspace.keep_outs == ()
 

@@ -66,5 +66,5 @@ def test_other_packages_add_methods_by_an_entry_point(foreign_package):
     assert type(make_planner("exact")).__module__.startswith("tapping_cell.")
     with pytest.raises(PlanningError, match=r"'broken' \(foreign_planner:missing\)"):
         make_planner("broken")
-    with pytest.raises(PlanningError, match="made a int"):
+    with pytest.raises(PlanningError, match="returned a int"):
         make_planner("nothing")

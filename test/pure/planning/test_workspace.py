@@ -45,9 +45,9 @@ def test_a_circle_and_a_polygon_of_many_corners_agree(x, y):
 
 def test_room_is_what_edges_and_keep_outs_leave():
     table = Workspace(keep_outs=(CircleArea(0.1, 0.0, 0.02),))
-    assert float(table.object_room([0.0, 0.0])) == pytest.approx(0.1 - 0.02 - 0.005)
-    assert float(table.object_room([-0.25, 0.0])) == pytest.approx(0.05 - 0.005)
-    assert float(table.striker_room([-0.4, 0.0])) == pytest.approx(0.15 - 0.1)
+    assert float(table.object_clearance([0.0, 0.0])) == pytest.approx(0.1 - 0.02 - 0.005)
+    assert float(table.object_clearance([-0.25, 0.0])) == pytest.approx(0.05 - 0.005)
+    assert float(table.striker_clearance([-0.4, 0.0])) == pytest.approx(0.15 - 0.1)
 
 
 @pytest.mark.parametrize(

@@ -266,9 +266,9 @@ def test_a_message_of_an_unknown_topic_or_a_closed_bag_is_refused(tmp_path: Path
 def test_what_is_no_bag_is_refused_in_words(tmp_path: Path) -> None:
     for name, content in (("a.mcap", b"hello"), ("b.mcap", b""), ("c.mcap", b"\x89MCAP0\r\n")):
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(BagError, match="no MCAP"):
+    with pytest.raises(BagError, match="not an MCAP"):
         read_bag(tmp_path / "a.mcap")
-    with pytest.raises(BagError, match="no MCAP"):
+    with pytest.raises(BagError, match="not an MCAP"):
         read_bag(tmp_path / "b.mcap")
     assert read_bag(tmp_path / "c.mcap").messages == ()
     with pytest.raises(BagError, match="3 of them"):

@@ -64,7 +64,7 @@ def test_the_truth_and_the_gains_count_and_the_generator_decides() -> None:
 def test_goals_are_reached_in_a_world_that_the_files_do_not_describe() -> None:
     truth = replace(
         PLAIN,
-        support=SupportTruth(friction_factor=0.6, torque_factor_factor=0.6, pressure="rim"),
+        support=SupportTruth(friction_factor=0.6, torque_factor_ratio=0.6, pressure="rim"),
         scatter=ScatterTruth(0.02, 0.1, 0.01),
     )
     settings = PlannerSettings.for_tap(TAP)

@@ -90,8 +90,8 @@ class Settings {
     hold.hidden = !queue.running;
     run.disabled = !connected || Boolean(state.blocked);
     hold.disabled = !connected;
-    const words = count ? `${count} ${count === 1 ? "goal waits" : "goals wait"}. ${queue.running ? "The next one follows when this one is reached." : queue.held}`
-      : queue.running ? "The last goal of the queue is under way." : "No goal waits.";
+    const words = count ? `${count} ${count === 1 ? "goal is waiting" : "goals are waiting"}. ${queue.running ? "The next one follows when this one is reached." : queue.held}`
+      : queue.running ? "The last goal of the queue is active." : "No goal is waiting.";
     setText(document.getElementById("queue-words"), words);
     const key = JSON.stringify([queue.rows, connected]);
     if (key === this.rows) return;

@@ -14,7 +14,7 @@ from tapping_cell.planning import (
 )
 
 
-class TapRoom:
+class TapFeasibility:
     """Clearance for taps around the middle of a cell's table."""
 
     def __init__(self, cell: Cell) -> None:
