@@ -31,6 +31,7 @@ LONG_SECTIONS = (
     "cycle",
     "demos",
     "disarm",
+    "fixed-cycle",
     "idle",
     "lack-of-fit",
     "lost-nodes",
@@ -75,8 +76,9 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="scenes of arrangements, experiments of calibration and lack-of-fit, demos a truth, "
-        "goals of cycle, losses of disarm, freezes of a node of lost-nodes, trials of precision, "
-        "scenes of outline, scenes or frames of vision*, seconds of node and idle",
+        "goals of cycle and fixed-cycle, losses of disarm, freezes of a node of lost-nodes, "
+        "trials of precision, scenes of outline, scenes or frames of vision*, seconds of node and "
+        "idle",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

@@ -26,7 +26,7 @@ from rich.console import Console
 from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapCommand, TapperState
 
 from tapping_cell.cli import session
-from tapping_cell.cli.graph import SIMULATED, Graph, own_domain, with_own_ports
+from tapping_cell.cli.graph import Graph, nodes_of, own_domain, with_own_ports
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
@@ -250,18 +250,26 @@ def in_virtual_time(count: int) -> Stopwatch:
     return watch
 
 
-def in_graph(count: int) -> Stopwatch:
-    """Measure goals in the cell whose nodes are processes."""
-    domain = own_domain()
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    watch = Stopwatch(load_cell().arm.travel_height)
+def in_graph(
+    count: int, next_goal: Callable[[Pose, int], Pose] | None = None, cell_file: Path | None = None
+) -> Stopwatch:
+    """Measure goals in a cell whose nodes are processes.
+
+    ``next_goal`` returns a goal from the object's pose and the goal's number (default: the
+    published task). ``cell_file``: default is the package's cell.
+    """
+    own_domain().use()
+    cell = load_cell(cell_file)
+    watch = Stopwatch(0.0 if cell.file.arm is None else cell.arm.travel_height)
     quiet = Console(file=io.StringIO())
+    nodes = nodes_of(cell, hardware=False)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        parameters: dict[str, dict[str, object]] = {node: {} for node in SIMULATED}
+        parameters: dict[str, dict[str, object]] = {
+            node: {"cell_file": cell.path} for node in nodes
+        }
         with (
-            Graph(SIMULATED, with_own_ports(parameters, folder), folder / "logs") as graph,
+            Graph(nodes, with_own_ports(parameters, folder), folder / "logs") as graph,
             GoalClient("cycle_bench") as client,
         ):
             for topic, (kind, quality) in TOPICS.items():
@@ -269,7 +277,7 @@ def in_graph(count: int) -> Stopwatch:
             for number in range(count):
                 session.wait_until_ready(client, READY_PATIENCE_S, graph.check, quiet)
                 look = client.object_state
-                client.send(_goal(client.object_pose(), number), look=look)
+                client.send((next_goal or _goal)(client.object_pose(), number), look=look)
                 session.follow(client, graph.check, quiet)
     return watch
 

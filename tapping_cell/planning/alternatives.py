@@ -13,6 +13,7 @@ from tapping_cell.mechanics import Polygon, Tap
 from tapping_cell.planning.free_space import PathLengths
 from tapping_cell.planning.gains import Gains, command_of, prediction_of
 from tapping_cell.planning.interface import Array, Planner
+from tapping_cell.planning.visited import VisitedPoses
 from tapping_cell.se2 import wrap_angle
 
 HEADINGS = 24
@@ -34,13 +35,15 @@ def alternative_taps(
     paths: PathLengths,
     tap: Tap,
     strikeable: Strikeable,
-) -> Iterator[Array]:
-    """Generate alternative displacements to command, in chunks of shape (n, 3), best first.
+    visited: VisitedPoses | None = None,
+) -> Iterator[Ranked]:
+    """Generate alternative displacements to command, in chunks, best first.
 
     The candidates cover all directions, several distances (shares of the method's own choice
     ``first`` and of the largest tap) and several rotations (shares of the cone). They are ranked by
     the number of taps that the method needs afterwards, with the distance along the path around
     obstacles. One more tap is added if the goal is near but not reachable by one possible tap.
+    ``visited``: poses that the object was tapped from before, whose costs were underestimated.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
@@ -50,6 +53,8 @@ def alternative_taps(
     for start in range(0, order.size, CHUNK):
         part = order[start : start + CHUNK]
         cost = made.cost[part] + indirect(made.after[part], goal, number, planner, strikeable)
+        if visited is not None:
+            cost += visited.extra(made.after[part], cost)
         waiting = np.concatenate([waiting, part])
         waiting_cost = np.concatenate([waiting_cost, cost])
         # Candidates that no later candidate can precede.
@@ -57,8 +62,16 @@ def alternative_taps(
         ready = waiting_cost <= made.cost[following].min(initial=np.inf)
         rank = np.argsort(waiting_cost[ready], kind="stable")
         if rank.size:
-            yield made.commanded[waiting[ready][rank]]
+            yield Ranked(made.commanded[waiting[ready][rank]], waiting_cost[ready][rank])
         waiting, waiting_cost = waiting[~ready], waiting_cost[~ready]
+
+
+class Ranked(NamedTuple):
+    """Displacements to command, (n, 3), and the estimated number of taps after each of them,
+    (n,)."""
+
+    commanded: Array
+    cost: Array
 
 
 class Candidates(NamedTuple):

@@ -35,17 +35,19 @@ COARSE, FINE = 0.5, 0.22
 FINE_DISTANCE = 2.0
 """Distance from the goal, in stopping boxes, within which the grid is almost uniform."""
 
-LENGTHS = 12
-"""Number of tap lengths, in geometric progression, that are tried in a state."""
+LENGTHS = (8, 12)
+"""Number of tap lengths, in geometric progression, that are tried in a state: on the coarse grid
+and on the finer ones."""
 
 OUTER = 0.020
 """Distance beyond the working area up to which states are solved, for objects that left it, m."""
 
-POINTS = 8
-"""Number of equally likely points that represent a tap's scatter while solving."""
+POINTS = (4, 8)
+"""Number of equally likely points that represent a tap's scatter while solving: on the coarse grid
+and on the finer ones."""
 
-IMPROVEMENTS = (6, 4)
-"""At most, on the coarse grid and on the fine one."""
+IMPROVEMENTS = (3, 4)
+"""Maximum number of policy improvements on the coarse grid and on the finer ones."""
 
 SWEEPS = 20
 SETTLED = 0.01
@@ -69,8 +71,13 @@ class Abandoned(Exception):
 
 
 def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
-    """Solve for a goal on the coarse grid: good enough far from it, in a fraction of the time."""
-    problem = _Problem(space, settings, np.asarray(goal, dtype=float), COARSE)
+    """Solve for a goal on the coarse grid: good enough far from it, in a fraction of the time.
+
+    Over 300 tasks each at three goals, first taps from this solution cost as many taps as first
+    taps from six improvements with 12 lengths and 8 points, which take three times as long.
+    """
+    place = np.asarray(goal, dtype=float)
+    problem = _Problem(space, settings, place, COARSE, LENGTHS[0], POINTS[0])
     return _solve_on(problem, IMPROVEMENTS[0], None)
 
 
@@ -87,7 +94,7 @@ def solve_finer(
         Abandoned: ``interrupted``, which is asked some hundred times a second, said so.
     """
     place = np.asarray(start.goal, dtype=float)
-    problem = _Problem(space, settings, place, step, interrupted)
+    problem = _Problem(space, settings, place, step, LENGTHS[1], POINTS[1], interrupted)
     problem.keep_promising(problem.start(start))
     return _solve_on(problem, IMPROVEMENTS[1], start)
 
@@ -138,6 +145,8 @@ class _Problem:
         settings: PlannerSettings,
         goal: Array,
         step: float,
+        lengths: int,
+        points: int,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
         self.goal = (float(goal[0]), float(goal[1]), float(goal[2]))
@@ -169,11 +178,13 @@ class _Problem:
         self.least = lines.least.astype(np.float32)
         most = np.minimum(lines.most, settings.largest_distance)
         self.most = np.maximum(most, lines.least).astype(np.float32)
-        self.points = scatter_points(settings, POINTS).astype(np.float32)
+        self.points = scatter_points(settings, points).astype(np.float32)
         self._make_axes(far + 2.0 * settings.largest_distance)
-        count = lines.usable.shape[1] * (LENGTHS + 2)
+        self._row = np.linspace(0.0, 1.0, lengths, dtype=np.float32)
+        self._per_tapper = lengths + 2
+        count = lines.usable.shape[1] * self._per_tapper
         self.kept = np.broadcast_to(np.arange(count), (self.rows.size, count))
-        """Indices of the compared taps: tapper * (LENGTHS + 2) + length."""
+        """Indices of the compared taps: tapper * (lengths + 2) + length."""
         self._after: Indices | None = None
 
     def _make_axes(self, most: float) -> None:
@@ -199,10 +210,10 @@ class _Problem:
         return value
 
     def _lengths(self, rows: slice) -> Singles:
-        """Lengths of all taps of the given states, (n, tappers, LENGTHS + 2), m."""
+        """Lengths of all taps of the given states, (n, tappers, lengths + 2), m."""
         least, most = self.least[rows, :, None], self.most[rows, :, None]
         heading, slope, error = self.heading[rows], self.slope[rows], self.error[rows]
-        row = least * (most / least) ** np.linspace(0.0, 1.0, LENGTHS, dtype=np.float32)
+        row = least * (most / least) ** self._row
         nearest = -(error[:, 0, None] * np.cos(heading) + error[:, 1, None] * np.sin(heading))
         turned = -error[:, 2, None] / np.where(np.abs(slope) < 1e-3, np.float32(np.inf), slope)
         own = np.stack([nearest, turned], axis=-1)
@@ -213,7 +224,7 @@ class _Problem:
         lengths = self._lengths(rows)
         kept = self.kept[rows]
         flat = lengths.reshape(lengths.shape[0], -1)
-        return kept // (LENGTHS + 2), np.take_along_axis(flat, kept, axis=1)
+        return kept // self._per_tapper, np.take_along_axis(flat, kept, axis=1)
 
     def _leads_to(
         self, rows: slice, tapper: NDArray[np.intp], length: Singles, points: Singles
@@ -259,7 +270,7 @@ class _Problem:
         if count <= PROMISING:
             return
         kept = np.empty((self.rows.size, PROMISING), dtype=np.intp)
-        few = self.points[: POINTS // 2]
+        few = self.points[: len(self.points) // 2]
         for rows in self._chunks(count * few.shape[0]):
             where = self._leads_to(rows, *self._taps(rows), few)
             mean = table[where].mean(axis=-1)
@@ -274,8 +285,8 @@ class _Problem:
         first = self._after is None
         count = self.kept.shape[1]
         if self._after is None:
-            self._after = np.empty((self.rows.size, count, POINTS), dtype=np.int32)
-        for rows in self._chunks(count * POINTS):
+            self._after = np.empty((self.rows.size, count, len(self.points)), dtype=np.int32)
+        for rows in self._chunks(count * len(self.points)):
             tapper, lengths = self._taps(rows)
             if first:
                 self._after[rows] = self._leads_to(rows, tapper, lengths, self.points)
@@ -304,8 +315,8 @@ class _Problem:
         turn = self.error[:, 2, None] + (length * slope)[:, None] * (1 + self.points[:, 1])
         turn -= np.float32(2.0 * math.pi) * np.rint(turn * np.float32(0.5 / math.pi))
         corners, weights, beyond = self._corners(x, y, turn)
-        share = 1.0 / POINTS
-        count = POINTS * 8
+        share = 1.0 / len(self.points)
+        count = len(self.points) * 8
         matrix = csr_array(
             (
                 (np.float32(share) * weights).reshape(-1).astype(float),

@@ -76,9 +76,10 @@ def check_goal(
             f"{table.nearest_keep_out(goal[:2])}; the "
             f"object needs {1e3 * (radius + table.keep_out_margin):.1f} mm; move the goal away",
         )
+    if free is not None and bool(free.contains(goal[:2])):
+        return None
     gap = float(widest_gap(space, goal[:2]))
-    workable = gap <= WIDEST_GAP if free is None else bool(free.contains(goal[:2]))
-    if not workable:
+    if free is not None or gap > WIDEST_GAP:
         return Refusal(
             RefusalReason.GOAL_OUT_OF_REACH,
             f"at the goal {place_text(goal)} the arm cannot tap from a range of "

@@ -26,6 +26,7 @@ from tapping_cell.planning.stopping import (
 )
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
+from tapping_cell.planning.visited import VisitedPoses
 from tapping_cell.se2 import Pose, wrap_angle
 
 MOST_TAPS = 100
@@ -209,7 +210,18 @@ class GoalSession(ABC):
                 f"the object's pose {pose.tolist()} is not three finite numbers; observe the "
                 "object again",
             )
-        left = self.residual(pose)
+        arrived = self.arrived(pose, covariance, look_again=look_again)
+        if arrived is not None:
+            return arrived
+        left, box = self.residual(pose), self.stopping(covariance)
+        return self._refusal_before_tap(pose, left, box) or self._next_tap(pose, left)
+
+    def arrived(
+        self, object_pose: ArrayLike, covariance: ArrayLike | None, *, look_again: bool
+    ) -> Done | LookAgain | None:
+        """Return whether the object is at the goal or may be, or None; arguments as for
+        ``decide``."""
+        left = self.residual(object_pose)
         box = self.stopping(covariance)
         residual = Pose(*left.tolist())
         probability = self._inside(left, covariance, box)
@@ -217,7 +229,7 @@ class GoalSession(ABC):
             return Done(residual, box)
         if look_again and probability >= WORTH_A_LOOK:
             return LookAgain(residual, probability)
-        return self._refusal_before_tap(pose, left, box) or self._next_tap(pose, left)
+        return None
 
     def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
         """Probability of being within the tolerance."""
@@ -302,6 +314,7 @@ class PositioningSession(GoalSession):
         self._adapt = adapt
         self._probes_left = MOST_PROBES if probe else 0
         self._most_taps = most_taps
+        self._visited = VisitedPoses(self.goal)
         self.use_free_space(space, FreeSpace(space) if free is None else free)
 
     def use_free_space(self, space: StrikeSpace, free: FreeSpace) -> None:
@@ -424,7 +437,7 @@ class PositioningSession(GoalSession):
         if missed and self._skipped and "skipped" not in detour:
             detour += "; another tap was skipped"
         allowed = struck = trusted = False
-        for candidates in alternative_taps(
+        for candidates, cost in alternative_taps(
             pose,
             self.goal,
             first,
@@ -433,12 +446,12 @@ class PositioningSession(GoalSession):
             self._paths,
             self._space.tap,
             self._space.strikeable,
+            self._visited,
         ):
             short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
             fits = short <= self._longest_tap() * (1.0 + 1e-9)
-            safe = candidates[
-                fits & _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
-            ]
+            fits &= _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
+            safe = candidates[fits]
             if safe.shape[0] == 0:
                 trusted = trusted or bool(np.any(self._ends_well(pose, candidates, trusting=True)))
                 continue
@@ -446,6 +459,7 @@ class PositioningSession(GoalSession):
             struck = struck or bool(np.any(self._space.tap.reachable(safe, pose)))
             found = self._space.first_strike(Pose(*pose.tolist()), safe)
             if found is not None:
+                self._visited.add(pose, 1.0 + float(cost[fits][found[0]]))
                 return self._made(pose, left, safe[found[0]], found[1], detour)
         if missed:
             return self._strike(pose, left, missed=())
@@ -578,9 +592,19 @@ class PositioningSession(GoalSession):
             return "the last tap in this direction did not move the object"
         if self._blocked(pose):
             return "the straight line to the goal is blocked"
+        if self._leads_back(pose, commanded):
+            return "the tap along the line leads to a place that did not lead on before"
         if bool(self._ends_well(pose, commanded[None, :])[0]):
             return ""
         return "the tap along the line might leave the table, enter a keep-out or end out of reach"
+
+    def _leads_back(self, pose: Array, commanded: Array) -> bool:
+        """Return whether a displacement (3,) ends where the goal was not reached as estimated."""
+        after = (pose + self.gains.predict(commanded, pose[2]))[None, :]
+        left = self.residual(after[0])
+        distance, turn, _ = self.gains.to_plan(left)
+        cost = np.atleast_1d(self.planner.taps_to_go(distance, turn))
+        return bool(self._visited.extra(after, cost)[0] >= 1.0)
 
     def _blocked(self, pose: Array) -> bool:
         """Return whether an obstacle blocks the straight line from the object to the goal."""

@@ -102,7 +102,7 @@ def story_of(bag: Bag, name: str) -> Story:
     final = after[-1] if after else None
     taps = _taps(records, bag, truths, began)
     # The goal's stamp is that of the observation it refers to, the time of sending, or zero.
-    start = _pose_at(seen, _seconds(last.goal.header.stamp) or began)
+    start = _start(seen, _seconds(last.goal.header.stamp) or began, taps)
     goal = _pose(last.goal.pose) if _is_pose(last.goal.pose) else None
     tolerance = (_finite(last.position_tolerance), _finite(last.angle_tolerance))
     final_measured = _pose(final[1].pose.pose) if final else None
@@ -229,6 +229,14 @@ def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
     before = [message for at, message in seen if at <= asked + _SAME_TIME_S]
     message = before[-1] if before else (seen[0][1] if seen else None)
     return None if message is None else _pose(message.pose.pose)
+
+
+def _start(seen: list[tuple[float, Any]], asked: float, taps: Sequence[TapRow]) -> Pose | None:
+    """Return the resting pose at the beginning of a run. If the recorder connected to the camera's
+    node only after the first tap, it is the pose for which that tap was planned."""
+    if taps and taps[0].number == 1 and all(at > asked + _SAME_TIME_S for at, _ in seen):
+        return taps[0].before
+    return _pose_at(seen, asked)
 
 
 def _truth_at(truths: list[tuple[float, Pose]], at: float) -> Pose | None:

@@ -74,6 +74,8 @@ class MadeRun:
     truth_off: float = 0.0001
     truth: bool = True
     namespace: str = ""
+    seen_before: bool = True
+    """Whether the recorder received an observation before the first tap."""
     troubles: list[tuple[float, int, str]] = field(default_factory=list)
     tolerance: tuple[float, float] = (0.001, math.radians(1.0))
 
@@ -96,7 +98,8 @@ class MadeRun:
         text = blank(KINDS[NOTES])
         text.data = json.dumps(notes)
         self.say(NOTES, -2.0, text)
-        self.see(self.stops[0], -1.0)
+        if self.seen_before:
+            self.see(self.stops[0], -1.0)
         records = []
         if not self.refused:
             self.plan(0.0, 1, [])

@@ -62,13 +62,16 @@ class Scene:
     """State of all objects on the table.
 
     bodies: all objects. poses: stationary pose of each object. finished: names of the objects at
-    their goals. excluded: moves as (name, purpose) for which no tap was possible in this state.
+    their goals. excluded: moves as (name, purpose) that are not to be chosen now, because no tap
+    was possible in this state or many taps did not finish them. buffers: targets of the earlier
+    moves out of the way, by name of the object.
     """
 
     bodies: Sequence[Body]
     poses: Mapping[str, Pose]
     finished: frozenset[str] = frozenset()
-    excluded: frozenset[tuple[str, Purpose]] = field(default_factory=frozenset)
+    excluded: frozenset[tuple[str, Purpose]] = frozenset()
+    buffers: Mapping[str, Sequence[Pose]] = field(default_factory=dict)
 
 
 class ArrangementPlanner(Protocol):

@@ -42,6 +42,10 @@ The tool needs this space, and a polygon can be tapped along only a few lines.""
 CROWDED = 2.0
 """Extra cost, in taps, of a buffer place directly beside an open goal."""
 
+AGAIN = 1.0
+"""Extra cost, in taps, of each earlier move of the object out of the way, because it did not help
+enough; twice that close to the earlier buffer place."""
+
 NARROW = 0.03
 """Gap to another object below which a buffer place has an extra cost of up to one tap, m."""
 
@@ -69,7 +73,11 @@ class SequencePlanner:
             and (option := self._to_goal(scene, body)) is not None
         ]
         if options:
-            return min(options, key=lambda option: option.cost).move
+            options.sort(key=lambda option: option.cost)
+            return next(
+                (each.move for each in options if self._keeps_open(scene, each.move, options)),
+                options[0].move,
+            )
         return self._make_way(scene) or self._refusal(scene)
 
     def _to_goal(self, scene: Scene, body: Body) -> _Option | None:
@@ -91,6 +99,20 @@ class SequencePlanner:
         # For equal costs prefer the shortest path, which other objects are least likely to block.
         cost = around - FREED * freed + path
         return _Option(cost, Move(body.name, goal, Purpose.TO_GOAL))
+
+    def _keeps_open(self, scene: Scene, move: Move, options: Sequence[_Option]) -> bool:
+        """Return whether the other possible moves stay possible after a move."""
+        poses = {**scene.poses, move.name: move.target}
+        for body in scene.bodies:
+            if body.name == move.name or not any(each.move.name == body.name for each in options):
+                continue
+            others = areas_of(scene.bodies, poses, [body.name])
+            assert body.goal is not None
+            if not self._maps.fits(body, others, body.goal) or not math.isfinite(
+                self._maps.path(body, others, poses[body.name], body.goal)
+            ):
+                return False
+        return True
 
     def _leaves_a_way(self, scene: Scene, body: Body) -> bool:
         left = [other for other in _open(scene) if other is not body]
@@ -156,6 +178,9 @@ class SequencePlanner:
         if places.shape[0] == 0:
             return None
         cost = _buffer_cost(body, pose, places, others)
+        for earlier in scene.buffers.get(body.name, ()):
+            near = np.hypot(places[:, 0] - earlier.x, places[:, 1] - earlier.y) < TOOL_CLEARANCE
+            cost = cost + AGAIN * (1.0 + near)
         for other in _open(scene):
             if other is not body and other.goal is not None:
                 away = np.hypot(places[:, 0] - other.goal.x, places[:, 1] - other.goal.y)

@@ -8,6 +8,7 @@ session plans again if an object was touched, was pushed by hand or cannot be mo
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -23,7 +24,7 @@ from tapping_cell.planning.arrangement.interface import (
     Scene,
 )
 from tapping_cell.planning.arrangement.layout import check_layout
-from tapping_cell.planning.arrangement.sequence import BUFFER_SLACK, SequencePlanner
+from tapping_cell.planning.arrangement.sequence import BUFFER_SLACK, SequencePlanner, taps
 from tapping_cell.planning.exact import ExactPlanner
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import Gains
@@ -34,6 +35,7 @@ from tapping_cell.planning.session import (
     LookAgain,
     PositioningSession,
     Strike,
+    noise_of,
 )
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.se2 import Pose
@@ -47,7 +49,17 @@ TOUCHED = 0.002
 SETTLED = 0.0005
 """Displacement up to which another object counts as stationary, so that the map is reused, m."""
 
+STILL = 4.0
+"""Displacement of an object at its goal, in standard deviations of the observations' difference, up
+to which it counts as unmoved."""
+
 MOST_TAPS_EACH = 60
+
+PATIENCE = 6
+"""Consecutive taps of one move without progress after which another move is tried first."""
+
+PROGRESS = 0.25
+"""Decrease of the estimated number of remaining taps that counts as progress."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +133,11 @@ class ArrangementSession:
         self._most_taps = MOST_TAPS_EACH * max(1, goals) if most_taps is None else most_taps
         self._checked = False
         self._excluded: frozenset[tuple[str, Purpose]] = frozenset()
+        self._stalled: frozenset[tuple[str, Purpose]] = frozenset()
+        self._buffers: dict[str, tuple[Pose, ...]] = {}
+        self._confirmed: dict[str, Pose] = {}
+        self._best = math.inf  # smallest estimate of the remaining taps of the current move
+        self._in_vain = 0  # consecutive taps of the current move without progress
         self._session: PositioningSession | None = None
         self._session_move: Move | None = None
         self._session_map: FreeSpace | None = None
@@ -162,13 +179,16 @@ class ArrangementSession:
                 return refusal
             self._checked = True
         if self._notice_contacts(poses):
-            self.move, self._excluded = None, frozenset()
+            self.move, self._excluded, self._stalled = None, frozenset(), frozenset()
+            for name in self.touched:
+                self._confirmed.pop(name, None)
         for _ in range(4 * len(self.bodies) + 4):
             if self.move is None:
                 chosen = self._choose(seen, poses, look_again)
                 if not isinstance(chosen, Move):
                     return chosen
-                self.move = chosen
+                self._begin(chosen)
+                assert self.move is not None
             decision = self._step(self.move, seen[self.move.name], look_again)
             if decision is not None:
                 return decision
@@ -182,10 +202,32 @@ class ArrangementSession:
         """Learn from a fired tap, given the stationary object before and after it."""
         self.taps[tap.name] += 1
         self._tapped = tap.name
+        self._confirmed.pop(tap.name, None)
         self._excluded = frozenset()
+        # What an object could not do may be possible once another one has moved.
+        self._stalled = frozenset(each for each in self._stalled if each[0] == tap.name)
+        self._in_vain += 1
         if self._session is not None and self.move == tap.move:
             self._session.observe(tap.strike, before.pose, after.pose, after.covariance)
             self.gains[tap.name] = self._session.gains
+
+    def _begin(self, move: Move) -> None:
+        """Make a move the current one."""
+        self.move = move
+        self._best, self._in_vain = math.inf, 0
+        if move.purpose is Purpose.MAKE_WAY:
+            self._buffers[move.name] = (*self._buffers.get(move.name, ()), move.target)
+
+    def _progresses(self, move: Move, pose: Pose) -> bool:
+        """Return whether the taps of a move have brought its object closer to the target lately."""
+        body = self._by_name[move.name]
+        others = areas_of(self.bodies, self._settled, [move.name])
+        path = self._maps.path(body, others, pose, move.target)
+        turn = 0.0 if move.purpose is Purpose.MAKE_WAY else pose.rotation_to(move.target)
+        left = taps(body, path, turn) if math.isfinite(path) else math.inf
+        if left <= self._best - PROGRESS:
+            self._best, self._in_vain = left, 0
+        return self._in_vain < PATIENCE
 
     def _residual(self, name: str, pose: Pose) -> Pose:
         goal = self._by_name[name].goal
@@ -210,11 +252,15 @@ class ArrangementSession:
         for body in self.bodies:
             if body.goal is None:
                 continue
-            decision = self._alone(body).decide(
+            if self._still_at_goal(body, seen[body.name]):
+                done.add(body.name)
+                continue
+            decision = self._alone(body).arrived(
                 seen[body.name].pose, seen[body.name].covariance, look_again=look_again
             )
             if isinstance(decision, Done):
                 done.add(body.name)
+                self._confirmed[body.name] = poses[body.name]
             elif isinstance(decision, LookAgain):
                 return LookLonger(body.name, decision)
         self.finished = frozenset(done)
@@ -226,15 +272,37 @@ class ArrangementSession:
                 f"{sum(self.taps.values())} taps did not bring all objects to their goals, the "
                 f"limit is {self._most_taps}",
             )
-        return self._planner.next_move(self._scene())
+        chosen = self._planner.next_move(self._scene(self._excluded | self._stalled))
+        if isinstance(chosen, Refusal) and self._stalled:
+            self._stalled = frozenset()
+            chosen = self._planner.next_move(self._scene(self._excluded))
+        return chosen
 
-    def _scene(self) -> Scene:
-        excluded = self._excluded
+    def _still_at_goal(self, body: Body, seen: Observation) -> bool:
+        """Return whether an object that was confirmed at its goal is still measured there.
+
+        The confirmation holds until the object moves: a single noisy observation does not take it
+        back, which would cost a tap.
+        """
+        confirmed = self._confirmed.get(body.name)
+        if confirmed is None or body.goal is None:
+            return False
+        settings, pose = body.planner.settings, seen.pose
+        noise = settings.camera if seen.covariance is None else noise_of(seen.covariance)
+        same = math.sqrt(2.0) * STILL
+        return (
+            confirmed.distance_to(pose) <= same * noise.position
+            and abs(confirmed.rotation_to(pose)) <= same * noise.angle
+            and pose.distance_to(body.goal) <= settings.tolerance_position
+            and abs(pose.rotation_to(body.goal)) <= settings.tolerance_angle
+        )
+
+    def _scene(self, excluded: frozenset[tuple[str, Purpose]]) -> Scene:
         due = [name for name in self._order if name not in self.finished]
         if due:
             later = {b.name for b in self.bodies if b.goal is not None} - {due[0]}
             excluded |= {(name, Purpose.TO_GOAL) for name in later}
-        return Scene(self.bodies, self._settled, self.finished, excluded)
+        return Scene(self.bodies, self._settled, self.finished, excluded, self._buffers)
 
     def _alone(self, body: Body) -> PositioningSession:
         """Return a session that only checks the goal and therefore ignores the other objects."""
@@ -261,12 +329,18 @@ class ArrangementSession:
         elif self._session_map is not free:
             self._session.use_free_space(free.space, free)
         self._session_move, self._session_map = move, free
+        # An object that makes way need not be seen as well as one at its goal.
+        look_again = look_again and move.purpose is Purpose.TO_GOAL
         decision = self._session.decide(seen.pose, seen.covariance, look_again=look_again)
         if isinstance(decision, Done):
             self.move = None
             return None
         if isinstance(decision, LookAgain):
             return LookLonger(body.name, decision)
+        if isinstance(decision, Strike) and not self._progresses(move, seen.pose):
+            self._stalled |= {(body.name, move.purpose)}
+            self.move = None
+            return None
         if isinstance(decision, Strike):
             return TapOf(body.name, decision, move)
         if decision.reason is RefusalReason.CAMERA_TOO_COARSE:

@@ -67,7 +67,7 @@ def test_the_choice_is_that_of_a_session():
     for row in rows:
         one = gains.of(np.array(row))
         paths = StraightPaths(goal[row])
-        for taps in alternative_taps(
+        for taps, _ in alternative_taps(
             pose[row],
             goal[row],
             first[row],

@@ -221,6 +221,12 @@ def test_the_bag_of_a_killed_recorder_tells_the_run_as_far_as_it_goes(tmp_path: 
     assert (run.outcome, len(run.taps), run.error_code) == ("unfinished", 2, 906)
 
 
+def test_a_recorder_that_saw_the_object_only_after_a_tap_knows_the_start(tmp_path: Path) -> None:
+    made = MadeRun(STOPS, seen_before=False)
+    run = read_story(made.write(tmp_path / "run") / "bag").run
+    assert run.start == pytest.approx(STOPS[0])
+
+
 def test_a_bag_without_a_goal_is_refused_in_words(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS[:1], told_end=False, refused=True))
     with pytest.raises(BagError, match="no goal was recorded"):

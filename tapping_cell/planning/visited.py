@@ -1,0 +1,56 @@
+"""Memory of the poses from which a goal was not reached yet, against going round in circles.
+
+The ranking of alternative taps looks one tap ahead. Where the way that it estimates is not
+possible, for example because a polygon cannot be struck along it, the best tap may lead to a pose
+whose best tap leads back. Learning real-time A* (Korf, Artificial Intelligence 42, 1990) escapes:
+each visited pose keeps the cost that the best tap promised from there, and a tap that would end
+near the pose costs at least as much. Every further visit raises the cost, until another tap is
+cheaper.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tapping_cell.planning.interface import Array
+from tapping_cell.se2 import wrap_angle
+
+RADIUS = 0.008
+"""Distance from a visited pose within which its cost holds, m. A slide of 80 mm scatters by half
+of it."""
+
+SHARE = 0.5
+"""The same as a share of the distance from the goal, so that taps close to the goal stay
+possible."""
+
+ANGLE = math.radians(15.0)
+"""Rotation from a visited pose within which its cost holds, rad."""
+
+
+class VisitedPoses:
+    """Poses that were tapped from, each with the number of taps that it cost at least."""
+
+    def __init__(self, goal: Array) -> None:
+        self._goal = goal
+        self._poses: Array = np.zeros((0, 3))
+        self._costs: Array = np.zeros(0)
+
+    def add(self, pose: Array, cost: float) -> None:
+        """Store that the best tap from ``pose`` promises the goal after ``cost`` taps in all."""
+        self._poses = np.vstack([self._poses, pose])
+        self._costs = np.append(self._costs, cost)
+
+    def extra(self, poses: Array, cost: Array) -> Array:
+        """Return the taps that poses (n, 3) cost more than estimated, (n,); ``cost``: estimate of
+        the taps from each of them, (n,)."""
+        if not self._costs.size:
+            return np.zeros(cost.shape)
+        apart = poses[:, None, :] - self._poses
+        left = self._goal[:2] - self._poses[:, :2]
+        near = np.minimum(RADIUS, SHARE * np.hypot(left[:, 0], left[:, 1]))
+        close = np.hypot(apart[..., 0], apart[..., 1]) <= near
+        close &= np.abs(wrap_angle(apart[..., 2])) <= ANGLE
+        known = np.max(np.where(close, self._costs, 0.0), axis=-1)
+        return np.asarray(np.maximum(known - cost, 0.0))
