@@ -503,6 +503,11 @@ class ArmLogic(DeviceLogic[State, Event]):
             self.patience = patience_after(self.patience, fault)
         if self.state is S.INACTIVE and fault.reason not in LOST:
             return
+        if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
+            # Nothing was sent, so the arm is where it was: no fault that a person must clear.
+            self._say(of_arm(fault), fault.sentence)
+            self._give_up(now)
+            return
         if fault.reason in LOST:
             target = S.DISCONNECTED
         else:

@@ -753,6 +753,8 @@ class PlannerLogic:
         if self._disturbed(shot, now):
             self._log(LogLevel.WARNING, "an object was moved before the tap; observing again")
             self._give_up(TapperState.NOT_FIRED, now)
+        elif (unreachable := self._monitor.out_of_reach(shot.tap_id)) is not None:
+            self._try_another_way(task, shot, *unreachable, now)
         elif self._monitor.outcome(shot.tap_id) != TapperState.NONE:
             self._take_outcome(task, shot, now)
         elif self._monitor.in_position(shot.tap_id):
@@ -764,6 +766,16 @@ class PlannerLogic:
                 f" {self._settings.place_deadline:.0f} s",
                 now,
             )
+
+    def _try_another_way(self, task: Task, shot: Shot, code: int, sentence: str, now: Now) -> None:
+        """Plan a tap from another direction, because this one is out of the arm's reach."""
+        task.session.skip(shot.strike)
+        task.not_fired += 1
+        if task.not_fired >= self._settings.attempts:
+            self._fail(code, sentence, now)
+            return
+        self._log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another one")
+        self._give_up(TapperState.NOT_FIRED, now)
 
     def _wait_for_tapper(self, task: Task, now: Now) -> None:
         """Wait until the tapper has charged and fired once."""

@@ -73,6 +73,7 @@ class Actors(VirtualNode):
         self.arm_arrives = self.arm_withdraws = True
         self.arm_state = ArmState.IDLE
         self.arm_error: tuple[int, str] = (0, "")
+        self.taps_out_of_reach = 0
         self.tapper_answers: int | None = TapperState.FIRED
         self.tapper_error: tuple[int, str] = (0, "")
         self.commands: list[TapCommand] = []
@@ -111,6 +112,12 @@ class Actors(VirtualNode):
         self.commands.append(command)
         if command.request == TapCommand.TAP:
             self.tap, self._outcome = command, TapperState.NONE
+            if self.taps_out_of_reach:
+                self.taps_out_of_reach -= 1
+                self.arm_state = ArmState.WITHDRAWING
+                self.arm_error = ErrorCode.ARM_OUT_OF_REACH, "joint elbow would need 170 deg"
+                return
+            self.arm_error = (0, "")
             self.arm_state = ArmState.IN_POSITION if self.arm_arrives else ArmState.MOVING
             if self.arm_arrives and self.tapper_answers is not None:
                 self._outcome = self.tapper_answers
@@ -231,6 +238,25 @@ def test_an_arm_that_does_not_arrive_is_given_up_in_words(actors: Actors) -> Non
     assert end.error_code == ErrorCode.ARM_TIMEOUT and "within 2 s" in end.error_msg
     assert len(actors.taps()) == 1
     assert actors.commands[-1].request == TapCommand.WITHDRAW
+
+
+def test_a_tap_out_of_the_arms_reach_is_replaced_by_another(actors: Actors) -> None:
+    actors.taps_out_of_reach = 1
+    actors.send()
+    end = actors.end()
+    assert end.state == PlanState.REACHED, end.error_msg
+    first, second = (from_message(command.strike_pose) for command in actors.taps()[:2])
+    assert abs(first.rotation_to(second)) > math.radians(5.0)
+    assert end.taps == len(actors.taps()) - 1
+
+
+def test_an_arm_that_reaches_no_tap_ends_the_goal_with_its_own_words(actors: Actors) -> None:
+    actors.taps_out_of_reach = 100
+    actors.send()
+    end = actors.end()
+    assert (end.state, end.error_code) == (PlanState.FAILED, ErrorCode.ARM_OUT_OF_REACH)
+    assert "elbow" in end.error_msg
+    assert len(actors.taps()) == FAST.attempts
 
 
 def test_an_arm_that_does_not_withdraw_is_given_up_in_words(actors: Actors) -> None:
