@@ -167,6 +167,15 @@ WORKING_STATES = tuple(WIRE[state] for state in WORKING)
 FINAL = (S.REACHED, S.FAILED, S.CANCELED)
 FINAL_STATES = tuple(WIRE[state] for state in FINAL)
 """Values of ``plan_state`` after a goal has ended."""
+LATE = frozenset(
+    (
+        ErrorCode.ARM_SILENT,
+        ErrorCode.CAMERA_SILENT,
+        ErrorCode.NOT_READY,
+        ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+    )
+)
+"""The tapper's codes for a tap that was not fired because a message or image came too late."""
 REMEMBERED = (
     "object_id",
     "planner",
@@ -790,15 +799,21 @@ class PlannerLogic:
         shot.measured_speed = tapper.measured_speed
         shot.fired_at = now.ros
         self._withdraw(shot.tap_id, now)
-        task.not_fired = task.not_fired + 1 if shot.outcome == TapperState.NOT_FIRED else 0
         if shot.outcome == TapperState.NOT_FIRED:
             code, sentence = tapper.error_code, tapper.error_msg
             if not code:
                 code, sentence = WITHDRAWN_BY_ANOTHER
             self._log(LogLevel.WARNING, f"tap not fired: {sentence}")
-            if task.not_fired >= self._settings.attempts:
+            # Nothing was fired, so another attempt is as safe as the first.
+            late = tapper.error_code in LATE
+            task.late += late
+            task.not_fired += not late
+            settings = self._settings
+            if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
                 self._fail(code, sentence, now)
                 return
+        else:
+            task.not_fired = task.late = 0
         self._enter(Event.OUTCOME_TOLD, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:

@@ -349,8 +349,9 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not withdraw a tap after its outcome",
         "tapping_cell.logic.planner",
-        "        self._withdraw(shot.tap_id, now)\n        task.not_fired =",
-        "        task.not_fired =",
+        "        self._withdraw(shot.tap_id, now)\n"
+        "        if shot.outcome == TapperState.NOT_FIRED:",
+        "        if shot.outcome == TapperState.NOT_FIRED:",
         kinds=("camera",),
     ),
     Mutant(
