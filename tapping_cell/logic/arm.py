@@ -217,13 +217,13 @@ class ArmLogic(DeviceLogic[State, Event]):
         if topic == "tap_command":
             self._tap_command(message, now)
         elif topic == "tapper_state":
-            self._enabling.hear_switch(message.enabling_switch, now)
+            self._enabling.on_switch(message.enabling_switch, now)
             self._tapper_told(message, now)
             self._watch_enabling(now)
         elif topic == "joint_trajectory":
             self._trajectory(message, now)
         elif topic == enabling.TOPIC:
-            self._enabling.hear_key(message.data, now)
+            self._enabling.on_key(message.data, now)
             self._watch_enabling(now)
         elif topic == "camera/pose":
             place = message.pose.position
@@ -502,6 +502,11 @@ class ArmLogic(DeviceLogic[State, Event]):
         if name == "connect":
             self.patience = patience_after(self.patience, fault)
         if self.state is S.INACTIVE and fault.reason not in LOST:
+            return
+        if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
+            # Nothing was sent, so the arm is where it was: no fault that a person must clear.
+            self._say(of_arm(fault), fault.sentence)
+            self._give_up(now)
             return
         if fault.reason in LOST:
             target = S.DISCONNECTED
