@@ -666,7 +666,8 @@ class TapperDriver:
             reason, text = (
                 FaultReason.REJECTED,
                 f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}):"
-                " it discharged itself or was never charged; charge again",
+                " it discharged itself (after 0.5 s without a request, or as the guard was opened"
+                " for a moment) or was never charged; charge again",
             )
         return self._noted(reason, text)
 

@@ -158,6 +158,8 @@ HEALTHY = frozenset(
 )
 AT_WORK = HEALTHY - {S.IDLE}
 """States in which the arm moves, or stands at the strike pose and may move again."""
+NOBODY = (0, 0)
+"""Tap id and key of no asker of a promise."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -202,7 +204,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._camera: tuple[float, float, float] | None = None
         self._scene: Scene | None = None
         self._to_park = False
-        self._promised_to = (0, 0)
+        self._promised_to = NOBODY
         self._promise_end = -math.inf
         self._longest_hold = 0.0
         self._outcome_told = 0
@@ -399,6 +401,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         if trouble is not None:
             code, sentence = trouble
             return HoldStill.Response(error_code=code, error_msg=sentence)
+        if now.steady < self._promise_end and asker != self._promised_to:
+            # The promise to another asker still stands, so no asker may end it early.
+            asker = NOBODY
         self._promised_to = asker
         # The promise counts from the handling of the request, which is later than its call.
         self._promise_end = max(self._promise_end, end)
@@ -497,6 +502,11 @@ class ArmLogic(DeviceLogic[State, Event]):
         if name == "connect":
             self.patience = patience_after(self.patience, fault)
         if self.state is S.INACTIVE and fault.reason not in LOST:
+            return
+        if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
+            # Nothing was sent, so the arm is where it was: no fault that a person must clear.
+            self._say(of_arm(fault), fault.sentence)
+            self._give_up(now)
             return
         if fault.reason in LOST:
             target = S.DISCONNECTED

@@ -250,6 +250,13 @@ class CellMonitor:
         arm = self.arm
         return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
 
+    def out_of_reach(self, tap_id: int) -> Trouble | None:
+        """Return why the arm cannot reach the strike pose of this tap, or None."""
+        arm = self.arm
+        if arm is None or arm.tap_id != tap_id or arm.error_code != ErrorCode.ARM_OUT_OF_REACH:
+            return None
+        return arm.error_code, arm.error_msg
+
     def left_behind(self) -> int:
         """Return the id of a tap that the arm still executes for a former planner; 0 if none."""
         arm = self.arm

@@ -167,6 +167,15 @@ WORKING_STATES = tuple(WIRE[state] for state in WORKING)
 FINAL = (S.REACHED, S.FAILED, S.CANCELED)
 FINAL_STATES = tuple(WIRE[state] for state in FINAL)
 """Values of ``plan_state`` after a goal has ended."""
+LATE = frozenset(
+    (
+        ErrorCode.ARM_SILENT,
+        ErrorCode.CAMERA_SILENT,
+        ErrorCode.NOT_READY,
+        ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+    )
+)
+"""The tapper's codes for a tap that was not fired because a message or image came too late."""
 REMEMBERED = (
     "object_id",
     "planner",
@@ -744,6 +753,8 @@ class PlannerLogic:
         if self._disturbed(shot, now):
             self._log(LogLevel.WARNING, "an object was moved before the tap; observing again")
             self._give_up(TapperState.NOT_FIRED, now)
+        elif (unreachable := self._monitor.out_of_reach(shot.tap_id)) is not None:
+            self._try_another_way(task, shot, *unreachable, now)
         elif self._monitor.outcome(shot.tap_id) != TapperState.NONE:
             self._take_outcome(task, shot, now)
         elif self._monitor.in_position(shot.tap_id):
@@ -755,6 +766,16 @@ class PlannerLogic:
                 f" {self._settings.place_deadline:.0f} s",
                 now,
             )
+
+    def _try_another_way(self, task: Task, shot: Shot, code: int, sentence: str, now: Now) -> None:
+        """Plan a tap from another direction, because this one is out of the arm's reach."""
+        task.session.skip(shot.strike)
+        task.not_fired += 1
+        if task.not_fired >= self._settings.attempts:
+            self._fail(code, sentence, now)
+            return
+        self._log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another one")
+        self._give_up(TapperState.NOT_FIRED, now)
 
     def _wait_for_tapper(self, task: Task, now: Now) -> None:
         """Wait until the tapper has charged and fired once."""
@@ -778,15 +799,21 @@ class PlannerLogic:
         shot.measured_speed = tapper.measured_speed
         shot.fired_at = now.ros
         self._withdraw(shot.tap_id, now)
-        task.not_fired = task.not_fired + 1 if shot.outcome == TapperState.NOT_FIRED else 0
         if shot.outcome == TapperState.NOT_FIRED:
             code, sentence = tapper.error_code, tapper.error_msg
             if not code:
                 code, sentence = WITHDRAWN_BY_ANOTHER
             self._log(LogLevel.WARNING, f"tap not fired: {sentence}")
-            if task.not_fired >= self._settings.attempts:
+            # Nothing was fired, so another attempt is as safe as the first.
+            late = tapper.error_code in LATE
+            task.late += late
+            task.not_fired += not late
+            settings = self._settings
+            if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
                 self._fail(code, sentence, now)
                 return
+        else:
+            task.not_fired = task.late = 0
         self._enter(Event.OUTCOME_TOLD, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:

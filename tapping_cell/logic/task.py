@@ -161,6 +161,8 @@ class Task:
     """Whether a person confirms every tap."""
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
+    late: int = 0
+    """Consecutive taps that were not fired because a message came too late."""
     without_effect: int = 0
     free_space: object | None = None
     """Map that the session uses at present."""

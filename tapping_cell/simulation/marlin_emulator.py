@@ -113,8 +113,11 @@ class MarlinEmulator:
 
     def fall_asleep(self, now: float) -> None:
         """Cut the motors and end any move, as ``M84`` from another sender does."""
+        self.advance(now)
         self._track.freeze(now)
         self._blocks.clear()
+        self._due = self._after = None
+        self._commanded = self._native(now)
         self._torque.cut(now)
 
     @property
@@ -193,7 +196,7 @@ class MarlinEmulator:
         self._feed = 1500.0
         # The motors' position becomes zero; logical = native + shift.
         self._reference = self._track.motors(now)
-        self._commanded: Array = np.zeros(AXES)
+        self._commanded = np.zeros(AXES)
         self._shift: Array = np.zeros(AXES)
         for line in ("start", "Marlin 2.1.2.4", "echo: Last Updated: 2024-01-01"):
             self._say(line, now)

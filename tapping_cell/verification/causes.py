@@ -31,6 +31,7 @@ FOREIGN = frozenset(
         "foreign command",
         "foreign withdrawal",
         "foreign outcome",
+        "foreign hold",
         "foreign state",
         "repeated command",
         "second node",
@@ -43,7 +44,8 @@ DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
 """Kinds of faults that delay or suppress messages."""
 COVERED = "the arm covers the object"
 """Condition that is not a fault but can also explain an error code."""
-CAMERA = frozenset({"camera", "object moved"})
+HASTE = "the goal has a short time limit"
+CAMERA = frozenset({"camera", "object moved", "object turned"})
 
 EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.GOAL_REPLACED: frozenset({"second client", "second node"}),
@@ -67,8 +69,9 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAPPER_REPLY_GARBLED: LINES,
     ErrorCode.TAPPER_TIMEOUT: LINES | POWER | FREEZES | {"slow topic"},
     ErrorCode.TAPPER_RESET: LINES | POWER,
-    # A board that receives nothing for 0.5 s discharges automatically.
-    ErrorCode.TAPPER_FAULT: LINES | POWER | FREEZES,
+    # A board that receives nothing for 0.5 s, or whose guard was open for a moment, discharges
+    # automatically.
+    ErrorCode.TAPPER_FAULT: LINES | POWER | FREEZES | {"guard"},
     ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
     ErrorCode.TAPPER_SILENT: DELAYS,
     ErrorCode.TAPPER_SPENT: FOREIGN | ENDS | {"clock step"},
@@ -84,7 +87,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TOO_FEW_FRAMES: CAMERA | FREEZES | LINKS | ENDS,
     ErrorCode.CAMERA_SILENT: DELAYS | {"camera", "clock step"},
     ErrorCode.NOT_READY: DELAYS | FOREIGN,
-    ErrorCode.DEADLINE_EXCEEDED: DELAYS | FOREIGN | POWER | CAMERA | {"clock step", "guard"},
+    ErrorCode.DEADLINE_EXCEEDED: DELAYS | FOREIGN | POWER | CAMERA | {"clock step", "guard", HASTE},
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
 }

@@ -43,8 +43,8 @@ CLOSEST_S = 2e-4
 
 @dataclass(frozen=True, slots=True)
 class Mix:
-    """Distribution of the faults. ``only``: kinds of faults, empty for all; ``mean``: mean number
-    of faults per goal."""
+    """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is named
+    several times is drawn more often. ``mean``: mean number of faults per goal."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
@@ -74,11 +74,13 @@ MOMENTS = (
     told("tapper_state", TapperState.SAFE),
     told("tapper_state", TapperState.CHARGING),
     told("plan_state", PlanState.LOOKING),
+    told("plan_state", PlanState.PLACING),
     told("plan_state", PlanState.SETTLING),
 )
 ARM_ASKED, ARM_PROMISED = "hold_still asked", "hold_still answered"
 CHECKED, RELEASED = "last check", "released"
 OF_A_SHOT = (
+    told("plan_state", PlanState.PLACING),
     told("arm_state", ArmState.MOVING),
     told("tapper_state", TapperState.CHARGING),
     told("tapper_state", TapperState.CHARGED),
@@ -122,7 +124,8 @@ def draw_faults(
         moment, kinds, closest = Moment(name, times), AT_A_SHOT, CLOSEST_S
     elif place < SHARE_AT_THE_SHOT + SHARE_AT_A_MOMENT:
         moment = Moment(_pick(rng, MOMENTS), int(rng.integers(1, 3)))
-    kinds = tuple(kind for kind in kinds if kind in only) or tuple(only) if only else kinds
+    if only:
+        kinds = tuple(kind for kind in only if kind in kinds) or only
     faults = []
     for _ in range(number):
         kind = _pick(rng, kinds)
@@ -299,6 +302,40 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
 
     return strike, "somebody else lets the arm go" if by_service else (
         f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
+    )
+
+
+def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
+    """Another node has the arm hold still for a tap, ends that promise early, reports that the tap
+    is over, and withdraws it, which only the arm receives at once."""
+    back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
+    later, late = _duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
+    sends = rng.random() < 0.7
+
+    def strike(t: Trial) -> None:
+        number = max(max(t.witness.commands, default=0) - back, 0)
+        for after, asked in ((0.0, duration), (later, 0.0)):
+            request = HoldStill.Request(tap_id=number, duration=asked, key=7)
+            t.scheduler.after(after, partial(t.network.call, "hold_still", request, lambda _: None))
+        if sends:
+            link = ("tap_command", "tapper_trigger")
+            t.network.faults.slow[link] = late
+            t.scheduler.after(late, partial(t.network.hasten, *link))
+            t.scheduler.after(1.5 * later, partial(leave, t, number))
+
+    def leave(t: Trial, number: int) -> None:
+        told = TapperState(state=TapperState.SAFE, tap_id=number)
+        told.outcome = TapperState.NOT_FIRED
+        told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
+        t.network.publish("somebody_else", "tapper_state", told)
+        command = TapCommand(request=TapCommand.WITHDRAW, tap_id=number)
+        command.header.frame_id = "table"
+        command.header.stamp = to_stamp(t.clocks["tap_planner"].now().ros)
+        t.network.publish("somebody_else", "tap_command", command)
+
+    return strike, (
+        f"somebody else has the arm hold still for {duration:.3f} s, ends it after {later:.3f} s"
+        + (" and has the arm leave" if sends else "")
     )
 
 
@@ -488,17 +525,23 @@ def _shot_line(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _power(rng: np.random.Generator, trial: Trial) -> Made:
-    name = _pick(rng, ("arm", "tapper"))
+    """A board loses its power for a moment; if it is unplugged, its port disappears as well."""
+    name, way = _pick(rng, ("arm", "tapper")), Direction.TO_HOST
+    unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), _duration(rng, 0.3, 3.0)
 
     def strike(t: Trial) -> None:
         if name == "tapper":
             t.interrupt_tapper_power()
             return
-        t.physical.arm_board.power_cycle(t.scheduler.now)
-        t.physical.arm_line.schedule()
-        t.witness.word_given = False
+        if not unplugged:
+            t.interrupt_arm_power()
+            return
+        layer = t.physical.arm_line.layer
+        layer.add(LineFault(FaultKind.HANG_UP, way, layer.count(way), 1, lasting))
+        t.scheduler.after(0.5 * lasting, t.interrupt_arm_power)
 
-    return strike, f"the {name}'s board loses power for a moment"
+    words = f"the {name}'s board loses power"
+    return strike, words + (f", and its port is gone for {lasting:.2f} s" if unplugged else "")
 
 
 def _camera(rng: np.random.Generator, trial: Trial) -> Made:
@@ -525,12 +568,20 @@ def _camera(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _bump(rng: np.random.Generator, trial: Trial) -> Made:
-    shift = Pose(
-        float(rng.normal(0, 0.015)), float(rng.normal(0, 0.015)), float(rng.normal(0, 0.4))
-    )
-    return lambda t: t.move_object(shift), (
+    return _by_hand(rng, 0.015)
+
+
+def _turn(rng: np.random.Generator, trial: Trial) -> Made:
+    return _by_hand(rng, 0.0)
+
+
+def _by_hand(rng: np.random.Generator, way: float) -> Made:
+    """The object is moved by hand, at once or slowly; ``way``: standard deviation, m."""
+    shift = Pose(float(rng.normal(0, way)), float(rng.normal(0, way)), float(rng.normal(0, 0.4)))
+    lasting = 0.0 if rng.random() < 0.5 else _duration(rng, 0.1, 2.0)
+    return lambda t: t.move_object(shift, lasting), (
         f"the object is moved by hand by {1e3 * math.hypot(shift.x, shift.y):.0f} mm and"
-        f" {math.degrees(shift.theta):.0f} deg"
+        f" {math.degrees(shift.theta):.0f} deg within {lasting:.2f} s"
     )
 
 
@@ -586,6 +637,7 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "foreign command": _foreign_command,
     "foreign withdrawal": _foreign_withdrawal,
     "foreign outcome": _foreign_outcome,
+    "foreign hold": _foreign_hold,
     "repeated command": _repeated_command,
     "heard by one": _heard_by_one,
     "slow answer": _slow_answer,
@@ -601,6 +653,7 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "motors off": _motors_off,
     "camera": _camera,
     "object moved": _bump,
+    "object turned": _turn,
     "emergency stop": _emergency_stop,
     "stop service": _service_stop,
     "guard": _interlock,
@@ -624,6 +677,7 @@ AT_A_SHOT = (
     *("object moved", "foreign withdrawal") * 2,
     "slow topic",
     "kill",
+    "restart",
     "motors off",
     "deactivate",
     "cancel",
@@ -634,6 +688,8 @@ AT_A_SHOT = (
     "clock step",
     "duplicates",
     "second client",
+    "object turned",
+    *("foreign trajectory", "foreign hold") * 2,
 )
 """Kinds of faults around a shot. Those that make two nodes observe different states are repeated,
 so that they are drawn more often."""

@@ -32,11 +32,18 @@ CHECK_S = 0.045
 """Maximum time from the last check before FIRE to the release, from the board's deadline."""
 PULSE_S = 0.02
 """Duration of the release pulse; the arm's promise covers it and the striker's flight."""
+HEARTBEAT_S = 0.45
+"""Maximum silence, before a release, of the camera and of a planner that has shown that it waits
+for this tap."""
 SILENCE_S = 1.5
-"""Maximum silence of the planner before a release of one of its taps, whether or not its messages
-have shown that it waits for this tap."""
+"""Maximum silence of a planner that has not yet shown that it waits for its tap."""
 ORPHAN_S = 1.5
 """Maximum time from the end of the planner to a release; by then its heartbeat has timed out."""
+HOMED_S = 3.0
+"""Maximum time from the loss of the arm's reference, or from the end of a freeze after it, to the
+last report of a new reading of a homed arm; bytes on the line may be that late."""
+WAIT_SLACK_S = 1.0
+"""Maximum time by which the planner exceeds the deadline of a wait."""
 STOP_MOTION_S = 1.5
 """Maximum time from a stop command to the arm's rest, with delivery and braking."""
 
@@ -93,6 +100,17 @@ class Witness:
     """Ids of the taps that the planner has commanded."""
     planner_heard: float = -math.inf
     """Time at which the tapper's process last received a message of the planner."""
+    planner_waits: bool = False
+    """Whether the planner has shown, since the tapper's process received the last TAP, that it
+    waits for its tap."""
+    camera_heard: float = math.inf
+    """Time at which the tapper's process last received a usable observation."""
+    seen_moving: bool = False
+    """Whether the object moved by the last observation that the planner's process received."""
+    deadlines: dict[int, float] = field(default_factory=dict)
+    """Maximum duration of the planner's waits for arm and tapper, by its published state."""
+    unhomed_since: float = math.inf
+    """Time since which the arm has had no valid reference; inf while it has one."""
     unseen_by_tapper: float = 0.0
     """Maximum time for which the tapper itself accepts an unseen object."""
     _struck_until: float = -math.inf
@@ -102,6 +120,13 @@ class Witness:
     _charged_since: float | None = None
     _moving_since: float | None = None
     _plan_state: int = PlanState.IDLE
+    _plan_state_since: float = 0.0
+    arm_frozen_until: float = -math.inf
+    """Time until which the arm's process is or was frozen."""
+    _read_at: int = 0
+    """Stamp of the arm's last reading, ns."""
+    _arm: tuple[int, int] = (ArmState.DISCONNECTED, 0)
+    """State and tap id of the arm's last message."""
 
     def violate(self, name: str, sentence: str) -> None:
         """Record a violation of an invariant."""
@@ -114,9 +139,13 @@ class Witness:
                 self.commands[message.tap_id] = message
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
+                    # By then the observation on which the tap is based was received.
+                    self.scheduler.after(0.0, lambda: self._check_basis(message.tap_id))
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
         elif isinstance(message, ArmState) and node == "scara_arm":
+            self._arm = message.state, message.tap_id
+            self._check_reference(message)
             if message.state == ArmState.IDLE or message.error_code == ErrorCode.NOT_ACTIVE:
                 self._asked_to_move = False
         elif isinstance(message, PlanState) and node == "tap_planner":
@@ -154,11 +183,18 @@ class Witness:
         if gone > ORPHAN_S:
             self.violate("no planner", f"shot {shot} was released {gone:.2f} s after its planner")
         silent = release.time - self.planner_heard
-        if shot in self.planners and silent > SILENCE_S + WINDOW_S:
+        patience = HEARTBEAT_S if self.planner_waits else SILENCE_S
+        if shot in self.planners and silent > patience + WINDOW_S:
             self.violate(
                 "planner silent",
                 f"shot {shot} was released {silent:.2f} s after the tapper had last heard the"
                 " planner that commanded it",
+            )
+        blind = release.time - self.camera_heard
+        if blind > HEARTBEAT_S + WINDOW_S:
+            self.violate(
+                "camera silent",
+                f"shot {shot} was released {blind:.2f} s after the tapper last heard the camera",
             )
         self._check_scene(release, command)
 
@@ -308,6 +344,13 @@ class Witness:
                     f"the arm began to move {self._struck_until - now:.3f} s before the striker"
                     " can be through its stroke",
                 )
+            for tap_id, end in self.promises.items():
+                if now < end and tap_id not in self.outcomes:
+                    self.violate(
+                        "broken promise",
+                        f"the arm began to move {end - now:.3f} s before the end of its promise for"
+                        f" tap {tap_id}, whose outcome is not known",
+                    )
             if not self.word_given:
                 self.violate(
                     "moved by itself",
@@ -327,6 +370,34 @@ class Witness:
 
     # Reports
 
+    def lose_reference(self) -> None:
+        """Record that the arm's board has lost its position, until the arm is homed."""
+        self.word_given = False
+        self.unhomed_since = min(self.unhomed_since, self.scheduler.now)
+
+    def _check_basis(self, tap_id: int) -> None:
+        """Check that the planner has commanded a tap of an object at rest."""
+        if self.seen_moving:
+            self.violate(
+                "planned while it moved",
+                f"tap {tap_id} was commanded on an observation of the object in motion",
+            )
+
+    def _check_reference(self, message: ArmState) -> None:
+        """Check that the arm does not report itself as homed without a valid reference."""
+        if message.state == ArmState.HOMING:
+            self.unhomed_since = math.inf
+        since = self.scheduler.now - max(self.unhomed_since, self.arm_frozen_until)
+        stamp = to_nanoseconds(message.header.stamp)
+        new, self._read_at = stamp != self._read_at, stamp
+        if message.homed and new and since > HOMED_S:
+            self.violate(
+                "false reference",
+                f"the arm is reported as homed {since:.1f} s after its board lost its position"
+                " or its process was frozen",
+            )
+            self.unhomed_since = math.inf
+
     def ask_to_move(self) -> None:
         """Allow the arm to move until it is idle again, because it has received a command."""
         self._asked_to_move = True
@@ -336,7 +407,16 @@ class Witness:
         if not isinstance(request, HoldStill.Request):
             return
         if isinstance(response, HoldStill.Response) and response.granted:
-            self.promises[request.tap_id] = self.scheduler.now + request.duration
+            end = self.scheduler.now + request.duration
+            if end <= self.promises.get(request.tap_id, -math.inf) or request.duration <= 0:
+                return  # the end of a promise
+            if self._arm != (ArmState.IN_POSITION, request.tap_id):
+                self.violate(
+                    "empty promise",
+                    f"the arm promised to stand still for tap {request.tap_id}, it was in state"
+                    f" {self._arm[0]} for tap {self._arm[1]}",
+                )
+            self.promises[request.tap_id] = end
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer of a machine to a query of its running job."""
@@ -365,6 +445,14 @@ class Witness:
 
     def _on_plan_state(self, message: PlanState) -> None:
         before, self._plan_state = self._plan_state, message.state
+        if before != message.state:
+            self._plan_state_since = self.scheduler.now
+        waited = self.scheduler.now - self._plan_state_since
+        if waited > self.deadlines.get(message.state, math.inf) + WAIT_SLACK_S:
+            self.violate(
+                "waits too long", f"the planner has waited in one state for {waited:.1f} s"
+            )
+            self._plan_state_since = self.scheduler.now
         if message.state != PlanState.REACHED or before == PlanState.REACHED:
             return  # a repeated report was checked when it was first published
         true = self.physical.object_pose(self.scheduler.now)

@@ -69,7 +69,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "if response is not None and not response.granted:",
         "if False:",
         "S1",
-        kinds=("foreign withdrawal", "heard by one", "slow answer"),
+        kinds=("foreign outcome", "foreign withdrawal", "heard by one"),
     ),
     Mutant(
         "tells an unknown outcome as not fired",
@@ -113,14 +113,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "if moved <= limits.moved and turned <= limits.turned:",
         "if moved <= limits.moved:",
         "S11",
-        kinds=("object moved",),
+        kinds=("object turned",),
     ),
     Mutant(
         "fires without a planner",
         "tapping_cell.logic.tapper_peers",
         "            or self._silence(now)\n",
         "",
-        kinds=("kill", "freeze"),
+        kinds=("kill", "freeze", "camera"),
     ),
     Mutant(
         "does not miss the object",
@@ -203,7 +203,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.arm",
         "if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:",
         "if not self._active:",
-        kinds=("foreign state", "slow topic", "heard by one"),
+        kinds=("foreign hold",),
     ),
     Mutant(
         "moves in the flight of the striker",
@@ -288,6 +288,14 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("foreign outcome",),
     ),
     Mutant(
+        "a second promise takes the first one over",
+        "tapping_cell.logic.arm",
+        "        if now.steady < self._promise_end and asker != self._promised_to:\n",
+        "        if False:\n",
+        "R9",
+        kinds=("foreign hold",),
+    ),
+    Mutant(
         "takes a trajectory while a tap is pending",
         "tapping_cell.logic.arm",
         "        if not self._active or self.state is not S.IDLE:\n"
@@ -322,27 +330,28 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.planner",
         "        if now.steady > task.expires:",
         "        if False:",
-        kinds=("kill", "guard", "camera"),
+        kinds=("camera", "guard"),
     ),
     Mutant(
         "waits for ever for the arm",
         "tapping_cell.logic.planner",
         "        elif self._late(now):\n            self._fail(code, sentence",
         "        elif False:\n            self._fail(code, sentence",
-        kinds=("kill", "freeze", "slow topic"),
+        kinds=("foreign trajectory",),
     ),
     Mutant(
         "decides on an object that still slides",
         "tapping_cell.logic.cell_monitor",
         "            and seen.at_rest\n            and seen.error_code",
         "            and seen.error_code",
-        kinds=("object moved", "camera"),
+        kinds=("object moved",),
     ),
     Mutant(
         "does not withdraw a tap after its outcome",
         "tapping_cell.logic.planner",
-        "        self._withdraw(shot.tap_id, now)\n        task.not_fired =",
-        "        task.not_fired =",
+        "        self._withdraw(shot.tap_id, now)\n"
+        "        if shot.outcome == TapperState.NOT_FIRED:",
+        "        if shot.outcome == TapperState.NOT_FIRED:",
         kinds=("camera",),
     ),
     Mutant(
@@ -367,7 +376,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "        still_allowed = lambda _: allowed  # noqa: E731\n"
         "        if sample",
         "S1",
-        kinds=("freeze at a write", "cable at a shot"),
+        kinds=("freeze after the last check",),
     ),
     Mutant(
         "a missing reply to FIRE counts as not fired",
@@ -399,7 +408,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.hardware.arm",
         "if not (firmware.continued and held and not reading.alarm):",
         "if False:",
-        kinds=("loss of power", "serial line"),
+        kinds=("loss of power",),
     ),
 )
 

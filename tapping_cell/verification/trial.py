@@ -29,7 +29,7 @@ from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.table_maps import TableMaps
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
-from tapping_cell.logic.tapper_peers import PeerLimits
+from tapping_cell.logic.tapper_peers import BLIND, TAPPING, PeerLimits
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -45,7 +45,7 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
-from tapping_cell.verification.causes import COVERED, LASTING_S, explains
+from tapping_cell.verification.causes import COVERED, HASTE, LASTING_S, explains
 from tapping_cell.verification.faults import (
     ALL,
     ARM_ASKED,
@@ -115,6 +115,10 @@ NOTICED_S = 0.7
 """Maximum time from the end of that limit to a release, for delayed messages and the board's firing
 window."""
 GOAL_TIME_LIMIT_S = 120.0
+SHARE_IN_HASTE, HASTE_S = 0.2, (4.0, 25.0)
+"""Fraction of the runs whose goals have a short time limit, and the range of that limit."""
+SHARE_OF_ONE_FRAME = 0.25
+"""Fraction of the runs whose planner decides on a single frame of the object at rest."""
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_RIVALS = 0.1
@@ -127,14 +131,21 @@ STOP_WORD_S = 0.1
 """Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
 BAD_LINE_S = 15.0
 """Time allowed after a fault of a serial line to detect it and to open the line again."""
+HAND_STEP_S = 1 / 60
+"""Time between two steps of a slow motion of the object by hand."""
 RECOVERY_S = 90.0
 """Maximum time for a person to recover the cell before the next goal."""
 
 
+DIALECTS = ("grbl", "grbl", "marlin")
+"""Controllers of the arm, by turns of the seed. After a loss of power Marlin has no alarm."""
+
+
 @cache
-def shipped_cell() -> Cell:
-    """Return the default cell of the package."""
-    return load_cell()
+def shipped_cell(dialect: str = "grbl") -> Cell:
+    """Return the default cell of the package with this controller of the arm."""
+    cell = load_cell()
+    return replace(cell, file=replace(cell.file, arm=replace(cell.arm, dialect=dialect)))
 
 
 @cache
@@ -190,12 +201,20 @@ class Trial:
         self.scheduler = Scheduler()
         self.report = Report(seed)
         self._tracing = trace
-        cell = self.cell = shipped_cell()
+        cell = self.cell = shipped_cell(DIALECTS[seed % len(DIALECTS)])
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = PhysicalCell(self.scheduler, cell, truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
         self.joint_names = Joints._fields
         self.arm_covers = bool(self.rng.random() < 0.5)
+        self.in_haste = bool(self.rng.random() < SHARE_IN_HASTE)
+        """Whether goals have a short time limit, so that some end for it without any fault."""
+        self.settings = PlannerSettings(
+            goal_time_limit=float(self.rng.uniform(*HASTE_S))
+            if self.in_haste
+            else GOAL_TIME_LIMIT_S,
+            frames_needed=1 if self.rng.random() < SHARE_OF_ONE_FRAME else 5,
+        )
         self._computers = {name: self._make_clock() for name in ("planner", "drivers", "camera")}
         self.clocks = {
             "tap_planner": self._computers["planner"],
@@ -206,6 +225,11 @@ class Trial:
         self.witness = Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
         self.witness.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
         self.witness.unseen_by_tapper = COVERED_S if self.arm_covers else CLEAR_VIEW_S
+        self.witness.deadlines = {
+            PlanState.PLACING: self.settings.place_deadline,
+            PlanState.FIRING: self.settings.fire_deadline,
+            PlanState.SETTLING: self.settings.withdraw_deadline,
+        }
         self.network.on_publish = self._on_publish
         self.network.on_call = self._on_call
         self.network.on_answer = self._on_answer
@@ -283,7 +307,7 @@ class Trial:
                 adapt=True,
                 probe=False,
                 keep_for="",
-                time_limit=GOAL_TIME_LIMIT_S,
+                time_limit=self.settings.goal_time_limit,
                 maps=_maps(),
                 solve_in_background=False,
             )
@@ -305,11 +329,10 @@ class Trial:
             ), driver
 
         limits = PeerLimits(unseen=unseen)
-        settings = PlannerSettings(goal_time_limit=GOAL_TIME_LIMIT_S)
         programs: dict[
             str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], SerialLine | None]
         ] = {
-            "tap_planner": (lambda: (PlannerLogic(settings), None), planner_connect, None),
+            "tap_planner": (lambda: (PlannerLogic(self.settings), None), planner_connect, None),
             "scara_arm": (arm, arm_connect, arm_line),
             "tapper_trigger": (
                 tapper,
@@ -392,7 +415,7 @@ class Trial:
         for fault in faults:
             if fault.moment is None:
                 self.scheduler.at(began + fault.time, partial(self._strike, fault))
-        limit = began + GOAL_TIME_LIMIT_S + GOAL_SLACK_S
+        limit = began + self.settings.goal_time_limit + GOAL_SLACK_S
         self.scheduler.run(limit, lambda: self._result is not None)
         if self._result is None:
             if planner.lives == lives:
@@ -400,6 +423,7 @@ class Trial:
                     "goal without an end", f"goal {number} has not ended; {planner.logic.state}"
                 )
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
+        in_time = self.scheduler.now < began + self.settings.goal_time_limit
         self._waiting_faults = []
         last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
@@ -411,13 +435,15 @@ class Trial:
         struck = {kind for at, kind in self._struck if at > began - LASTING_S}
         if self._look(self.scheduler.now) is None:
             struck.add(COVERED)
+        if self.in_haste and not in_time:
+            struck.add(HASTE)
         if result.error_code > 0 and not explains(result.error_code, struck):
             self.witness.violate(
                 "untrue cause",
                 f"goal {number} ended with code {result.error_code} ({result.error_msg}), which"
                 f" none of {', '.join(sorted(struck)) or 'no fault'} explains",
             )
-        if quiet and result.error_code:
+        if quiet and result.error_code and HASTE not in struck:
             self.witness.violate(
                 "failed without a fault", f"code {result.error_code}: {result.error_msg}"
             )
@@ -542,10 +568,14 @@ class Trial:
             self.report.by_node["freeze camera_pose"] += 1
         else:
             self.processes[node].freeze(duration)
+            if node == "scara_arm":
+                self.witness.arm_frozen_until = self.processes[node].frozen_until
 
     def kill(self, node: str, away: float) -> None:
         """Kill a process; it restarts after ``away`` s."""
         if node == "camera_pose":
+            if not self.camera.alive:
+                return
             self.report.by_node["kill camera_pose"] += 1
             self.camera.alive = False
             self.network.leave("camera_pose")
@@ -621,8 +651,14 @@ class Trial:
         if self.scheduler.now >= self._hidden_until:
             self.witness.hidden_since = math.inf
 
-    def move_object(self, shift: Pose) -> None:
-        """Move the object by hand, within the central area of the table."""
+    def move_object(self, shift: Pose, duration: float = 0.0) -> None:
+        """Move the object by hand, within the central area of the table; ``duration`` in s."""
+        steps = 1 + round(duration / HAND_STEP_S)
+        part = Pose(shift.x / steps, shift.y / steps, shift.theta / steps)
+        for step in range(steps):
+            self.scheduler.after(step * HAND_STEP_S, partial(self._shift_object, part))
+
+    def _shift_object(self, shift: Pose) -> None:
         now = self.scheduler.now
         before = self.physical.object_pose(now)
         self.witness.moved_by_hand = (now, before)
@@ -668,10 +704,22 @@ class Trial:
         self.physical.tapper_line.schedule()
 
     def turn_arm_motors_off(self) -> None:
-        """Switch the arm's motors off, as by a sleep command, so that the quill sinks."""
+        """Switch the arm's motors off, as by a sleep command, so that the quill sinks.
+
+        Marlin does not report that, so its board loses its power instead.
+        """
+        if self.cell.arm.dialect == "marlin":
+            self.interrupt_arm_power()
+            return
         self.physical.arm_board.fall_asleep(self.scheduler.now)
         self.physical.arm_line.schedule()
-        self.witness.word_given = False
+        self.witness.lose_reference()
+
+    def interrupt_arm_power(self) -> None:
+        """Interrupt the power of the arm's board, which loses its position."""
+        self.physical.arm_board.power_cycle(self.scheduler.now)
+        self.physical.arm_line.schedule()
+        self.witness.lose_reference()
 
     def turn_tapper_motor_off(self, duration: float) -> None:
         """Switch the tapper's motor off for ``duration`` s, so that its steps have no effect."""
@@ -805,8 +853,15 @@ class Trial:
             self.witness.ask_to_move()
         if process == "tapper_trigger" and topic == "plan_state":
             self.witness.planner_heard = now
-        if process == "tapper_trigger" and topic == "object_state" and message.visible:
-            self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
+            if message.state in TAPPING:
+                self.witness.planner_waits = True
+        if process == "tapper_trigger" and topic == "object_state":
+            if message.error_code not in BLIND:
+                self.witness.camera_heard = now
+            if message.visible:
+                self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
+        if process == "tap_planner" and topic == "object_state" and message.visible:
+            self.witness.seen_moving = not message.at_rest
         if topic == "emergency_stop" and message.data:
             self.witness.stopped_at.setdefault(process, now)
             if process == "tapper_trigger":
@@ -819,6 +874,7 @@ class Trial:
             and message.request == TapCommand.TAP
         ):
             self._taken.add(message.tap_id)
+            self.witness.planner_waits = False
             self.witness.taken_by_tapper.setdefault(message.tap_id, []).append(message)
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
         if withdrawn and process == "tapper_trigger" and message.tap_id in self._taken:

@@ -65,6 +65,24 @@ def test_a_fault_in_mid_move_after_a_withdrawal_can_be_cleared() -> None:
     assert jobs(arm.on_request("~/home", Trigger.Request(), 2, at(START + 4.0)))
 
 
+def test_a_strike_pose_that_the_arm_cannot_reach_is_no_fault() -> None:
+    pair = in_position()
+    arm, here = pair.arm, Reading(True, Joints(*CELL.file.arm.park), False, START)
+    (number,) = jobs(
+        arm.on_message("tap_command", pair.command(TapCommand.WITHDRAW, at(START)), at(START))
+    )
+    arm.on_job(JobEnded(number, here), at(START + 1.0))
+    assert arm.state is arms.State.IDLE
+    command = pair.command(TapCommand.TAP, at(START))
+    command.tap_id = TAP + 1
+    (place,) = jobs(arm.on_message("tap_command", command, at(START + 2.0)))
+    fault = HardwareFault(FaultReason.UNREACHABLE, "joint elbow would need 170 deg")
+    (withdraw,) = jobs(arm.on_job(JobEnded(place, fault=fault), at(START + 2.1)))
+    assert arm.trouble == (ErrorCode.ARM_OUT_OF_REACH, "joint elbow would need 170 deg")
+    arm.on_job(JobEnded(withdraw, here), at(START + 3.0))
+    assert arm.state is arms.State.IDLE
+
+
 @given(st.sampled_from([0, TAP - 1, TAP + 1]))
 def test_a_withdrawal_of_another_tap_does_nothing(tap_id: int) -> None:
     pair = in_position()

@@ -197,6 +197,41 @@ def test_only_who_asked_for_the_promise_can_end_it(
     assert held == (START + after if ended else START + permit.hold(permit.flight(STROKE, SPEED)))
 
 
+@given(
+    asked=st.lists(
+        st.tuples(
+            st.integers(0, 3),
+            st.sampled_from((TAP, TAP - 1, 0)),
+            st.sampled_from((0.0, 0.01, 0.1)),
+            st.floats(0.0, 0.01),
+        ),
+        max_size=8,
+    ),
+    first=st.booleans(),
+)
+def test_no_sequence_of_other_requests_takes_the_promise_over(
+    asked: list[tuple[int, int, float, float]], first: bool
+) -> None:
+    """Whoever else asks the arm to stand still, before or after the tapper, cannot end it early."""
+    pair = Pair()
+    call = pair.begin()
+    assert call.request.key > 3, "the tapper's key is not one of the others'"
+    now = START
+    if first:
+        pair.arm.on_request("hold_still", call.request, 1, at(now))
+        granted = now
+    for key, tap_id, duration, later in asked:
+        now += later
+        request = HoldStill.Request(tap_id=tap_id, duration=duration, key=key)
+        pair.arm.on_request("hold_still", request, 2, at(now))
+    if not first:
+        granted = now
+        pair.arm.on_request("hold_still", call.request, 1, at(now))
+    other = HoldStill.Request(tap_id=TAP, duration=0.0, key=1)
+    pair.arm.on_request("hold_still", other, 2, at(now))
+    assert not_before(pair, now) >= granted + permit.hold(permit.flight(STROKE, SPEED))
+
+
 def test_the_key_ends_the_promise() -> None:
     pair = Pair()
     call = pair.begin()

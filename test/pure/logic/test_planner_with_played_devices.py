@@ -73,7 +73,9 @@ class Actors(VirtualNode):
         self.arm_arrives = self.arm_withdraws = True
         self.arm_state = ArmState.IDLE
         self.arm_error: tuple[int, str] = (0, "")
+        self.taps_out_of_reach = 0
         self.tapper_answers: int | None = TapperState.FIRED
+        self.tapper_error: tuple[int, str] = (0, "")
         self.commands: list[TapCommand] = []
         self.tap: TapCommand | None = None
         self._outcome = TapperState.NONE
@@ -110,6 +112,12 @@ class Actors(VirtualNode):
         self.commands.append(command)
         if command.request == TapCommand.TAP:
             self.tap, self._outcome = command, TapperState.NONE
+            if self.taps_out_of_reach:
+                self.taps_out_of_reach -= 1
+                self.arm_state = ArmState.WITHDRAWING
+                self.arm_error = ErrorCode.ARM_OUT_OF_REACH, "joint elbow would need 170 deg"
+                return
+            self.arm_error = (0, "")
             self.arm_state = ArmState.IN_POSITION if self.arm_arrives else ArmState.MOVING
             if self.arm_arrives and self.tapper_answers is not None:
                 self._outcome = self.tapper_answers
@@ -145,6 +153,7 @@ class Actors(VirtualNode):
             arm.header.stamp = now
             self.publish("arm_state", arm)
         if self.tapper_talks:
+            code, sentence = self.tapper_error
             self.publish(
                 "tapper_state",
                 TapperState(
@@ -152,6 +161,8 @@ class Actors(VirtualNode):
                     tap_id=tap_id,
                     outcome=self._outcome,
                     interlock_closed=True,
+                    error_code=code,
+                    error_msg=sentence,
                 ),
             )
         self.scheduler.after(0.03, self._say)
@@ -229,6 +240,25 @@ def test_an_arm_that_does_not_arrive_is_given_up_in_words(actors: Actors) -> Non
     assert actors.commands[-1].request == TapCommand.WITHDRAW
 
 
+def test_a_tap_out_of_the_arms_reach_is_replaced_by_another(actors: Actors) -> None:
+    actors.taps_out_of_reach = 1
+    actors.send()
+    end = actors.end()
+    assert end.state == PlanState.REACHED, end.error_msg
+    first, second = (from_message(command.strike_pose) for command in actors.taps()[:2])
+    assert abs(first.rotation_to(second)) > math.radians(5.0)
+    assert end.taps == len(actors.taps()) - 1
+
+
+def test_an_arm_that_reaches_no_tap_ends_the_goal_with_its_own_words(actors: Actors) -> None:
+    actors.taps_out_of_reach = 100
+    actors.send()
+    end = actors.end()
+    assert (end.state, end.error_code) == (PlanState.FAILED, ErrorCode.ARM_OUT_OF_REACH)
+    assert "elbow" in end.error_msg
+    assert len(actors.taps()) == FAST.attempts
+
+
 def test_an_arm_that_does_not_withdraw_is_given_up_in_words(actors: Actors) -> None:
     actors.arm_withdraws = False
     actors.send()
@@ -270,6 +300,38 @@ def test_taps_that_are_not_fired_end_after_three_attempts(actors: Actors) -> Non
     end = actors.end()
     assert end.state == PlanState.FAILED
     assert len(actors.taps()) == 3 and end.taps == 0
+
+
+LATE_CODES = (
+    ErrorCode.CAMERA_SILENT,
+    ErrorCode.ARM_SILENT,
+    ErrorCode.NOT_READY,
+    ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+)
+
+
+@pytest.mark.parametrize(
+    ("code", "taps"),
+    [*((code, 10) for code in LATE_CODES), (ErrorCode.OBJECT_MOVED, 3), (ErrorCode.NONE, 3)],
+)
+def test_a_tap_for_which_a_message_was_late_is_attempted_more_often(
+    actors: Actors, code: int, taps: int
+) -> None:
+    actors.tapper_answers = TapperState.NOT_FIRED
+    actors.tapper_error = (code, "refused") if code else (0, "")
+    actors.send()
+    end = actors.end()
+    assert end.state == PlanState.FAILED and end.error_code == (code or ErrorCode.NOT_READY)
+    assert len(actors.taps()) == taps and end.taps == 0
+
+
+def test_late_messages_before_a_tap_do_not_end_the_goal(actors: Actors) -> None:
+    actors.tapper_answers = TapperState.NOT_FIRED
+    actors.tapper_error = (ErrorCode.CAMERA_SILENT, "the last picture is 0.47 s old")
+    actors.send()
+    actors.wait(lambda: len(actors.taps()) == 5, "a fifth attempt")
+    actors.tapper_answers, actors.tapper_error = TapperState.FIRED, (0, "")
+    assert actors.end().state == PlanState.REACHED
 
 
 def test_taps_that_somebody_else_ended_are_told_as_such(actors: Actors) -> None:
