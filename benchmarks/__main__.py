@@ -41,6 +41,7 @@ LONG_SECTIONS = (
     "outline",
     "page-stop",
     "precision",
+    "precision-limit",
     "two-computers",
     "unknown-objects",
     "unknown-worlds",

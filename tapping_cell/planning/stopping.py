@@ -29,7 +29,7 @@ CONFIDENCE = 0.995
 MARGIN = 2.5758293035489004
 """Quantile of the standard normal distribution for the probability ``CONFIDENCE``."""
 
-LONG_LOOK = 9
+LONG_OBSERVATION = 9
 """Number of nominal observations that are fused in a long observation. An observation takes much
 less time than a tap. At a tolerance of 0.1 mm and 0.1 degrees with a tenth of it as noise, 9
 observations save 0.25 taps compared with 4 (0.6 observations more)."""
