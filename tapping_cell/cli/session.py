@@ -163,7 +163,7 @@ def follow(
         for event in client.events():
             check()
             if person is not None:
-                person.hear(event)
+                person.on_event(event)
             if isinstance(event, PhaseChanged) and status is not None:
                 status.update(f"tap {event.taps + 1}: {event.phase}")
             elif isinstance(event, PlannerLost):

@@ -70,7 +70,7 @@ from tapping_cell.planning import PlanningError
 from tapping_cell.report.bag import BagError, BagWriter
 from tapping_cell.simulation.truth import TruthFile
 
-LOOK_AT_RATE_S = 1.0
+RATE_WINDOW_S = 1.0
 SLOW_MOTION = 3.0
 RANGES = (
     ("trials", 1, 1000),
@@ -305,7 +305,7 @@ def _header(
     if arguments.exposure is None and own_world:
         truth = arguments.truth or shared_folder() / "truth" / "default.yaml"
         exposure = load(TruthFile, truth).camera.exposure
-    rate = arguments.camera_rate if own_world else client.camera_rate(LOOK_AT_RATE_S, check)
+    rate = arguments.camera_rate if own_world else client.camera_rate(RATE_WINDOW_S, check)
     return ExperimentFile(
         format=1,
         made=datetime.now(timezone.utc).isoformat(timespec="seconds"),

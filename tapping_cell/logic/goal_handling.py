@@ -46,7 +46,7 @@ from tapping_cell.planning.precision_limit import precision_limit
 from tapping_cell.planning.session import GoalSession
 from tapping_cell.se2 import Array, Pose
 
-LOOKS = ("name", "marker", "outline", "calibration")
+APPEARANCE_KEYS = ("name", "marker", "outline", "calibration")
 """Fields of an object file that do not affect how the object slides."""
 
 
@@ -142,7 +142,7 @@ class GoalHandling:
                 [
                     getattr(cell.object, entry.name)
                     for entry in fields(cell.object)
-                    if entry.name not in LOOKS
+                    if entry.name not in APPEARANCE_KEYS
                 ]
             )
             if key not in made:

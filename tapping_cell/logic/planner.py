@@ -61,7 +61,7 @@ from tapping_cell.planning import (
     Done,
     Gains,
     KeepOut,
-    LookAgain,
+    ObserveAgain,
     Refusal,
     RefusalReason,
     Strike,
@@ -116,7 +116,7 @@ class Event(Enum):
     GIVEN_UP = "tap given up"
     WITHDRAWN = "arm withdrawn"
     HIDDEN = "object hidden"
-    LOOK_WANTED = "longer observation requested"
+    OBSERVATION_REQUESTED = "longer observation requested"
     GOAL_MET = "goal met"
     GOAL_FAILED = "goal failed"
     GOAL_CANCELED = "goal canceled"
@@ -146,7 +146,7 @@ TABLE = table(
             (S.WAITING_FOR_CELL,),
         ),
         ((S.LOOKING,), Event.OBSERVED, (S.PLANNING,)),
-        ((S.PLANNING,), Event.LOOK_WANTED, (S.LOOKING,)),
+        ((S.PLANNING,), Event.OBSERVATION_REQUESTED, (S.LOOKING,)),
         ((S.PLANNING,), Event.TAP_PROPOSED, (S.CONFIRMING,)),
         ((S.CONFIRMING,), Event.TAP_DROPPED, (S.LOOKING,)),
         # With a fixed tapper no arm moves, so the planner enters FIRING directly.
@@ -519,7 +519,7 @@ class PlannerLogic:
             return
         {
             S.WAITING_FOR_CELL: self._wait_for_cell,
-            S.LOOKING: self._look,
+            S.LOOKING: self._observe,
             S.PLANNING: self._wait_for_computation,
             S.CONFIRMING: self._wait_for_person,
             S.PLACING: self._wait_for_arm,
@@ -541,7 +541,7 @@ class PlannerLogic:
             code, sentence = missing
             self._fail(code, f"the cell was not ready: {sentence}", now)
 
-    def _look(self, task: Task, now: Now) -> None:
+    def _observe(self, task: Task, now: Now) -> None:
         """Observe the object at rest, evaluate the last tap, and decide on the next one."""
         needed = self._settings.frames_needed
         observed = task.observed(self._monitor, self._look_after, needed, now)
@@ -590,24 +590,24 @@ class PlannerLogic:
         if fault is not None:
             self._fail(*fault, now)
 
-    def _look_on(self, now: Now) -> None:
+    def _keep_observing(self, now: Now) -> None:
         """Continue the observation: more images are fused."""
         if self.state is S.PLANNING:
-            self._enter(Event.LOOK_WANTED, S.LOOKING, now, self._deadline - now.steady)
+            self._enter(Event.OBSERVATION_REQUESTED, S.LOOKING, now, self._deadline - now.steady)
 
     def _act(self, task: Task, decision: Decision, seen: ObjectState, now: Now) -> None:
         """Carry out a decision that is based on the observation ``seen``."""
         if isinstance(task, ArrangementTask):
             self._turn_to_object(task)
-        if isinstance(decision, LookAgain):
-            self._look_on(now)
+        if isinstance(decision, ObserveAgain):
+            self._keep_observing(now)
             return
         if isinstance(decision, Refusal):
             # If the observation is too uncertain, every further image improves it.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late(now):
                 self._fail(REFUSALS[decision.reason], decision.sentence, now)
             else:
-                self._look_on(now)
+                self._keep_observing(now)
             return
         if self.state is S.LOOKING:
             self._enter(Event.OBSERVED, S.PLANNING, now)

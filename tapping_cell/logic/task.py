@@ -39,7 +39,7 @@ from tapping_cell.planning import (
     Strike,
 )
 from tapping_cell.planning.session import GoalSession
-from tapping_cell.planning.stopping import LONG_LOOK
+from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import ReferenceMap
 
@@ -196,8 +196,8 @@ class Task:
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """Decide on the next action from an observation of the object at rest.
 
-        ``frames``: length of a normal observation in frames; a long one takes ``LONG_LOOK`` times
-        as many. It is 0 if no time is left for a long observation.
+        ``frames``: length of a normal observation in frames; a long one takes
+        ``LONG_OBSERVATION`` times as many. It is 0 if no time is left for a long observation.
         """
         assert isinstance(self.session, GoalSession)
         self.session.arm = self.arm
@@ -205,7 +205,7 @@ class Task:
         return self.session.decide(
             pose,
             covariance_from_message(seen.pose.covariance),
-            look_again=seen.frames_fused < LONG_LOOK * frames,
+            observe_again=seen.frames_fused < LONG_OBSERVATION * frames,
         )
 
     def take_in(self, shot: Shot, seen: ObjectState) -> None:

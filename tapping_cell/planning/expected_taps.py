@@ -53,10 +53,10 @@ def expected_taps(
     box, camera, scatter = settings.stopping, settings.camera, settings.scatter
     share = max(scatter.distance, LEAST_SCATTER.distance)
     rough = max(scatter.rotation, LEAST_SCATTER.rotation)
-    look = 2.0 * camera.position**2
+    camera_noise = 2.0 * camera.position**2
     floor = LEAST_DEVIATION * box.distance
-    along = np.sqrt((share * sizes) ** 2 + look + floor**2)
-    across = np.sqrt((scatter.direction * sizes) ** 2 + look)
+    along = np.sqrt((share * sizes) ** 2 + camera_noise + floor**2)
+    across = np.sqrt((scatter.direction * sizes) ** 2 + camera_noise)
     ahead = distance * np.cos(aside)[:, None] - sizes
     beside = np.broadcast_to(-distance * np.sin(aside)[:, None], ahead.shape)
     lengths = np.hypot(

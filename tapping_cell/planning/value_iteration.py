@@ -146,11 +146,11 @@ class _Problem:
         floor_r, floor_t = LEAST_DEVIATION * box.distance, LEAST_DEVIATION * box.rotation
         distance_share = max(scatter.distance, LEAST_SCATTER.distance)
         rotation_share = max(scatter.rotation, LEAST_SCATTER.rotation)
-        look_r, look_t = 2.0 * camera.position**2, 2.0 * camera.angle**2
-        along = np.sqrt((distance_share * self.taps) ** 2 + look_r + floor_r**2)
-        aside = np.sqrt((scatter.direction * self.taps) ** 2 + look_r)
+        camera_r, camera_t = 2.0 * camera.position**2, 2.0 * camera.angle**2
+        along = np.sqrt((distance_share * self.taps) ** 2 + camera_r + floor_r**2)
+        aside = np.sqrt((scatter.direction * self.taps) ** 2 + camera_r)
         self.p_r = _radial_weights(self.r, self.r[:, None] - self.taps, along, aside)
-        spread = np.sqrt((rotation_share * self.turns) ** 2 + look_t + floor_t**2)
+        spread = np.sqrt((rotation_share * self.turns) ** 2 + camera_t + floor_t**2)
         self.p_t = folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
 
     def solved(self, value: Values) -> Solution:

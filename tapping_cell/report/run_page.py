@@ -15,8 +15,8 @@ from tapping_cell.report import error_codes
 from tapping_cell.report.activities import (
     ASKS,
     CHARGES,
-    LOOKS,
     LOWERS,
+    MEASURES,
     SLIDES,
     THINKS,
     TRAVELS,
@@ -54,7 +54,7 @@ _ACTIVITY_COLOURS = {
     CHARGES: STRIKE,
     SLIDES: "#4aa3a2",
     WITHDRAWS: "#b98bd0",
-    LOOKS: REST,
+    MEASURES: REST,
     THINKS: "#9aa5b1",
     ASKS: ASKS_COLOUR,
 }

@@ -44,7 +44,7 @@ class CameraFaults:
 class Camera:
     """Publishes ``object_state`` through ``publish`` while its process is alive.
 
-    ``look`` returns the true pose of the object at a time, or None while something covers it.
+    ``observe`` returns the true pose of the object at a time, or None while something covers it.
     ``ros_now`` returns the ROS time (ns) of the camera's computer. ``sigma``: standard deviation of
     the pose in one frame: m, m, rad.
     """
@@ -53,7 +53,7 @@ class Camera:
         self,
         scheduler: Scheduler,
         rng: np.random.Generator,
-        look: Callable[[float], Pose | None],
+        observe: Callable[[float], Pose | None],
         ros_now: Callable[[], int],
         publish: Callable[[ObjectState], None],
         object_id: str,
@@ -64,7 +64,7 @@ class Camera:
         self.alive = True
         self._scheduler = scheduler
         self._rng = rng
-        self._look = look
+        self._true_pose = observe
         self._ros_now = ros_now
         self._publish = publish
         self._object_id = object_id
@@ -100,7 +100,7 @@ class Camera:
             repeated = self._last
             self._scheduler.at(due, lambda: self._send(repeated))
             return
-        true = None if now < faults.hidden_until else self._look(now)
+        true = None if now < faults.hidden_until else self._true_pose(now)
         self._last = state = self._observe(true, now)
         self._scheduler.at(due, lambda: self._send(state))
 

@@ -98,7 +98,7 @@ class Witness:
     tapper may execute only one that it received."""
     planners: set[int] = field(default_factory=set)
     """Ids of the taps that the planner has commanded."""
-    planner_heard: float = -math.inf
+    planner_received: float = -math.inf
     """Time at which the tapper's process last received a message of the planner."""
     planner_waits: bool = False
     """Whether the planner has shown, since the tapper's process received the last TAP, that it
@@ -182,7 +182,7 @@ class Witness:
         gone = release.time - self.planner_gone_since
         if gone > ORPHAN_S:
             self.violate("no planner", f"shot {shot} was released {gone:.2f} s after its planner")
-        silent = release.time - self.planner_heard
+        silent = release.time - self.planner_received
         patience = HEARTBEAT_S if self.planner_waits else SILENCE_S
         if shot in self.planners and silent > patience + WINDOW_S:
             self.violate(
@@ -244,9 +244,9 @@ class Witness:
                 f"shot {release.shot} was released {end - release.time:.3f} s before the end of"
                 " the arm's promise to stand still",
             )
-        asked, doubt = self.last_check
-        if doubt is not None:
-            self.violate("against its check", f"shot {release.shot} was released against: {doubt}")
+        asked, reason = self.last_check
+        if reason is not None:
+            self.violate("against its check", f"shot {release.shot} was released against: {reason}")
         elif release.time > asked + CHECK_S:
             self.violate(
                 "check too old",

@@ -256,7 +256,7 @@ class Trial:
         self.camera = Camera(
             self.scheduler,
             np.random.default_rng([seed, 3]),
-            self._look,
+            self._observe,
             lambda: self.clocks["camera_pose"].now().ros,
             lambda state: self.network.publish("camera_pose", "object_state", state),
             cell.object.name,
@@ -433,7 +433,7 @@ class Trial:
         self._struck_before = bool(faults)
         quiet = quiet and began > self.disturbed_until
         struck = {kind for at, kind in self._struck if at > began - LASTING_S}
-        if self._look(self.scheduler.now) is None:
+        if self._observe(self.scheduler.now) is None:
             struck.add(COVERED)
         if self.in_haste and not in_time:
             struck.add(HASTE)
@@ -794,7 +794,7 @@ class Trial:
         kept = self.network.history.get(topic)
         return kept[-1] if kept else None
 
-    def _look(self, time: float) -> Pose | None:
+    def _observe(self, time: float) -> Pose | None:
         return self.physical.view(time) if self.arm_covers else self.physical.object_pose(time)
 
     def _on_publish(self, node: str, topic: str, message: Any) -> None:
@@ -852,7 +852,7 @@ class Trial:
         if process == "scara_arm" and self._may_move_arm(topic, message):
             self.witness.ask_to_move()
         if process == "tapper_trigger" and topic == "plan_state":
-            self.witness.planner_heard = now
+            self.witness.planner_received = now
             if message.state in TAPPING:
                 self.witness.planner_waits = True
         if process == "tapper_trigger" and topic == "object_state":

@@ -33,7 +33,7 @@ _STEP = 0.93
 _USELESS = 4
 """Number of consecutive unusable taps after which the recording is aborted."""
 READY_PATIENCE_S = 60.0
-LOOK_AT_RATE_S = 1.0
+RATE_WINDOW_S = 1.0
 _ALIKE = 0.02
 
 
@@ -130,7 +130,7 @@ def _make(
         )
     maker = TapMaker(client, lambda: None)
     curve, tap = cell.file.tapper.curve(), assembly.make_tap(cell)
-    rate = client.camera_rate(LOOK_AT_RATE_S, lambda: None)
+    rate = client.camera_rate(RATE_WINDOW_S, lambda: None)
     header = ExperimentFile(
         format=1,
         made="",

@@ -6,7 +6,7 @@ Example::
     bodies = [Body("left", FreeSpace(space), planner, goal_pose), ...]
     session = ArrangementSession(bodies, maps=maps)
     decision = session.decide({"left": Observation(pose, covariance), ...})
-    # AllDone, LookLonger, TapOf(name, strike, move) or Refusal
+    # AllDone, ObserveLonger, TapOf(name, strike, move) or Refusal
     ...  # fire decision.strike.plan, measure the pose of every object again
     session.observe(decision, before, after)
 
@@ -28,8 +28,8 @@ from tapping_cell.planning.arrangement.session import (
     AllDone,
     ArrangementDecision,
     ArrangementSession,
-    LookLonger,
     Observation,
+    ObserveLonger,
     TapOf,
 )
 
@@ -41,10 +41,10 @@ __all__ = [
     "ArrangementSession",
     "Body",
     "FileOrder",
-    "LookLonger",
     "Move",
     "NearestFirst",
     "Observation",
+    "ObserveLonger",
     "Purpose",
     "Scene",
     "SequencePlanner",

@@ -32,7 +32,7 @@ from tapping_cell.planning.interface import Planner
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import (
     Done,
-    LookAgain,
+    ObserveAgain,
     PositioningSession,
     Strike,
     noise_of,
@@ -81,11 +81,11 @@ class TapOf:
 
 
 @dataclass(frozen=True, slots=True)
-class LookLonger:
+class ObserveLonger:
     """Request for a longer observation, which may confirm that the object is at its goal."""
 
     name: str
-    look: LookAgain
+    request: ObserveAgain
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class AllDone:
     residuals: Mapping[str, Pose]
 
 
-ArrangementDecision = AllDone | LookLonger | TapOf | Refusal
+ArrangementDecision = AllDone | ObserveLonger | TapOf | Refusal
 
 
 class ArrangementSession:
@@ -159,7 +159,7 @@ class ArrangementSession:
         return self._session
 
     def decide(
-        self, seen: Mapping[str, Observation], *, look_again: bool = False
+        self, seen: Mapping[str, Observation], *, observe_again: bool = False
     ) -> ArrangementDecision:
         """Decide on the next step; ``seen`` must contain an observation of every object."""
         missing = [body.name for body in self.bodies if body.name not in seen]
@@ -184,12 +184,12 @@ class ArrangementSession:
                 self._confirmed.pop(name, None)
         for _ in range(4 * len(self.bodies) + 4):
             if self.move is None:
-                chosen = self._choose(seen, poses, look_again)
+                chosen = self._choose(seen, poses, observe_again)
                 if not isinstance(chosen, Move):
                     return chosen
                 self._begin(chosen)
                 assert self.move is not None
-            decision = self._step(self.move, seen[self.move.name], look_again)
+            decision = self._step(self.move, seen[self.move.name], observe_again)
             if decision is not None:
                 return decision
         return Refusal(
@@ -245,8 +245,8 @@ class ArrangementSession:
         return bool(moved)
 
     def _choose(
-        self, seen: Mapping[str, Observation], poses: Mapping[str, Pose], look_again: bool
-    ) -> Move | AllDone | LookLonger | Refusal:
+        self, seen: Mapping[str, Observation], poses: Mapping[str, Pose], observe_again: bool
+    ) -> Move | AllDone | ObserveLonger | Refusal:
         """Check which objects are at their goals, then return the next move or the end."""
         done = set()
         for body in self.bodies:
@@ -256,13 +256,13 @@ class ArrangementSession:
                 done.add(body.name)
                 continue
             decision = self._alone(body).arrived(
-                seen[body.name].pose, seen[body.name].covariance, look_again=look_again
+                seen[body.name].pose, seen[body.name].covariance, observe_again=observe_again
             )
             if isinstance(decision, Done):
                 done.add(body.name)
                 self._confirmed[body.name] = poses[body.name]
-            elif isinstance(decision, LookAgain):
-                return LookLonger(body.name, decision)
+            elif isinstance(decision, ObserveAgain):
+                return ObserveLonger(body.name, decision)
         self.finished = frozenset(done)
         if all(body.goal is None or body.name in done for body in self.bodies):
             return AllDone({name: self._residual(name, poses[name]) for name in done})
@@ -310,8 +310,8 @@ class ArrangementSession:
         return _at_goal(body, self._most_taps)
 
     def _step(
-        self, move: Move, seen: Observation, look_again: bool
-    ) -> TapOf | LookLonger | Refusal | None:
+        self, move: Move, seen: Observation, observe_again: bool
+    ) -> TapOf | ObserveLonger | Refusal | None:
         """Return the next step of the current move, or None if another move is needed."""
         body = self._by_name[move.name]
         free = self._maps.map(body, areas_of(self.bodies, self._settled, [body.name]))
@@ -330,13 +330,13 @@ class ArrangementSession:
             self._session.use_free_space(free.space, free)
         self._session_move, self._session_map = move, free
         # An object that makes way need not be seen as well as one at its goal.
-        look_again = look_again and move.purpose is Purpose.TO_GOAL
-        decision = self._session.decide(seen.pose, seen.covariance, look_again=look_again)
+        observe_again = observe_again and move.purpose is Purpose.TO_GOAL
+        decision = self._session.decide(seen.pose, seen.covariance, observe_again=observe_again)
         if isinstance(decision, Done):
             self.move = None
             return None
-        if isinstance(decision, LookAgain):
-            return LookLonger(body.name, decision)
+        if isinstance(decision, ObserveAgain):
+            return ObserveLonger(body.name, decision)
         if isinstance(decision, Strike) and not self._progresses(move, seen.pose):
             self._stalled |= {(body.name, move.purpose)}
             self.move = None

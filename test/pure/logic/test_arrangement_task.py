@@ -395,28 +395,28 @@ def test_the_last_check_is_of_the_tapped_object() -> None:
     here, there, away = Pose(0.0, 0.0, 0.0), Pose(0.1, 0.0, 0.0), Pose(0.15, 0.0, 0.0)
     peers = TapperPeers(PeerLimits())
     own = states_of(own=here).objects[0]
-    peers.hear_object(own, now)
+    peers.on_object_state(own, now)
 
-    def doubt(name: str, planned: Pose) -> int:
+    def reason(name: str, planned: Pose) -> int:
         peers.begin_tap(name)
         found = peers._disturbance(planned, now)
         return found[0] if found is not None else ErrorCode.NONE
 
     # One that was never seen is not tapped, wherever the cell's own object lies.
-    assert doubt("other", there) == ErrorCode.OBJECT_NOT_SEEN
-    assert doubt("other", here) == ErrorCode.OBJECT_NOT_SEEN
-    peers.hear_objects(states_of(own=here, other=there), now)
-    assert doubt("other", there) == ErrorCode.NONE
-    assert doubt("other", here) == ErrorCode.OBJECT_MOVED
-    assert doubt("own", here) == doubt("", here) == ErrorCode.NONE
-    assert doubt("own", there) == ErrorCode.OBJECT_MOVED
+    assert reason("other", there) == ErrorCode.OBJECT_NOT_SEEN
+    assert reason("other", here) == ErrorCode.OBJECT_NOT_SEEN
+    peers.on_object_states(states_of(own=here, other=there), now)
+    assert reason("other", there) == ErrorCode.NONE
+    assert reason("other", here) == ErrorCode.OBJECT_MOVED
+    assert reason("own", here) == reason("", here) == ErrorCode.NONE
+    assert reason("own", there) == ErrorCode.OBJECT_MOVED
     # It is as old as its own stamp, and an older state does not count for a newer one.
     late = states_of(other=away)
     late.objects[0].header.stamp.sec = 9
-    peers.hear_objects(late, now)
-    assert doubt("other", there) == ErrorCode.NONE
+    peers.on_object_states(late, now)
+    assert reason("other", there) == ErrorCode.NONE
     later = Now(10.0 + PeerLimits().unseen + 0.1, 10_600_000_000)
-    peers.hear_object(own, later)
+    peers.on_object_state(own, later)
     peers.begin_tap("other")
     assert peers._disturbance(there, later)[0] == ErrorCode.OBJECT_NOT_SEEN  # type: ignore[index]
     assert math.isfinite(later.steady)

@@ -24,14 +24,16 @@ class Told:
         self.plans: list[PlanState] = []
         self.commands: list[TapCommand] = []
         self.arm, self.tapper = ArmState(), TapperState()
-        heard = {
+        received = {
             "plan_state": self.plans.append,
             "tap_command": self.commands.append,
             "arm_state": lambda message: setattr(self, "arm", message),
             "tapper_state": lambda message: setattr(self, "tapper", message),
         }
-        for topic, hear in heard.items():
-            self.trial.network.subscribe("test", topic, lambda _, message, hear=hear: hear(message))
+        for topic, receive in received.items():
+            self.trial.network.subscribe(
+                "test", topic, lambda _, message, receive=receive: receive(message)
+            )
         self.run(2.0)
         self.plans.clear()
 
