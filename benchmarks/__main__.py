@@ -77,7 +77,8 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="scenes of arrangements, experiments of calibration and lack-of-fit, demos a truth, "
-        "callbacks of composition, goals of cycle and fixed-cycle, losses of disarm, freezes of a node of lost-nodes, "
+        "callbacks of composition, goals of cycle and fixed-cycle, losses of disarm, freezes of a "
+        "node of lost-nodes, "
         "trials of precision, scenes of outline, scenes or frames of vision*, seconds of node and "
         "idle",
     )
