@@ -437,6 +437,16 @@ class PositioningSession(GoalSession):
         if missed and self._skipped and "skipped" not in detour:
             detour += "; another tap was skipped"
         allowed = struck = trusted = False
+
+        def safe(candidates: Array) -> BoolArray:
+            nonlocal trusted
+            short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
+            fits = short <= self._longest_tap() * (1.0 + 1e-9)
+            fits &= _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
+            if not trusted and not np.any(fits):
+                trusted = bool(np.any(self._ends_well(pose, candidates, trusting=True)))
+            return np.asarray(fits)
+
         for candidates, cost in alternative_taps(
             pose,
             self.goal,
@@ -447,20 +457,15 @@ class PositioningSession(GoalSession):
             self._space.tap,
             self._space.strikeable,
             self._visited,
+            safe,
         ):
-            short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
-            fits = short <= self._longest_tap() * (1.0 + 1e-9)
-            fits &= _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
-            safe = candidates[fits]
-            if safe.shape[0] == 0:
-                trusted = trusted or bool(np.any(self._ends_well(pose, candidates, trusting=True)))
-                continue
             allowed = True
-            struck = struck or bool(np.any(self._space.tap.reachable(safe, pose)))
-            found = self._space.first_strike(Pose(*pose.tolist()), safe)
-            if found is not None:
-                self._visited.add(pose, 1.0 + float(cost[fits][found[0]]))
-                return self._made(pose, left, safe[found[0]], found[1], detour)
+            found = self._space.first_strike(Pose(*pose.tolist()), candidates)
+            if found is None:
+                struck = struck or bool(np.any(self._space.tap.reachable(candidates, pose)))
+            else:
+                self._visited.add(pose, 1.0 + float(cost[found[0]]))
+                return self._made(pose, left, candidates[found[0]], found[1], detour)
         if missed:
             return self._strike(pose, left, missed=())
         return self._no_strike(pose, detour, allowed, struck, trusted)

@@ -230,7 +230,9 @@ def state_grid(
     return np.array(values), FINE_STEPS
 
 
-def _weights(grid: Array, cumulative: Array, box: int, at_box: Array) -> tuple[Array, Array]:
+def interpolation_weights(
+    grid: Array, cumulative: Array, box: int, at_box: Array
+) -> tuple[Array, Array]:
     """Expected weights of linear interpolation, from the integral of the distribution function.
 
     ``cumulative``: I(z) = integral of F from 0 to z at the grid points (last axis); ``at_box``: F
@@ -259,7 +261,7 @@ def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, A
     cumulative = integral(grid) + integral(-grid) - 2.0 * integral(np.zeros(1))
     edge = grid[box]
     at_box = ndtr((edge - mean) / deviation) - ndtr((-edge - mean) / deviation)
-    return _weights(grid, cumulative, box, at_box)
+    return interpolation_weights(grid, cumulative, box, at_box)
 
 
 def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tuple[Array, Array]:
@@ -286,7 +288,7 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
     values = distribution(abscissae).reshape(*mean.shape, width.size, 3)
     cells = values @ (shares / 2.0) * width
     cumulative = np.concatenate([np.zeros((*mean.shape, 1)), np.cumsum(cells, axis=-1)], axis=-1)
-    return _weights(grid, cumulative, box, distribution(grid[box : box + 1])[..., 0])
+    return interpolation_weights(grid, cumulative, box, distribution(grid[box : box + 1])[..., 0])
 
 
 def _normal_quantiles(count: int) -> Array:

@@ -22,7 +22,7 @@ from tapping_cell.planning.arrangement.interface import (
     Purpose,
     Scene,
 )
-from tapping_cell.planning.arrangement.layout import check_layout
+from tapping_cell.planning.arrangement.layout import check_goals, check_layout
 from tapping_cell.planning.arrangement.sequence import SequencePlanner
 from tapping_cell.planning.arrangement.session import (
     AllDone,
@@ -49,5 +49,6 @@ __all__ = [
     "Scene",
     "SequencePlanner",
     "TapOf",
+    "check_goals",
     "check_layout",
 ]

@@ -136,6 +136,7 @@ class ArrangementSession:
         self._stalled: frozenset[tuple[str, Purpose]] = frozenset()
         self._buffers: dict[str, tuple[Pose, ...]] = {}
         self._confirmed: dict[str, Pose] = {}
+        self._waits_for: dict[str, str] = {}  # objects that made way: the object they wait for
         self._best = math.inf  # smallest estimate of the remaining taps of the current move
         self._in_vain = 0  # consecutive taps of the current move without progress
         self._session: PositioningSession | None = None
@@ -217,6 +218,8 @@ class ArrangementSession:
         self._best, self._in_vain = math.inf, 0
         if move.purpose is Purpose.MAKE_WAY:
             self._buffers[move.name] = (*self._buffers.get(move.name, ()), move.target)
+            if move.blocked:
+                self._waits_for[move.name] = move.blocked
 
     def _progresses(self, move: Move, pose: Pose) -> bool:
         """Return whether the taps of a move have brought its object closer to the target lately."""
@@ -272,10 +275,11 @@ class ArrangementSession:
                 f"{sum(self.taps.values())} taps did not bring all objects to their goals, the "
                 f"limit is {self._most_taps}",
             )
-        chosen = self._planner.next_move(self._scene(self._excluded | self._stalled))
-        if isinstance(chosen, Refusal) and self._stalled:
-            self._stalled = frozenset()
-            chosen = self._planner.next_move(self._scene(self._excluded))
+        waiting = frozenset(n for n, other in self._waits_for.items() if other not in done)
+        chosen = self._planner.next_move(self._scene(self._excluded | self._stalled, waiting))
+        if isinstance(chosen, Refusal) and (self._stalled or waiting):
+            self._stalled, self._waits_for = frozenset(), {}
+            chosen = self._planner.next_move(self._scene(self._excluded, frozenset()))
         return chosen
 
     def _still_at_goal(self, body: Body, seen: Observation) -> bool:
@@ -297,12 +301,11 @@ class ArrangementSession:
             and abs(pose.rotation_to(body.goal)) <= settings.tolerance_angle
         )
 
-    def _scene(self, excluded: frozenset[tuple[str, Purpose]]) -> Scene:
+    def _scene(self, excluded: frozenset[tuple[str, Purpose]], waiting: frozenset[str]) -> Scene:
         due = [name for name in self._order if name not in self.finished]
         if due:
-            later = {b.name for b in self.bodies if b.goal is not None} - {due[0]}
-            excluded |= {(name, Purpose.TO_GOAL) for name in later}
-        return Scene(self.bodies, self._settled, self.finished, excluded, self._buffers)
+            waiting |= {b.name for b in self.bodies if b.goal is not None} - {due[0]}
+        return Scene(self.bodies, self._settled, self.finished, excluded, self._buffers, waiting)
 
     def _alone(self, body: Body) -> PositioningSession:
         """Return a session that only checks the goal and therefore ignores the other objects."""
