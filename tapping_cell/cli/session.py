@@ -13,6 +13,8 @@ from pathlib import Path
 from rich.console import Console
 
 from tapping_cell.cli.confirmation import Person
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.clients.goal_client import (
     Finished,
     GoalClient,
@@ -91,6 +93,21 @@ def send(
     raise NotReadyInTime(
         f"the planner did not answer the goal within {SENDINGS * ANSWER_S:.0f} s; look at its log"
     )
+
+
+def require_object(client: GoalClient, cell: Cell) -> None:
+    """Check that the running cell tracks the object of these files.
+
+    Raises:
+        ConfigurationError: it tracks another object, or none.
+    """
+    state = client.object_state
+    tracked = repr(state.object_id) if state is not None else "no object"
+    if tracked != repr(cell.object.name):
+        raise ConfigurationError(
+            f"the running cell tracks {tracked}, but the object file {cell.object_path} is of "
+            f"'{cell.object.name}'; give --object the file that the cell was started with"
+        )
 
 
 def wait_for_planner(client: GoalClient, patience: float, console: Console) -> None:

@@ -261,12 +261,7 @@ def _measure(
         SingleTapClient("single_tap_client", arguments.namespace) as client,
     ):
         session.wait_until_ready(client, READY_PATIENCE_S, check, console)
-        assert client.object_state is not None
-        if client.object_state.object_id != cell.object.name:
-            raise RecordError(
-                f"the camera tracks '{client.object_state.object_id}', but the records would "
-                f"be of '{cell.object.name}'; give the graph's own --object"
-            )
+        session.require_object(client, cell)
         header = _header(arguments, cell, client, check)
         _keep_header(folder, header)
         with BagWriter(folder / name, notes={"experiment": folder.name, "session": name}) as bag:

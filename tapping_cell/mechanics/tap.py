@@ -55,6 +55,21 @@ class TapPlan(NamedTuple):
     twist: Array
 
 
+def tips_at_rest(
+    strike_pose: ArrayLike, standoff: float, round_position: float = 0.0, round_angle: float = 0.0
+) -> Array:
+    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses, with the rounding in m
+    and rad of an arm that moves in steps; 0 does not round."""
+    tips = np.array(strike_pose, dtype=float)
+    tips[..., 0] -= standoff * np.cos(tips[..., 2])
+    tips[..., 1] -= standoff * np.sin(tips[..., 2])
+    if round_position > 0.0:
+        tips[..., :2] = round_position * np.round(tips[..., :2] / round_position)
+    if round_angle > 0.0:
+        tips[..., 2] = round_angle * np.round(tips[..., 2] / round_angle)
+    return tips
+
+
 class TapResult(NamedTuple):
     """Result of a tap; every field has the shape of the poses.
 
@@ -130,12 +145,6 @@ class Tap:
         Arguments as for :meth:`strike`.
         """
         return self.strike(object_pose, strike_pose, striker_speed).displacement
-
-    def launch_velocity(
-        self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
-    ) -> Array:
-        """Twist (..., 3) of the object just after the impact, in table axes, m/s and rad/s."""
-        return self._impact(object_pose, strike_pose, striker_speed).twist
 
     def strike(
         self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike

@@ -122,12 +122,7 @@ def _make(
     growing: GrowingCsv,
     console: Console,
 ) -> None:
-    if client.object_state is None or client.object_state.object_id != cell.object.name:
-        seen = client.object_state.object_id if client.object_state else "nothing"
-        raise CalibrationRefused(
-            f"the camera tracks '{seen}', but the taps are to be on '{cell.object.name}'; "
-            "give the running cell's own --object"
-        )
+    session.require_object(client, cell)
     maker = TapMaker(client, lambda: None)
     curve, tap = cell.file.tapper.curve(), assembly.make_tap(cell)
     rate = client.camera_rate(RATE_WINDOW_S, lambda: None)

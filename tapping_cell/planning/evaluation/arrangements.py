@@ -52,7 +52,6 @@ METHODS: dict[str, Callable[[AmongOthers], ArrangementPlanner]] = {
 
 GOALS = ("random", "swap", "grid")
 
-GOAL_GAP = 0.040
 START_GAP = 0.040
 DRAWS = 4000
 SWEEP = 25
