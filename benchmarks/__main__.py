@@ -18,16 +18,19 @@ import sys
 from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
+from types import ModuleType
 
 # A section is a module with ``measure() -> dict`` (printed by --json) and
 # ``lines(report) -> list[str]`` (the report as text). A module with a ``DEFAULT_COUNT`` has
-# ``measure(count)`` with the number of experiments, scenes, frames or seconds.
+# ``measure(count)`` with the number of experiments, scenes, frames or seconds. A module with
+# ``partial_reports(count)`` yields a report after each part, so that --write keeps the parts.
 SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
 # Long sections, which run only if they are named.
 LONG_SECTIONS = (
     "arrangements",
     "calibration",
+    "composition",
     "cycle",
     "demos",
     "disarm",
@@ -39,6 +42,7 @@ LONG_SECTIONS = (
     "outline",
     "page-stop",
     "precision",
+    "precision-limit",
     "two-computers",
     "unknown-objects",
     "unknown-worlds",
@@ -76,7 +80,8 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="scenes of arrangements, experiments of calibration and lack-of-fit, demos a truth, "
-        "goals of cycle and fixed-cycle, losses of disarm, freezes of a node of lost-nodes, "
+        "callbacks of composition, goals of cycle and fixed-cycle, losses of disarm, freezes of a "
+        "node of lost-nodes, "
         "trials of precision, scenes of outline, scenes or frames of vision*, seconds of node and "
         "idle",
     )
@@ -96,11 +101,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reports = {}
     for name in chosen.section or SECTIONS:
         section = importlib.import_module(f"benchmarks.{name.replace('-', '_')}")
-        if hasattr(section, "DEFAULT_COUNT"):
+        if hasattr(section, "partial_reports"):
+            for reports[name] in section.partial_reports(chosen.count or section.DEFAULT_COUNT):
+                if chosen.write:
+                    write_section(RESULTS, name, chosen.count, _text(section, reports[name]))
+        elif hasattr(section, "DEFAULT_COUNT"):
             reports[name] = section.measure(chosen.count or section.DEFAULT_COUNT)
         else:
             reports[name] = section.measure()
-        text = "\n".join(f"    {line}" for line in section.lines(reports[name]))
+        text = _text(section, reports[name])
         if not chosen.json:
             print(f"{name}:\n{text}", flush=True)
         if chosen.write:
@@ -108,6 +117,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.json:
         print(json.dumps(reports))
     return 0
+
+
+def _text(section: ModuleType, report: object) -> str:
+    return "\n".join(f"    {line}" for line in section.lines(report))
 
 
 def write_section(file: Path, name: str, count: int | None, text: str) -> None:

@@ -4,68 +4,134 @@ The scenes contain disks and squares with radii of 20 to 40 mm and gaps of 40 mm
 a radius of 25 mm whose goals form a grid. The trials use the published scatter, systematic errors
 of 5 % in distance and 15 % in rotation, and a camera with 0.1 mm and 0.1 degrees of noise. The
 ground truth of every pose and every contact is recorded.
+
+Every scene is stored when it ends, so that an interrupted run goes on where it stopped. Scenes of
+another state of the planner are not used.
 """
 
 from __future__ import annotations
 
 import argparse
-import functools
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from tapping_cell import mechanics, planning
 from tapping_cell.cli import evaluate
 from tapping_cell.planning.evaluation.arrangements import (
     METHODS,
     ArrangementTask,
-    evaluate_arrangements,
+    ArrangementTrial,
+    run_arrangement,
     summarise_arrangements,
 )
 
 DEFAULT_COUNT = 200
+SEED = 1
+
+SCENES = Path(__file__).resolve().parent.parent / "runs" / "benchmark_arrangements.jsonl"
+"""File of the scenes that have ended, one JSON object a line."""
 
 GAIN_BIAS = (0.05, 0.15)
 OPTIONS = ["--camera-noise", "0.1", "0.1"]
+GRID_GAPS_MM = (40, 30, 20)
+
+DRAWN = ("history", "goals", "outlines", "table")
+"""Fields of a trial for drawings, which are not stored."""
 
 Group = tuple[str, ArrangementTask, list[str], float]
 """Name, task, additional options of the shapes, share of the count."""
 
 
 def groups() -> list[Group]:
-    """Groups of trials: first the built-in planner, then four random goals with the baselines."""
+    """Groups of trials: the built-in planner on all kinds of scenes, then the baselines."""
     made: list[Group] = [
         ("2 swapped", ArrangementTask(2, "swap", gain_bias=GAIN_BIAS), [], 1.0),
         ("4 random", ArrangementTask(4, gain_bias=GAIN_BIAS), [], 1.0),
-        ("8 random", ArrangementTask(8, gain_bias=GAIN_BIAS), [], 0.25),
-    ]
-    made += [
-        (f"4 random, {method}", ArrangementTask(4, gain_bias=GAIN_BIAS, method=method), [], 0.25)
-        for method in METHODS
-        if method != "sequence"
+        ("8 random", ArrangementTask(8, gain_bias=GAIN_BIAS), [], 1.0),
     ]
     made += [
         (
             f"9 disks, gap {gap} mm",
             ArrangementTask(9, "grid", grid_gap=1e-3 * gap, gap=0.02, gain_bias=GAIN_BIAS),
             ["--goals", "grid", "--radius", "25"],
-            0.1,
+            0.25,
         )
-        for gap in (40, 60)
+        for gap in GRID_GAPS_MM
+    ]
+    made += [
+        (
+            f"{count} random, {method}",
+            ArrangementTask(count, gain_bias=GAIN_BIAS, method=method),
+            [],
+            share,
+        )
+        for count, share in ((4, 1.0), (8, 0.25))
+        for method in METHODS
+        if method != "sequence"
     ]
     return made
 
 
-def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return a row per group, each over its share of ``count`` scenes."""
-    rows = []
+def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
+    """Yield the report after each group, each with its share of ``count`` scenes."""
+    rows: list[dict[str, Any]] = []
+    state, kept = _state_of_planner(), _stored_scenes()
     for name, task, options, share in groups():
         parser = argparse.ArgumentParser()
         evaluate.add_arguments(parser)
-        kinds = functools.partial(
-            evaluate.arrangement_kinds, parser.parse_args([*OPTIONS, *options])
-        )
-        trials = evaluate_arrangements(task, kinds, max(1, round(share * count)), 1, 1)
+        kinds = evaluate.arrangement_kinds(parser.parse_args([*OPTIONS, *options]))
+        number = max(1, round(share * count))
+        trials: list[ArrangementTrial] = []
+        for scene, seed in enumerate(np.random.SeedSequence(SEED).spawn(number)):
+            key = f"{state}/{name}/{scene}"
+            if key not in kept:
+                trial, _ = run_arrangement(task, kinds, np.random.default_rng(seed))
+                kept[key] = _stored(trial)
+                _store(key, kept[key])
+            trials.append(ArrangementTrial(**kept[key]))
+            done = sum(trial.end == "done" for trial in trials)
+            print(f"{name}: {scene + 1} of {number} scenes, {done} done", file=sys.stderr)
         rows.append({"name": name, **summarise_arrangements(trials)})
-        print(_row(rows[-1]), flush=True)
-    return {"rows": rows}
+        yield {"rows": list(rows)}
+
+
+def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
+    """Return a row per group, each over its share of ``count`` scenes."""
+    return list(partial_reports(count))[-1]
+
+
+def _state_of_planner() -> str:
+    """Return a hash of the source code that the result of a scene depends on."""
+    state = hashlib.sha256()
+    for package in (mechanics, planning):
+        for file in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
+            state.update(file.read_bytes())
+    return state.hexdigest()[:16]
+
+
+def _stored(trial: ArrangementTrial) -> dict[str, Any]:
+    names = [each.name for each in fields(trial) if each.name not in DRAWN]
+    return {name: getattr(trial, name) for name in names}
+
+
+def _store(key: str, trial: dict[str, Any]) -> None:
+    SCENES.parent.mkdir(parents=True, exist_ok=True)
+    with SCENES.open("a", encoding="utf-8") as file:
+        file.write(json.dumps([key, trial], default=float) + "\n")
+
+
+def _stored_scenes() -> dict[str, dict[str, Any]]:
+    if not SCENES.exists():
+        return {}
+    whole = SCENES.read_text(encoding="utf-8").rpartition("\n")[0]  # without an unfinished line
+    return dict(json.loads(line) for line in whole.splitlines())
 
 
 def lines(report: dict[str, Any]) -> list[str]:

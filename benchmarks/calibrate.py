@@ -17,7 +17,7 @@ import numpy as np
 
 from tapping_cell.calibration.arm import calibrate_arm, wrist
 from tapping_cell.calibration.camera import calibrate_camera
-from tapping_cell.calibration.table import calibrate_table, look
+from tapping_cell.calibration.table import calibrate_table, observe_markers
 from tapping_cell.calibration.table_frame import frame_of_map, in_frame
 from tapping_cell.calibration.tapper import SHARES, calibrate_tapper
 from tapping_cell.calibration.target import Target, TargetView, find_target
@@ -129,7 +129,7 @@ def _tables() -> dict[str, float]:
             height = 0.80 * model.fx / model.width + random.uniform(0.0, 0.1)
             place = (0.35 * math.cos(side), 0.35 * math.sin(side), height)
             image = eye.photograph(sheet, CameraPose.above(place, spin=random.uniform(-3, 3)))
-            found = look(image, f"view {number}", model, references.dictionary)
+            found = observe_markers(image, f"view {number}", model, references.dictionary)
             if not isinstance(found, str):
                 views.append(found)
         sizes = {m.id: m.size for m in references.markers}

@@ -94,7 +94,7 @@ class Stopwatch:
         self._tap: Tap | None = None
         self._ids: list[int] = []
 
-    def hear(self, topic: str, message: Any) -> None:
+    def on_message(self, topic: str, message: Any) -> None:
         """Process one message."""
         stamp = _seconds(message.header.stamp)
         if topic == "plan_state":
@@ -223,8 +223,8 @@ def lines(report: dict[str, Any]) -> list[str]:
 class QuietTrial(Trial):
     """A cell in virtual time without faults, whose computers share one clock."""
 
-    def __init__(self, seed: int, hear: Callable[[str, Any], None]) -> None:
-        self._hear = hear
+    def __init__(self, seed: int, on_message: Callable[[str, Any], None]) -> None:
+        self._receive = on_message
         super().__init__(seed, faults=False)
 
     def _make_clock(self) -> HostClock:
@@ -233,7 +233,7 @@ class QuietTrial(Trial):
     def _on_publish(self, node: str, topic: str, message: Any) -> None:
         super()._on_publish(node, topic, message)
         if topic in TOPICS:
-            self._hear(topic, message)
+            self._receive(topic, message)
 
     def next_goal(self, number: int) -> Pose:
         """Return the next goal of the published task, forth and back."""
@@ -244,7 +244,7 @@ def in_virtual_time(count: int) -> Stopwatch:
     """Measure goals in virtual time; each pair of goals has its own cell and random seed."""
     watch = Stopwatch(load_cell().arm.travel_height)
     for seed in range(1, 1 + (count + 1) // len(MOVES)):
-        report = QuietTrial(seed, watch.hear).run(len(MOVES))
+        report = QuietTrial(seed, watch.on_message).run(len(MOVES))
         for violation in report.violations:
             raise RuntimeError(str(violation))
     return watch
@@ -273,11 +273,13 @@ def in_graph(
             GoalClient("cycle_bench") as client,
         ):
             for topic, (kind, quality) in TOPICS.items():
-                client.node.create_subscription(kind, topic, partial(watch.hear, topic), quality)
+                client.node.create_subscription(
+                    kind, topic, partial(watch.on_message, topic), quality
+                )
             for number in range(count):
                 session.wait_until_ready(client, READY_PATIENCE_S, graph.check, quiet)
-                look = client.object_state
-                client.send((next_goal or _goal)(client.object_pose(), number), look=look)
+                observed = client.object_state
+                client.send((next_goal or _goal)(client.object_pose(), number), observed=observed)
                 session.follow(client, graph.check, quiet)
     return watch
 

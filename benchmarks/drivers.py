@@ -154,11 +154,11 @@ def stop_to_wire(stops: int) -> dict[str, float]:
     for _ in range(stops):
         transport.release()
         time.sleep(0.003)
-        stopped.append(_until_heard(master, lambda: transport.stop(STOP), STOP))
+        stopped.append(_until_received(master, lambda: transport.stop(STOP), STOP))
     ending.set()
     transport.release()
     worker.join()
-    bare = [_until_heard(master, lambda: os.write(slave, STOP), STOP) for _ in range(stops)]
+    bare = [_until_received(master, lambda: os.write(slave, STOP), STOP) for _ in range(stops)]
     transport.close()
     os.close(slave)
     os.close(master)
@@ -166,12 +166,12 @@ def stop_to_wire(stops: int) -> dict[str, float]:
     return {"stops": stops, "p99": p99, "worst": max(stopped), "bare_p99": peer}
 
 
-def _until_heard(master: int, act: Callable[[], object], wanted: bytes) -> float:
+def _until_received(master: int, act: Callable[[], object], wanted: bytes) -> float:
     began = time.perf_counter()
     act()
-    heard = b""
-    while wanted not in heard:
-        heard += os.read(master, 4096)
+    received = b""
+    while wanted not in received:
+        received += os.read(master, 4096)
     return time.perf_counter() - began
 
 

@@ -55,7 +55,7 @@ class Case:
 
 CASES = (
     Case("at rest"),
-    Case("at rest, annotated picture heard", annotated=True),
+    Case("at rest, annotated picture received", annotated=True),
     *(
         Case(f"at rest, {encoding}", encoding=encoding)
         for encoding in ("bgr8", "bgra8", "mono16", "yuv422", "bayer_rggb8")

@@ -23,8 +23,8 @@ from tapping_cell.vision.outline.search import (
     Refused,
     accept,
     find_outlines,
+    fit_closely,
     fit_surely,
-    look_closely,
 )
 
 DEFAULT_COUNT = 6
@@ -125,7 +125,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
             follow.append((time.process_time() - begin) * 1e3)
             if fit is None or isinstance(accept(fit, outline), Refused):
                 # In this case the node searches the surroundings.
-                fit = look_closely(image, scene.view, outline, start)
+                fit = fit_closely(image, scene.view, outline, start)
             if isinstance(fit, Refused):
                 missed += 1
                 continue

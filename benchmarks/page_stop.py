@@ -93,19 +93,19 @@ class Listener:
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("page_stop_bench")
-        self.heard = threading.Event()
-        self.heard_at = 0.0
-        self.node.create_subscription(Bool, "emergency_stop", self._hear, LATCHED)
+        self.received = threading.Event()
+        self.received_at = 0.0
+        self.node.create_subscription(Bool, "emergency_stop", self._receive, LATCHED)
         self.bare = self.node.create_publisher(Bool, "bare", LATCHED)
-        self.node.create_subscription(Bool, "bare", self._hear, LATCHED)
+        self.node.create_subscription(Bool, "bare", self._receive, LATCHED)
         self._info = self.node.create_publisher(CameraInfo, "camera/camera_info", images.PICTURES)
         self._pose = self.node.create_publisher(PoseStamped, "camera/pose", LATCHED)
         self._camera = load_cell().camera
         self.node.create_timer(0.5, self._play_camera)
 
-    def _hear(self, _: Bool) -> None:
-        self.heard_at = time.monotonic()
-        self.heard.set()
+    def _receive(self, _: Bool) -> None:
+        self.received_at = time.monotonic()
+        self.received.set()
 
     def _play_camera(self) -> None:
         self._info.publish(images.to_camera_info(self._camera))
@@ -127,11 +127,11 @@ def _stops(
     try:
         for _ in range(STOPS):
             time.sleep(PAUSE_S)
-            listener.heard.clear()
+            listener.received.clear()
             pressed = time.monotonic()
-            if not _press(page, stop) or not listener.heard.wait(PATIENCE_S):
+            if not _press(page, stop) or not listener.received.wait(PATIENCE_S):
                 raise RuntimeError("a stop was not served")
-            times.append(listener.heard_at - pressed)
+            times.append(listener.received_at - pressed)
     finally:
         rate = (sent.value - before) / (time.monotonic() - began)
         if attack is not None:
@@ -145,11 +145,11 @@ def _bare(listener: Listener) -> dict[str, float]:
     times = []
     for _ in range(STOPS):
         time.sleep(0.02)
-        listener.heard.clear()
+        listener.received.clear()
         began = time.monotonic()
         listener.bare.publish(Bool(data=True))
-        listener.heard.wait(PATIENCE_S)
-        times.append(listener.heard_at - began)
+        listener.received.wait(PATIENCE_S)
+        times.append(listener.received_at - began)
     return _figures(times)
 
 

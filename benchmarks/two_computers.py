@@ -185,22 +185,22 @@ def _read(transport: str) -> None:
     node = rclpy.create_node("reader")
     delays: list[float] = []
 
-    def hear(message: Image | CompressedImage) -> None:
+    def on_message(message: Image | CompressedImage) -> None:
         now = node.get_clock().now().nanoseconds
         stamp = message.header.stamp
         delays.append(1e-6 * (now - stamp.sec * 1_000_000_000 - stamp.nanosec))
 
     if transport == "raw":
-        node.create_subscription(Image, images.RAW, hear, images.PICTURES)
+        node.create_subscription(Image, images.RAW, on_message, images.PICTURES)
     else:
         node.create_subscription(
-            CompressedImage, images.COMPRESSED, hear, images.COMPRESSED_PICTURES
+            CompressedImage, images.COMPRESSED, on_message, images.COMPRESSED_PICTURES
         )
-    last, heard = time.monotonic(), 0
+    last, received = time.monotonic(), 0
     while not delays or time.monotonic() - last < SETTLE_S:
         rclpy.spin_once(node, timeout_sec=0.1)
-        if len(delays) != heard:
-            last, heard = time.monotonic(), len(delays)
+        if len(delays) != received:
+            last, received = time.monotonic(), len(delays)
     median = sorted(delays)[len(delays) // 2]
     print(json.dumps({"sent": PICTURES, "arrived": len(delays), "median_ms": median}))
 

@@ -334,9 +334,9 @@ def _choose(
     best = next(iter(squares))
     for lens in list(squares)[1:]:
         gain = squares[best] - squares[lens]
-        doubt = 2.0 * gain.std(ddof=1) / np.sqrt(len(views))
+        standard_error = 2.0 * gain.std(ddof=1) / np.sqrt(len(views))
         before = squares[best].mean()
-        if gain.mean() > max(min(doubt, 0.25 * before), 0.02 * before):
+        if gain.mean() > max(min(standard_error, 0.25 * before), 0.02 * before):
             best = lens
     return best, {lens.label: float(np.sqrt(s.mean())) for lens, s in squares.items()}
 

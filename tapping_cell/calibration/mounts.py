@@ -52,15 +52,15 @@ WANTED = 0.0003
 class TapScatter:
     """Standard deviations of a tap and of one camera measurement.
 
-    ``distance`` and ``rotation`` are relative, ``direction`` and ``look_angle`` in rad,
-    ``look_position`` in m.
+    ``distance`` and ``rotation`` are relative, ``direction`` and ``camera_angle`` in rad,
+    ``camera_position`` in m.
     """
 
     distance: float
     rotation: float
     direction: float
-    look_position: float
-    look_angle: float
+    camera_position: float
+    camera_angle: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,16 +122,16 @@ def fit_mount(
             f"{1e3 * LEAST_MOVE:.0f} mm or more; at least {LEAST_TAPS} are needed"
         )
     speeds, before, moved, size = speeds[used], before[used], moved[used], size[used]
-    look = math.sqrt(2.0) * scatter.look_position / size
+    camera_noise = math.sqrt(2.0) * scatter.camera_position / size
     weight = np.stack(
         [
-            np.hypot(scatter.direction, look),
+            np.hypot(scatter.direction, camera_noise),
             np.hypot(
                 math.hypot(scatter.rotation, scatter.distance)
                 * np.maximum(np.abs(moved[:, 2] / size), 0.5),
-                math.sqrt(2.0) * scatter.look_angle / size,
+                math.sqrt(2.0) * scatter.camera_angle / size,
             ),
-            np.hypot(scatter.distance, look),
+            np.hypot(scatter.distance, camera_noise),
         ],
         axis=-1,
     )

@@ -480,8 +480,8 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
     if len(ratios) < LEAST_TRIALS:
         return []
     off = np.log(ratios[:, 0] / ratios[:, 1])
-    mean, doubt = float(off.mean()), float(off.std(ddof=1)) / math.sqrt(len(off))
-    if abs(mean) < max(_AS_TOLD, 3.0 * doubt):
+    mean, standard_error = float(off.mean()), float(off.std(ddof=1)) / math.sqrt(len(off))
+    if abs(mean) < max(_AS_TOLD, 3.0 * standard_error):
         return []
     return [
         f"The striker is {100 * math.expm1(mean):+.1f} % faster than commanded. The fit "

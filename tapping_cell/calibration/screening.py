@@ -49,7 +49,7 @@ class Screened(NamedTuple):
     left_out: tuple[LeftOut, ...]
 
 
-class _Doubt(NamedTuple):
+class _Rejection(NamedTuple):
     reason: str
     sentence: str
 
@@ -126,28 +126,30 @@ def run_of(trial: Trial) -> tuple[str, int]:
     return trial.file.rpartition("/")[0], trial.run
 
 
-def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> Motion | _Doubt:
+def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> Motion | _Rejection:
     """Return the trial's slide, or the reason for its rejection."""
     if trial.outcome != "ok":
-        return _Doubt(trial.outcome, f"the recorded outcome is '{trial.outcome}'")
+        return _Rejection(trial.outcome, f"the recorded outcome is '{trial.outcome}'")
     if not math.isfinite(trial.displacement + trial.rotation):
         if trial.track is not None:
             return _from_track(trial, header, math.inf, math.inf, gravity)
-        return _Doubt("not measured", "neither displacement and rotation nor both poses are given")
+        return _Rejection(
+            "not measured", "neither displacement and rotation nor both poses are given"
+        )
     spread = _or(trial.displacement_std, math.sqrt(2) * header.rest_position_std)
     turn_spread = _or(trial.rotation_std, math.sqrt(2) * header.rest_rotation_std)
-    doubt = _against_poses(trial, spread, turn_spread)
-    if doubt is not None:
-        return doubt
+    rejection = _against_poses(trial, spread, turn_spread)
+    if rejection is not None:
+        return rejection
     # A high initial speed without displacement is a wrong unit, not a miss; it is detected below.
     still = not trial.initial_speed > _LEAST_SPEED
     if still and trial.displacement < max(_LEAST_MOTION, _OTHER_NOISE * spread):
-        return _Doubt(
+        return _Rejection(
             "missed", f"the object moved by {1e3 * trial.displacement:.3g} mm only: a miss"
         )
     radius, gamma = body.support_radius, body.gamma
     if radius * abs(trial.rotation) > 3 * gamma * trial.displacement:
-        return _Doubt(
+        return _Rejection(
             "units",
             f"a rotation of {trial.rotation:.4g} rad over {trial.displacement:.4g} m is "
             "larger than a tap can give; are rotation_rad or displacement_m in degrees, mm "
@@ -156,19 +158,19 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     if math.isfinite(trial.initial_speed + trial.initial_spin):
         return _from_velocities(trial, spread, turn_spread, body, gravity)
     if trial.track is None:
-        return _Doubt(
+        return _Rejection(
             "no velocity", "neither the initial velocities nor a track of poses are given"
         )
     return _from_track(trial, header, spread, turn_spread, gravity)
 
 
-def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Doubt | None:
+def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Rejection | None:
     """Check that displacement and rotation agree with the poses, if all are given."""
     by_poses = math.hypot(trial.end_x - trial.start_x, trial.end_y - trial.start_y)
     off = abs(by_poses - trial.displacement)
     if off > max(_LEAST_MOTION, 0.02 * by_poses, _OTHER_NOISE * spread):
         units = max(by_poses, trial.displacement) > 100 * min(by_poses, trial.displacement)
-        return _Doubt(
+        return _Rejection(
             "units" if units else "inconsistent",
             f"displacement_m is {trial.displacement:.4g}, but the poses are {by_poses:.4g} m apart"
             + ("; is one of them in mm?" if units else ""),
@@ -176,7 +178,7 @@ def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Doubt | 
     turned = trial.end_theta - trial.start_theta - trial.rotation
     turned = abs(math.remainder(turned, math.tau)) if math.isfinite(turned) else 0.0
     if turned > max(0.005, 0.02 * abs(trial.rotation), _OTHER_NOISE * turn_spread):
-        return _Doubt(
+        return _Rejection(
             "inconsistent",
             f"rotation_rad is {trial.rotation:.4g}, but the poses are turned by "
             f"{trial.end_theta - trial.start_theta:.4g} rad; is one of them in degrees?",
@@ -186,18 +188,18 @@ def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Doubt | 
 
 def _from_velocities(
     trial: Trial, spread: float, turn_spread: float, body: Body, gravity: float
-) -> Motion | _Doubt:
+) -> Motion | _Rejection:
     speed, spin, distance = trial.initial_speed, trial.initial_spin, trial.displacement
     friction = speed**2 / (2 * gravity * distance)
     if not _FRICTION[0] < friction < _FRICTION[1]:
-        return _Doubt(
+        return _Rejection(
             "units",
             f"initial_speed {speed:.4g} m/s over a displacement of {distance:.4g} m needs a "
             f"friction of {friction:.3g}; {_cure(speed, distance, gravity)}",
         )
     striker = _or(trial.striker_speed_measured, trial.striker_speed)
     if not _STRIKER_GAIN[0] < _or(speed / striker, 1.0) < _STRIKER_GAIN[1]:
-        return _Doubt(
+        return _Rejection(
             "units",
             f"initial_speed is {speed:.4g} m/s after a striker of {striker:.4g} m/s; is one of "
             "them in mm/s?",
@@ -205,7 +207,7 @@ def _from_velocities(
     radius = body.support_radius
     fastest = speed * body.bounding_radius / body.radius_of_gyration**2
     if abs(spin) > 1.5 * fastest:
-        return _Doubt(
+        return _Rejection(
             "units",
             f"initial_spin is {spin:.4g} rad/s at {speed:.4g} m/s, more than the {fastest:.4g} "
             "rad/s that an impulse at the rim gives; is it in degrees/s, or the speed in other "
@@ -216,9 +218,9 @@ def _from_velocities(
     if abs(trial.rotation) > _OTHER_NOISE * turn_spread + 0.005 and abs(spin) > 2 * noise:
         gain = 2 * distance * spin / (speed * trial.rotation)
         if gain < 0:
-            return _Doubt("disturbed", "initial_spin and rotation have different signs")
+            return _Rejection("disturbed", "initial_spin and rotation have different signs")
         if not _SPIN_GAIN[0] < gain < _SPIN_GAIN[1]:
-            return _Doubt(
+            return _Rejection(
                 "units",
                 f"initial_spin {spin:.4g} rad/s does not fit a rotation of {trial.rotation:.4g} "
                 "rad; is one of them in degrees?",
@@ -254,13 +256,13 @@ def _cure(speed: float, distance: float, gravity: float) -> str:
 
 def _from_track(
     trial: Trial, header: ExperimentFile, spread: float, turn_spread: float, gravity: float
-) -> Motion | _Doubt:
+) -> Motion | _Rejection:
     assert trial.track is not None
     time = trial.track.time
     own_rate = 1.0 / float(np.median(np.diff(time))) if time.size > 1 else math.nan
     rate = _or(trial.camera_rate_hz, header.camera_rate_hz or own_rate)
     if not _RATE[0] < _or(own_rate / rate, 1.0) < _RATE[1]:
-        return _Doubt(
+        return _Rejection(
             "units",
             f"the track has {own_rate:.4g} samples a second, the camera {rate:.4g}; is t_s in ms?",
         )
@@ -268,7 +270,7 @@ def _from_track(
         trial, header.track_position_std, header.track_rotation_std, rate, header.exposure
     )
     if not isinstance(slide, Slide):
-        return _Doubt(slide.reason, slide.sentence)
+        return _Rejection(slide.reason, slide.sentence)
     # If only the track gives the displacement, its ends are the poses at rest.
     displacement, rotation = (
         _or(trial.displacement, slide.displacement),
@@ -277,21 +279,21 @@ def _from_track(
     off = abs(slide.displacement - displacement)
     if off > max(_LEAST_MOTION, 0.03 * displacement, _OTHER_NOISE * spread):
         units = off > 100 * min(slide.displacement, displacement)
-        return _Doubt(
+        return _Rejection(
             "units" if units else "disturbed",
             f"the track ends {1e3 * slide.displacement:.4g} mm from its start, the poses at rest "
             f"are {1e3 * displacement:.4g} mm apart"
             + ("; is one of them in mm?" if units else "; was the object moved by hand?"),
         )
     if slide.moving < _TRACK_POINTS:
-        return _Doubt(
+        return _Rejection(
             "short slide",
             f"only {slide.moving} samples of the track are in the slide; tap harder, or use a "
             "faster camera",
         )
     friction = slide.deceleration / gravity
     if slide.moving > _TRACK_POINTS and not _FRICTION[0] < friction < _FRICTION[1]:
-        return _Doubt(
+        return _Rejection(
             "units",
             f"the track slows down by {slide.deceleration:.3g} m/s^2, a friction of {friction:.3g};"
             " are x_m and y_m in mm, or t_s in ms?",

@@ -76,7 +76,7 @@ class TableCalibration:
     warnings: tuple[str, ...]
 
 
-def look(
+def observe_markers(
     image: Image,
     name: str,
     camera: CameraModel,

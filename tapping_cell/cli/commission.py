@@ -13,7 +13,6 @@ command is called again with the same folder, it resumes at the first unfinished
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from pathlib import Path
 
@@ -81,8 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     except GraphError as error:
         tell_error(str(error))
         return ExitStatus.REFUSED
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    domain.use()
     folder = arguments.out.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     session = Session(

@@ -31,7 +31,7 @@ class Person:
         self._typed = b""
         self._asked = 0
 
-    def hear(self, event: Event | None) -> None:
+    def on_event(self, event: Event | None) -> None:
         """Process an event, or None if there was none, and read the typed input.
 
         Raises:

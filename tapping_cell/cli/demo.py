@@ -178,9 +178,9 @@ def _position(
 ) -> Path:
     """Send the goal and follow it to its end. Return the folder of its record."""
     session.wait_until_ready(client, READY_PATIENCE_S, graph.check, console)
-    look = client.object_state
-    assert look is not None
-    start = from_message(look.pose.pose)
+    observed = client.object_state
+    assert observed is not None
+    start = from_message(observed.pose.pose)
     if arguments.goal:
         x, y, theta = arguments.goal
         goal = Pose(x / 1000, y / 1000, math.radians(theta))
@@ -189,7 +189,7 @@ def _position(
         turned = float(wrap_angle(start.theta + math.radians(dtheta)))
         goal = Pose(start.x + dx / 1000, start.y + dy / 1000, turned)
     console.print(f"start {session.pose_text(start)}; goal {session.pose_text(goal)}")
-    client.send(goal, look=look)
+    client.send(goal, observed=observed)
     try:
         session.follow(client, graph.check, console)
     except KeyboardInterrupt:

@@ -53,7 +53,7 @@ def soak(dialect: Dialect, hours: float, seed: int) -> Soak:
     """Tap over faulty lines for ``hours`` of simulated time."""
     cell = TrialCell(dialect, seed)
     taps = 0
-    looks: list[tuple[int, int, int, int]] = []
+    samples: list[tuple[int, int, int, int]] = []
     for mark in range(1, MARKS + 1):
         while cell.clock.now < 3600 * hours * mark / MARKS:
             cell.plan_faults()
@@ -62,7 +62,7 @@ def soak(dialect: Dialect, hours: float, seed: int) -> Soak:
         cell.check_reports()
         cell.forget()
         gc.collect()
-        looks.append(
+        samples.append(
             (
                 sys.getallocatedblocks(),
                 int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"),
@@ -70,7 +70,7 @@ def soak(dialect: Dialect, hours: float, seed: int) -> Soak:
                 len(os.listdir("/proc/self/fd")),
             )
         )
-    blocks, resident, threads, descriptors = zip(*looks, strict=True)
+    blocks, resident, threads, descriptors = zip(*samples, strict=True)
     return Soak(
         dialect.value,
         round(cell.clock.now / 3600, 3),

@@ -18,6 +18,8 @@ A sweep evaluates every point of a parameter grid, on all cores, and resumes aft
 
   python -m tapping_cell evaluate --model physics --sweep friction=0.1:0.4:7 tolerance=1,0.3 \\
       --report sweep
+
+With --cluster, the points run on the workers of a Dask cluster that have the same files.
 """
 
 from __future__ import annotations
@@ -204,6 +206,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="evaluate over a grid: friction=0.1:0.4:7 (first, last, number) tolerance=1,0.3 "
         "(values); with --report, an interrupted sweep continues",
     )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="run the points of --sweep on the workers of a Dask scheduler, for example "
+        "tcp://192.168.1.5:8786 (pip install distributed)",
+    )
     add_fixed_arguments(parser)
     several = parser.add_argument_group(
         "several objects",
@@ -267,6 +275,8 @@ def run(arguments: argparse.Namespace) -> int:
         fixed = _fixed_cell(arguments)
         if arguments.sweep and (fixed is not None or arguments.arrange is not None):
             raise PlanningError("--sweep is for one object and an arm; leave --arrange out")
+        if arguments.cluster and not arguments.sweep:
+            raise PlanningError("--cluster runs the points of a sweep: give --sweep with it")
         if fixed is not None:
             return run_fixed(arguments, fixed)
         if arguments.arrange is not None:
@@ -498,7 +508,7 @@ def _simulated(arguments: argparse.Namespace, cell: Any) -> World:
 
 
 def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
-    left_out = {"json", "report", "processes", "verb", "sweep"}
+    left_out = {"json", "report", "processes", "verb", "sweep", "cluster"}
     return {
         name: str(value) if isinstance(value, Path) else value
         for name, value in sorted(vars(arguments).items())
@@ -571,6 +581,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     from rich.progress import Progress
 
     from tapping_cell.cli import sweep
+    from tapping_cell.cli.cluster import cluster_executor
     from tapping_cell.planning import PlanningError
     from tapping_cell.report.sweep import sweep_table, write_sweep
 
@@ -590,7 +601,12 @@ def _sweep(arguments: argparse.Namespace) -> int:
         task = bar.add_task("sweep", total=len(points))
         try:
             rows = sweep.sweep(
-                points, kept, run_point, arguments.processes, lambda count: bar.advance(task, count)
+                points,
+                kept,
+                run_point,
+                arguments.processes,
+                lambda count: bar.advance(task, count),
+                cluster_executor(arguments.cluster) if arguments.cluster else None,
             )
         except KeyboardInterrupt:
             bar.stop()

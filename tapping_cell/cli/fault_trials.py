@@ -284,7 +284,7 @@ class TrialCell:
             return FireOutcome.NOT_FIRED
         self.firing = True
         try:
-            end = tapper_jobs.fire(self._tapper_context, self.shot, self.doubt, tell=False)
+            end = tapper_jobs.fire(self._tapper_context, self.shot, self.check, tell=False)
             return end.outcome
         finally:
             self.firing = False
@@ -292,7 +292,7 @@ class TrialCell:
     def _withdrawal(self, here: Joints) -> Sequence[Waypoint]:
         return withdraw_path(self.geometry, here, self.motion)
 
-    def doubt(self, release_by: float, now: Now) -> None:
+    def check(self, release_by: float, now: Now) -> None:
         """Store the deadline of the release. This is the last check before FIRE."""
         self.release_by = release_by
 

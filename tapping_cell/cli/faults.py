@@ -265,8 +265,8 @@ def _crashes(arguments: argparse.Namespace) -> int:
                 flush=True,
             )
 
-    own_domain_held = own_domain()
-    os.environ["ROS_DOMAIN_ID"] = str(own_domain_held.number)
+    domain = own_domain()  # its reservation ends with this function
+    domain.use()
     with tempfile.TemporaryDirectory() as folder:
         crashes = crash_trials.run_crashes(Path(folder), nodes, phases, say)
     clean = sum(crash.clean for crash in crashes)

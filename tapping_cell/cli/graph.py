@@ -315,10 +315,16 @@ class Domain:
     held: socket.socket | None
 
     def use(self) -> None:
-        """Let this process discover the nodes of the run. Nobody on the network does, whatever the
-        shell's setting."""
+        """Select the domain in this process and its children.
+
+        A reserved domain is free on this machine only, so that discovery is limited to it whatever
+        the shell's setting.
+        """
         os.environ["ROS_DOMAIN_ID"] = str(self.number)
-        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+        if self.held is None:
+            os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        else:
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
 def own_domain() -> Domain:

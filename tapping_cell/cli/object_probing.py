@@ -19,7 +19,6 @@ from tapping_cell.configuration.cell import (
     refuse_own_drivers,
     refuse_simulated_ports,
 )
-from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.se2 import Pose, wrap_angle
 
@@ -61,12 +60,7 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
         GoalClient("learn_object", arguments.namespace) as client,
     ):
         session.wait_until_ready(client, READY_PATIENCE_S, check, console)
-        assert client.object_state is not None
-        if client.object_state.object_id != cell.object.name:
-            raise ConfigurationError(
-                f"the cell tracks '{client.object_state.object_id}', but --object is of "
-                f"'{cell.object.name}': start the cell with this object file"
-            )
+        session.require_object(client, cell)
         middle, barren = client.object_pose(), 0
         for number in range(arguments.goals):
             goal = goal_of(middle, client.object_pose(), number)

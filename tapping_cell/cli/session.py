@@ -13,6 +13,8 @@ from pathlib import Path
 from rich.console import Console
 
 from tapping_cell.cli.confirmation import Person
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.nodes.clients.goal_client import (
     Finished,
     GoalClient,
@@ -93,6 +95,21 @@ def send(
     )
 
 
+def require_object(client: GoalClient, cell: Cell) -> None:
+    """Check that the running cell tracks the object of these files.
+
+    Raises:
+        ConfigurationError: it tracks another object, or none.
+    """
+    state = client.object_state
+    tracked = repr(state.object_id) if state is not None else "no object"
+    if tracked != repr(cell.object.name):
+        raise ConfigurationError(
+            f"the running cell tracks {tracked}, but the object file {cell.object_path} is of "
+            f"'{cell.object.name}'; give --object the file that the cell was started with"
+        )
+
+
 def wait_for_planner(client: GoalClient, patience: float, console: Console) -> None:
     """Wait until the planner accepts goals. The planner itself waits for the other conditions and
     reports them.
@@ -163,7 +180,7 @@ def follow(
         for event in client.events():
             check()
             if person is not None:
-                person.hear(event)
+                person.on_event(event)
             if isinstance(event, PhaseChanged) and status is not None:
                 status.update(f"tap {event.taps + 1}: {event.phase}")
             elif isinstance(event, PlannerLost):

@@ -70,7 +70,7 @@ from tapping_cell.planning import PlanningError
 from tapping_cell.report.bag import BagError, BagWriter
 from tapping_cell.simulation.truth import TruthFile
 
-LOOK_AT_RATE_S = 1.0
+RATE_WINDOW_S = 1.0
 SLOW_MOTION = 3.0
 RANGES = (
     ("trials", 1, 1000),
@@ -261,12 +261,7 @@ def _measure(
         SingleTapClient("single_tap_client", arguments.namespace) as client,
     ):
         session.wait_until_ready(client, READY_PATIENCE_S, check, console)
-        assert client.object_state is not None
-        if client.object_state.object_id != cell.object.name:
-            raise RecordError(
-                f"the camera tracks '{client.object_state.object_id}', but the records would "
-                f"be of '{cell.object.name}'; give the graph's own --object"
-            )
+        session.require_object(client, cell)
         header = _header(arguments, cell, client, check)
         _keep_header(folder, header)
         with BagWriter(folder / name, notes={"experiment": folder.name, "session": name}) as bag:
@@ -305,7 +300,7 @@ def _header(
     if arguments.exposure is None and own_world:
         truth = arguments.truth or shared_folder() / "truth" / "default.yaml"
         exposure = load(TruthFile, truth).camera.exposure
-    rate = arguments.camera_rate if own_world else client.camera_rate(LOOK_AT_RATE_S, check)
+    rate = arguments.camera_rate if own_world else client.camera_rate(RATE_WINDOW_S, check)
     return ExperimentFile(
         format=1,
         made=datetime.now(timezone.utc).isoformat(timespec="seconds"),

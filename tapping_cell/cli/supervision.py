@@ -27,7 +27,7 @@ class Incident:
 
 
 class Supervisor:
-    """Restart nodes that end unexpectedly. Call :meth:`look` several times per second."""
+    """Restart nodes that end unexpectedly. Call :meth:`check` several times per second."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -36,7 +36,7 @@ class Supervisor:
         self.left_alone: dict[str, str] = {}
         """Optional nodes that ended too often, with the reasons."""
 
-    def look(self, now: float) -> list[Incident]:
+    def check(self, now: float) -> list[Incident]:
         """Return the events since the last call. ``now`` is a monotonic time in s.
 
         Raises:

@@ -1,8 +1,9 @@
 """Evaluations over a parameter grid: ``evaluate --sweep friction=0.1:0.4:7 tolerance=1,0.3``.
 
-Each point of the grid is one evaluation; the points share the cores. Completed points are stored in
-the report's folder, so that the same command resumes after an interruption. Only the options that
-the points have in common must be unchanged.
+Each point of the grid is one evaluation. The points share the cores of this computer, or the
+workers of a Dask cluster (``--cluster``). Completed points are stored in the report's folder, so
+that the same command resumes after an interruption. Only the options that the points have in common
+must be unchanged.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import AbstractContextManager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -176,6 +178,7 @@ def sweep(
     measure: Callable[[Point], dict[str, Any]],
     processes: int | None,
     note: Callable[[int], None],
+    cluster: AbstractContextManager[Executor] | None = None,
 ) -> list[tuple[Point, dict[str, Any]]]:
     """Return the results of every point. Stored points are not evaluated again.
 
@@ -185,16 +188,21 @@ def sweep(
         measure: function that returns the results of a point; must be picklable.
         processes: number of processes; None for one per core.
         note: callback with the number of points just completed.
+        cluster: executor on other computers; None to use this computer.
     """
     missing = [point for point in points if kept.get(point) is None]
     note(len(points) - len(missing))
     workers = min(processes or os.cpu_count() or 1, len(missing))
-    if workers <= 1:
+    if cluster is not None and missing:
+        with cluster as pool:
+            _measure_together(missing, kept, measure, pool, note)
+    elif workers <= 1:
         for point in missing:
             kept.keep(point, measure(point))
             note(1)
     else:
-        _measure_together(missing, kept, measure, workers, note)
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            _measure_together(missing, kept, measure, pool, note)
     rows = []
     for point in points:
         figures = kept.get(point)
@@ -207,16 +215,16 @@ def _measure_together(
     points: Sequence[Point],
     kept: KeptPoints,
     measure: Callable[[Point], dict[str, Any]],
-    workers: int,
+    pool: Executor,
     note: Callable[[int], None],
 ) -> None:
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        running = {pool.submit(measure, point): point for point in points}
-        try:
-            for done in as_completed(running):
-                kept.keep(running[done], done.result())
-                note(1)
-        except BaseException:
-            # After an interruption or a failed point, points that have not started are cancelled.
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    running = {pool.submit(measure, point): point for point in points}
+    try:
+        for done in as_completed(running):
+            kept.keep(running[done], done.result())
+            note(1)
+    except BaseException:
+        # After an interruption or a failed point, points that have not started are cancelled.
+        for future in running:
+            future.cancel()
+        raise

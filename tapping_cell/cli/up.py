@@ -51,7 +51,7 @@ from tapping_cell.simulation.truth import TruthFile
 
 STOP_PORT_OFFSET = 1000
 """Difference between the port of STOP and the port of the page."""
-LOOK_PERIOD_S = 0.2
+CHECK_PERIOD_S = 0.2
 CAMERA = "/dev/video0"
 """Default camera of a cell on hardware."""
 READY_PATIENCE_S = 60.0
@@ -195,12 +195,12 @@ class _Running:
         """
         while True:
             self._get_ready()
-            while not self._look():
-                time.sleep(LOOK_PERIOD_S)
+            while not self._check():
+                time.sleep(CHECK_PERIOD_S)
 
-    def _look(self) -> bool:
+    def _check(self) -> bool:
         """Restart nodes that have ended. Return whether any had ended."""
-        incidents = self._supervisor.look(time.monotonic())
+        incidents = self._supervisor.check(time.monotonic())
         for incident in incidents:
             self._console.print(f"[red]{incident.node}[/]: {escape(incident.sentence)}")
         return bool(incidents)
@@ -215,7 +215,7 @@ class _Running:
             Live(console=self._console, refresh_per_second=5, transient=True) as live,
         ):
             while True:
-                self._look()
+                self._check()
                 start = start_up.judge(self._nodes, client.state(), self._supervisor.left_alone)
                 if self._console.is_terminal:
                     live.update(start_up.table(start.lines))
@@ -237,7 +237,7 @@ class _Running:
                     raise NotReadyInTime(
                         f"the cell was not ready after {self._arguments.wait:.0f} s: {start.reason}"
                     )
-                time.sleep(LOOK_PERIOD_S)
+                time.sleep(CHECK_PERIOD_S)
         self._console.print("[green]ready[/]: the cell takes a goal")
         self._tell_page()
 

@@ -102,10 +102,10 @@ class ChainLink:
     @property
     def samples(self) -> Sequence[JointSample]:
         """Joint states received in the last second, as SCARA joints, newest last."""
-        heard = self._link.samples
+        samples = self._link.samples
         kept = self._converted
         self._converted = {}
-        for sample in heard:
+        for sample in samples:
             known = kept.get(sample.received)
             self._converted[sample.received] = self._scara(sample) if known is None else known
         return tuple(self._converted.values())
@@ -224,14 +224,14 @@ class ChainLink:
     def _scara(self, sample: JointSample) -> JointSample:
         """Convert a sample of the real joints to SCARA joints."""
         near = self._expected(sample.measured)
-        place, doubt = self._converted_place(np.array(sample.positions), near)
-        if not doubt:
+        place, problem = self._converted_place(np.array(sample.positions), near)
+        if not problem:
             self._near = place
         speeds = None
         if sample.velocities is not None:
             ahead = np.array(sample.positions) + SPEED_STEP * np.array(sample.velocities)
-            beyond, beyond_doubt = self._converted_place(ahead, place)
-            if not (doubt or beyond_doubt):
+            beyond, beyond_problem = self._converted_place(ahead, place)
+            if not (problem or beyond_problem):
                 speeds = tuple(((beyond - place) / SPEED_STEP).tolist())
         return JointSample(
             sample.measured,
@@ -239,7 +239,7 @@ class ChainLink:
             tuple(place.tolist()),
             speeds,
             sample.ahead,
-            doubt or sample.doubt,
+            problem or sample.problem,
         )
 
     def _expected(self, time: float) -> Array:
@@ -258,9 +258,9 @@ class ChainLink:
             return np.full(4, np.nan), ""
         tip = np.array([*pose[:3, 3], math.atan2(pose[1, 0], pose[0, 0])])
         lean = math.acos(min(1.0, max(-1.0, float(pose[2, 2]))))
-        doubt = ""
+        problem = ""
         if lean > self._settings.tilt:
-            doubt = (
+            problem = (
                 f"the striker leans by {math.degrees(lean):.1f} deg (limit "
                 f"{math.degrees(self._settings.tilt):.1f} deg): turn it upright with the "
                 "arm's own panel, over the table and near its park pose, or correct "
@@ -273,13 +273,13 @@ class ChainLink:
             == ReachCode.REACHED
         ]
         if not found:
-            return near, doubt or (
+            return near, problem or (
                 f"the striker is at x {tip[0] * 1e3:.0f} mm, y {tip[1] * 1e3:.0f} mm from "
                 "arm_base, out of reach of the SCARA in the cell file: move it there with "
                 "the arm's own panel, or correct arm.upper_arm, arm.forearm and "
                 "arm.ros2_control.chain"
             )
-        return min(found, key=lambda place: float(np.sum(np.abs(place - near)))), doubt
+        return min(found, key=lambda place: float(np.sum(np.abs(place - near)))), problem
 
 
 def upright(tip: Array) -> Array:

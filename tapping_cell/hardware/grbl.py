@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 STATUS_QUERY = b"?"
 FEED_HOLD = b"!"
-RESUME = b"~"
 SOFT_RESET = b"\x18"
 FULL_FEED = b"\x90"
 """Resets the feed override to 100 %."""

@@ -31,8 +31,6 @@ class GrblController:
     """Settings that select the axes of each homing cycle; empty if the build selects them."""
     alarms: Mapping[int, str] = field(default_factory=dict)
     """Alarms with a meaning that differs from Grbl's or that Grbl does not have."""
-    cuts_torque_on_alarm: bool = True
-    """Whether an alarm or a reset in motion cuts motor power regardless of the hold setting."""
 
 
 GRBL = GrblController("Grbl")
@@ -60,9 +58,7 @@ FLUID_NC = GrblController(
         14: "it has not been homed since it was switched on",
         15: "it was just switched on",
     },
-    cuts_torque_on_alarm=False,
 )
-CONTROLLERS = (GRBL, MEGA_5X, GRBL_HAL, FLUID_NC)
 
 
 @dataclass(frozen=True, slots=True)

@@ -367,12 +367,12 @@ class GrblDialect:
         self._since = self._transport.now()
         self._unanswered = True
         self._transport.write(line)
-        heard: list[grbl.Frame] = []
+        frames: list[grbl.Frame] = []
         while True:
             frame = self._next(deadline, f"answer to {line.decode().strip()!r}")
             if isinstance(frame, grbl.Ok):
                 self._unanswered = False
-                return heard
+                return frames
             if isinstance(frame, grbl.Error):
                 self._unanswered = False
                 meaning = grbl.ERRORS.get(frame.code, "see the controller's documentation")
@@ -382,7 +382,7 @@ class GrblDialect:
                     f"the controller refused {line.decode().strip()!r} with error {frame.code}:"
                     f" {meaning}",
                 )
-            heard.append(frame)
+            frames.append(frame)
 
     def _resynchronise(self, deadline: float) -> None:
         """Wait until the controller has processed every line sent before.
@@ -456,12 +456,12 @@ class GrblDialect:
         """Read until the line is silent, so that old answers are not taken for new ones."""
         banner: grbl.Banner | None = None
         for _ in range(DRAIN_ROUNDS):
-            heard = self._pump(DRAIN_SILENCE)
+            frames = self._pump(DRAIN_SILENCE)
             while self._frames:
                 frame = self._frames.popleft()
                 if isinstance(frame, grbl.Banner):
                     banner = frame
-            if not heard:
+            if not frames:
                 break
         return banner
 
@@ -527,8 +527,8 @@ class GrblDialect:
 
     def _information(self, deadline: float) -> list[grbl.Message]:
         """Return the messages in the answer to ``$I``."""
-        heard = self._retried(b"$I\n", deadline)
-        return [frame for frame in heard if isinstance(frame, grbl.Message)]
+        frames = self._retried(b"$I\n", deadline)
+        return [frame for frame in frames if isinstance(frame, grbl.Message)]
 
     def _count_axes(self, deadline: float) -> int:
         """Return the number of axes once two consecutive reports agree on it."""
@@ -550,8 +550,8 @@ class GrblDialect:
 
     def _compare(self, deadline: float) -> list[Finding]:
         """Compare the controller's settings with the required ones."""
-        heard = self._retried(b"$$\n", deadline)
-        found = {frame.number: frame.value for frame in heard if isinstance(frame, grbl.Setting)}
+        frames = self._retried(b"$$\n", deadline)
+        found = {frame.number: frame.value for frame in frames if isinstance(frame, grbl.Setting)}
         controller, settings = self._controller, self._settings
         findings: list[Finding] = []
         if controller.has_files:
@@ -625,12 +625,12 @@ class GrblDialect:
     def _named(self, name: str, deadline: float) -> str:
         """Return the value of a named setting; "missing" if the controller does not have it."""
         try:
-            heard = self._retried(name.encode() + b"\n", deadline)
+            frames = self._retried(name.encode() + b"\n", deadline)
         except HardwareFault as fault:
             if fault.reason is not FaultReason.REJECTED:
                 raise
             return "missing"
-        told = {frame.name: frame.text for frame in heard if isinstance(frame, grbl.NamedSetting)}
+        told = {frame.name: frame.text for frame in frames if isinstance(frame, grbl.NamedSetting)}
         return told.get(name[1:], "missing").strip()
 
     def _limits(self, found: Mapping[int, float]) -> list[Finding]:
@@ -744,10 +744,10 @@ class GrblDialect:
             )
 
     def _mark_is_there(self, deadline: float) -> bool:
-        heard = self._retried(b"$G\n", deadline)
+        frames = self._retried(b"$G\n", deadline)
         return any(
             isinstance(frame, grbl.Message) and frame.kind == "GC" and "G18" in frame.text.split()
-            for frame in heard
+            for frame in frames
         )
 
     def _reading(self, status: grbl.Status) -> AxisReading:

@@ -262,19 +262,19 @@ class MarlinDialect:
         self._sent[number] = marlin.numbered(number, code)
         self._sent.pop(number - 4, None)
         self._transport.write(self._sent[number])
-        heard: list[marlin.Frame] = []
+        frames: list[marlin.Frame] = []
         longest = patience = SILENCE if code in LONG_CODES else SHORT_SILENCE
         strange = 0
         for _ in range(RECOVERIES):
-            outcome = self._await(number, patience, deadline, heard)
+            outcome = self._await(number, patience, deadline, frames)
             if outcome is None:
-                return heard
+                return frames
             if outcome == number + 1:
                 # The board already has this line and requests the next: only the `ok` was lost.
-                return heard
+                return frames
             if outcome < 0:
                 if self._is_taken(number, longest, deadline):
-                    return heard
+                    return frames
                 outcome = number
             if outcome not in self._sent:
                 if outcome == 1:
@@ -294,7 +294,7 @@ class MarlinDialect:
         raise self._dead(code)
 
     def _await(
-        self, number: int, patience: float, deadline: float, heard: list[marlin.Frame]
+        self, number: int, patience: float, deadline: float, frames: list[marlin.Frame]
     ) -> int | None:
         """Return None after ``ok``, the line number the board requests, or -1 after silence."""
         wanted: int | None = None
@@ -316,7 +316,7 @@ class MarlinDialect:
             elif isinstance(frame, marlin.Busy):
                 busy = True
             else:
-                heard.append(frame)
+                frames.append(frame)
                 if isinstance(frame, marlin.Position) and frame.with_ok:
                     return wanted
 
@@ -329,8 +329,8 @@ class MarlinDialect:
         self.counters.timeouts += 1
         self._transport.write(self._sent[number])
         self.counters.resends += 1
-        heard: list[marlin.Frame] = []
-        outcome = self._await(number, REPEAT_SILENCE, deadline, heard)
+        frames: list[marlin.Frame] = []
+        outcome = self._await(number, REPEAT_SILENCE, deadline, frames)
         if outcome is None or outcome == number + 1:
             return True
         if outcome >= 0:
@@ -338,7 +338,7 @@ class MarlinDialect:
         self._number = number + 1
         self._sent[number + 1] = marlin.numbered(number + 1, "M114")
         self._transport.write(self._sent[number + 1])
-        outcome = self._await(number + 1, patience, deadline, heard)
+        outcome = self._await(number + 1, patience, deadline, frames)
         if outcome is None or outcome == number + 2:
             return True
         # The number of this query is used up, whether it arrived or is still on the line: another
@@ -430,9 +430,9 @@ class MarlinDialect:
         """
         before: tuple[str, bool] | None = None
         for _ in range(IDENTIFICATIONS):
-            heard = self._command("M115", deadline)
-            names = [f.name for f in heard if isinstance(f, marlin.FirmwareName)]
-            capabilities = {f.name: f.present for f in heard if isinstance(f, marlin.Capability)}
+            frames = self._command("M115", deadline)
+            names = [f.name for f in frames if isinstance(f, marlin.FirmwareName)]
+            capabilities = {f.name: f.present for f in frames if isinstance(f, marlin.Capability)}
             told = (names[0], capabilities.get("EMERGENCY_PARSER", False)) if names else None
             if told is None or told != before:
                 self.counters.retries += before is not None or told is None

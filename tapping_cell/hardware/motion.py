@@ -55,7 +55,7 @@ class Waypoint:
     joints: Joints
     speed: float
     phase: str
-    """``raise``, ``travel``, ``lower``, ``look`` or ``park``."""
+    """``raise``, ``travel``, ``lower`` or ``park``."""
     via: Joints | None = None
     """Intermediate joints; the moves to and from them are straight."""
     via_speed: float | None = None
@@ -128,17 +128,17 @@ def withdraw_path(
     )
 
 
-def look_path(
+def clear_view_path(
     geometry: ScaraGeometry,
     current: Sequence[float],
-    look: Sequence[float],
+    target: Sequence[float],
     settings: MotionSettings,
 ) -> tuple[Waypoint, ...]:
-    """Return the path from ``current`` to ``look`` at travel height: back off, raise, travel."""
+    """Return the path from ``current`` to ``target`` at travel height: back off, raise, travel."""
     return _moves(
         Joints(*current),
         raise_step(geometry, current, settings),
-        Waypoint(Joints(*look), settings.travel_speed, "look"),
+        Waypoint(Joints(*target), settings.travel_speed, "travel"),
     )
 
 

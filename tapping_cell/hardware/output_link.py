@@ -20,7 +20,7 @@ class Answer(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class InputLevel:
     """Level of an input, and the time of its reception on the link's steady clock, s."""
 
     level: bool
@@ -46,11 +46,11 @@ class OutputLink(Connection, Protocol):
         """Whether a read-back is expected."""
 
     @property
-    def guard(self) -> Heard | None:
+    def guard(self) -> InputLevel | None:
         """Whether the guard is closed; None before the first message."""
 
     @property
-    def read_back(self) -> Heard | None:
+    def read_back(self) -> InputLevel | None:
         """Whether the output is on according to the last read-back."""
 
     @property

@@ -394,8 +394,8 @@ class OutputTapperDriver:
         inputs = {"guard": self._link.guard}
         if self._link.reads_back:
             inputs["read_back"] = self._link.read_back
-        for name, heard in inputs.items():
-            silence = math.inf if heard is None else self._link.now() - heard.received
+        for name, level in inputs.items():
+            silence = math.inf if level is None else self._link.now() - level.received
             if silence > self.settings.guard_timeout:
                 self._ready, self._connected = None, False
                 raise self._noted(

@@ -79,10 +79,10 @@ class Ros2ControlDialect:
         until = self._link.now() + RATE_WINDOW
         while (left := until - self._link.now()) > 0:
             self._link.wait(left)
-        heard = [s for s in self._link.samples if s.received >= until - RATE_WINDOW]
-        rate = len(heard) / RATE_WINDOW
-        ahead = max((s.ahead for s in heard), default=0.0)
-        age = min((s.received - s.measured for s in heard), default=0.0)
+        samples = [s for s in self._link.samples if s.received >= until - RATE_WINDOW]
+        rate = len(samples) / RATE_WINDOW
+        ahead = max((s.ahead for s in samples), default=0.0)
+        age = min((s.received - s.measured for s in samples), default=0.0)
         findings = [
             Finding(
                 "rate of the joint states",
@@ -104,7 +104,7 @@ class Ros2ControlDialect:
             "while the cell works"
             for name in self._link.rivals
         ]
-        if heard and heard[-1].velocities is None:
+        if samples and samples[-1].velocities is None:
             remarks.append(
                 "the joint states contain no velocities: rest is detected from positions alone"
             )
@@ -146,7 +146,7 @@ class Ros2ControlDialect:
     def _finished(self, expected_end: float, deadline: float) -> AxisReading:
         # The end of the trajectory is more exact than `expected_end`, which assumes more stops.
         while self._link.now() < self._ends:
-            self._hear()
+            self._receive()
             self._check_goal()
         while True:
             reading = self.read(max(deadline, self._link.now() + self._settings.state_timeout))
@@ -165,7 +165,7 @@ class Ros2ControlDialect:
         """Process incoming states; raise if they stop arriving."""
         until = self._link.now() + duration
         while (left := until - self._link.now()) > 0:
-            self._hear(left)
+            self._receive(left)
 
     def home(self, axes: Axes | None, deadline: float) -> None:
         """Raise HOMING_FAILED: the arm's own driver is responsible for homing."""
@@ -200,7 +200,7 @@ class Ros2ControlDialect:
             )
         return progress.state
 
-    def _hear(self, longest: float = WAIT) -> None:
+    def _receive(self, longest: float = WAIT) -> None:
         """Wait for a short time; raise if no states have arrived for too long."""
         self._link.wait(min(longest, WAIT))
         if self._silence() > self._settings.state_timeout:
@@ -234,11 +234,11 @@ class Ros2ControlDialect:
             if self._link.now() >= deadline:
                 self.counters.timeouts += 1
                 other = ", ".join(self._link.other_names)
-                heard = f"only messages with the joints {other}" if other else "nothing"
+                found = f"only messages with the joints {other}" if other else "nothing"
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
                     f"no joint states of {', '.join(self._settings.joints)} for "
-                    f"{self._link.name}; received: {heard}: check "
+                    f"{self._link.name}; received: {found}: check "
                     "arm.ros2_control.joint_states and .joints, and that the "
                     "joint_state_broadcaster is active",
                 )
@@ -264,8 +264,8 @@ class Ros2ControlDialect:
                     f"the joint states of {self._link.name} give {value} for joint {name}: its"
                     " hardware is not active",
                 )
-        if sample.doubt:
-            raise HardwareFault(FaultReason.POSITION_LOST, f"{self._link.name}: {sample.doubt}")
+        if sample.problem:
+            raise HardwareFault(FaultReason.POSITION_LOST, f"{self._link.name}: {sample.problem}")
         if sample.ahead > CLOCK_LIMIT:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,

@@ -27,7 +27,7 @@ class JointSample:
     """None if the arm's driver does not report velocities."""
     ahead: float = 0.0
     """Time by which the sample's stamp is in the future of this computer's clock, s."""
-    doubt: str = ""
+    problem: str = ""
     """Reason why the positions cannot be trusted; empty if they can."""
 
 

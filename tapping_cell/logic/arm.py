@@ -217,13 +217,13 @@ class ArmLogic(DeviceLogic[State, Event]):
         if topic == "tap_command":
             self._tap_command(message, now)
         elif topic == "tapper_state":
-            self._enabling.hear_switch(message.enabling_switch, now)
+            self._enabling.on_switch(message.enabling_switch, now)
             self._tapper_told(message, now)
             self._watch_enabling(now)
         elif topic == "joint_trajectory":
             self._trajectory(message, now)
         elif topic == enabling.TOPIC:
-            self._enabling.hear_key(message.data, now)
+            self._enabling.on_key(message.data, now)
             self._watch_enabling(now)
         elif topic == "camera/pose":
             place = message.pose.position

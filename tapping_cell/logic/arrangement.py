@@ -37,12 +37,12 @@ from tapping_cell.planning.arrangement import (
     ArrangementDecision,
     ArrangementSession,
     Body,
-    LookLonger,
     Observation,
+    ObserveLonger,
     Purpose,
     TapOf,
 )
-from tapping_cell.planning.stopping import LONG_LOOK
+from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import Array, Pose
 
 
@@ -171,21 +171,21 @@ class ArrangementTask(Task):
         return functools.partial(self._compute, self.arrangement, frames)
 
     def _compute(self, arrangement: ArrangementSession, frames: int) -> ArrangementDecision:
-        decision = arrangement.decide(self._seen, look_again=True)
+        decision = arrangement.decide(self._seen, observe_again=True)
         self.touched += arrangement.touched
-        if isinstance(decision, LookLonger):
+        if isinstance(decision, ObserveLonger):
             state = self._states[decision.name]
-            if state.frames_fused >= LONG_LOOK * frames:
-                decision = arrangement.decide(self._seen, look_again=False)
+            if state.frames_fused >= LONG_OBSERVATION * frames:
+                decision = arrangement.decide(self._seen, observe_again=False)
         return decision
 
     def conclude(self, computed: ArrangementDecision) -> Decision:
         """Apply the computed decision; see ``Task.conclude``."""
         assert self.arrangement is not None
         decision = computed
-        if isinstance(decision, LookLonger):
+        if isinstance(decision, ObserveLonger):
             self._turn_to(decision.name)
-            return decision.look
+            return decision.request
         self._take_progress(decision)
         if isinstance(decision, AllDone):
             return Done(decision.residuals[next(iter(self.wanted))], None)

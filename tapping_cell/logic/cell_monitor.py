@@ -38,12 +38,12 @@ class CellMonitor:
         self._watched = ""
         self.arm: ArmState | None = None
         self._boards: dict[tuple[str, ...], TapperState] = {}
-        self._boards_heard: dict[tuple[str, ...], float] = {}
+        self._boards_received: dict[tuple[str, ...], float] = {}
         self._spoke: tuple[str, ...] = ()
         self._expected: frozenset[tuple[str, ...]] = frozenset()
         self._arm_expected: bool | None = None
         self.camera_clock = PeerClock()
-        self._heard = {name: -math.inf for name in NAMES}
+        self._received = {name: -math.inf for name in NAMES}
         self._seen_at: dict[str, float] = {}
 
     @property
@@ -91,8 +91,8 @@ class CellMonitor:
     def on_object(self, message: ObjectState, now: Now) -> None:
         """Process ``object_state``."""
         self._own = message
-        self._heard["object"] = now.steady
-        self.camera_clock.hear(message.header.stamp, now)
+        self._received["object"] = now.steady
+        self.camera_clock.receive(message.header.stamp, now)
         self._note_seen("", message, now)
 
     def on_objects(self, message: ObjectStates, now: Now) -> None:
@@ -109,7 +109,7 @@ class CellMonitor:
     def on_arm(self, message: ArmState, now: Now) -> None:
         """Process ``arm_state``."""
         self.arm = message
-        self._heard["arm"] = now.steady
+        self._received["arm"] = now.steady
 
     def on_tapper(self, message: TapperState, now: Now) -> None:
         """Process ``tapper_state``."""
@@ -122,7 +122,7 @@ class CellMonitor:
             self._boards_heard.pop((), None)
         self._spoke = board
         self._boards[self._spoke] = message
-        self._boards_heard[self._spoke] = now.steady
+        self._boards_received[self._spoke] = now.steady
 
     def _only_board(self) -> tuple[str, ...] | None:
         """Return the board of a state without tappers' names; None if there are several boards."""
@@ -133,16 +133,16 @@ class CellMonitor:
 
     def silent(self, name: str, now: Now) -> bool:
         """Return whether the message timeout of ``object``, ``arm`` or ``tapper`` has passed."""
-        return now.steady - self._last_heard(name) > self._silence_limit
+        return now.steady - self._last_received(name) > self._silence_limit
 
-    def _last_heard(self, name: str) -> float:
+    def _last_received(self, name: str) -> float:
         """Return the steady time of the last message; for ``tapper``, that of the board with the
         oldest last message."""
         if name != "tapper":
-            return self._heard[name]
-        boards = self._expected or frozenset(self._boards_heard)
+            return self._received[name]
+        boards = self._expected or frozenset(self._boards_received)
         return min(
-            (self._boards_heard.get(board, -math.inf) for board in boards), default=-math.inf
+            (self._boards_received.get(board, -math.inf) for board in boards), default=-math.inf
         )
 
     def observed_at(self, now: Now) -> float:
@@ -335,12 +335,12 @@ class CellMonitor:
         )
 
     def _silence(self, name: str, now: Now) -> str:
-        heard = now.steady - self._last_heard(name)
+        age = now.steady - self._last_received(name)
         node = NAMES[name]
-        if math.isinf(heard):
+        if math.isinf(age):
             return f"{node} has not sent a message yet; start it"
         return (
-            f"{node} sent its last message {heard:.1f} s ago (limit {self._silence_limit:.1f} s); "
+            f"{node} sent its last message {age:.1f} s ago (limit {self._silence_limit:.1f} s); "
             "check that it is running"
         )
 

@@ -219,7 +219,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             if new:
                 # Nothing goes before the stop on the wire.
                 self._effects.append(StopWire())
-            if self._stops.hear(bool(message.data)):
+            if self._stops.receive(bool(message.data)):
                 self._keep_stops(now)
             if new:
                 self._log(LogLevel.ERROR, "emergency stop: latched until clear_fault")

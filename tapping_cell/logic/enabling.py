@@ -35,11 +35,11 @@ class EnablingDevice:
     def __init__(self) -> None:
         self._key_at = self._switch_at = -math.inf
 
-    def hear_key(self, held: bool, now: Now) -> None:
+    def on_key(self, held: bool, now: Now) -> None:
         """Process a message of the topic ``enabling``."""
         self._key_at = now.steady if held else -math.inf
 
-    def hear_switch(self, held: bool, now: Now) -> None:
+    def on_switch(self, held: bool, now: Now) -> None:
         """Process the reported state of the switch at the tapper's board."""
         self._switch_at = now.steady if held else -math.inf
 

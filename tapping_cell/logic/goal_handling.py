@@ -40,13 +40,13 @@ from tapping_cell.planning import (
     load_gains,
     make_planner,
 )
-from tapping_cell.planning.arrangement import Body
+from tapping_cell.planning.arrangement import Body, check_goals
 from tapping_cell.planning.gains import NAMES
 from tapping_cell.planning.precision_limit import precision_limit
 from tapping_cell.planning.session import GoalSession
 from tapping_cell.se2 import Array, Pose
 
-LOOKS = ("name", "marker", "outline", "calibration")
+APPEARANCE_KEYS = ("name", "marker", "outline", "calibration")
 """Fields of an object file that do not affect how the object slides."""
 
 
@@ -142,7 +142,7 @@ class GoalHandling:
                 [
                     getattr(cell.object, entry.name)
                     for entry in fields(cell.object)
-                    if entry.name not in LOOKS
+                    if entry.name not in APPEARANCE_KEYS
                 ]
             )
             if key not in made:
@@ -274,14 +274,9 @@ class GoalHandling:
         goal = read_goal(request.message, 1e-9 * now.ros, self._frames)
         if isinstance(goal, Refused):
             return goal
-        tolerance = read_tolerance(
-            request.position_tolerance, request.angle_tolerance, self.cell.tolerance
-        )
+        tolerance = _tolerance_of(self.cell, request.position_tolerance, request.angle_tolerance)
         if isinstance(tolerance, Refused):
             return tolerance
-        too_fine = precision_limit(assembly.make_planner_settings(self.cell, tolerance))
-        if too_fine:
-            return Refused(ErrorCode.GOAL_BAD_TOLERANCE, too_fine)
         limit = self.cell.file.goal.max_taps
         if request.max_taps > limit:
             return Refused(
@@ -432,6 +427,9 @@ class GoalHandling:
             )
             for name, cell in self._cells.items()
         ]
+        impossible = check_goals(bodies)
+        if impossible is not None:
+            return Refused(REFUSALS[impossible.reason], impossible.sentence)
         first, one = next(iter(wanted.items()))
         body = next(body for body in bodies if body.name == first)
         session = PositioningSession(
@@ -475,8 +473,8 @@ class GoalHandling:
                     f"'{one.object_id}' has two goals; give each object one",
                 )
             goal = read_goal(one.goal_pose, 1e-9 * now.ros, self._frames)
-            tolerance = read_tolerance(
-                one.position_tolerance, one.angle_tolerance, self.cell.tolerance
+            tolerance = _tolerance_of(
+                self._cells[one.object_id], one.position_tolerance, one.angle_tolerance
             )
             for found in (goal, tolerance):
                 if isinstance(found, Refused):
@@ -502,3 +500,12 @@ class GoalHandling:
                 self._planner, settings, background=self._in_background
             )
         return self._planners[key]
+
+
+def _tolerance_of(cell: Cell, position: float, angle: float) -> tuple[float, float] | Refused:
+    """Return the tolerance of a goal of a cell's object, or why it is refused."""
+    tolerance = read_tolerance(position, angle, cell.tolerance)
+    if isinstance(tolerance, Refused):
+        return tolerance
+    too_fine = precision_limit(assembly.make_planner_settings(cell, tolerance))
+    return Refused(ErrorCode.GOAL_BAD_TOLERANCE, too_fine) if too_fine else tolerance

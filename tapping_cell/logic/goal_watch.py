@@ -39,32 +39,32 @@ class GoalWatch:
         """``goal`` in ``table``; ``planners``: publishers of ``plan_state`` when it was sent."""
         self._goal = goal
         self._planners = planners
-        self._heard = self._quiet_since = now
+        self._received = self._quiet_since = now
         self._final_since = math.inf
         self.gone = False
         """Whether the planner that accepted the goal has ended or has timed out."""
 
-    def look(
+    def check(
         self,
         plan: PlanState | None,
         pose: Pose | None,
-        heard: float,
+        received_at: float,
         planners: frozenset[bytes],
         now: float,
     ) -> Ended | None:
         """Return how the goal has ended without a result, or None while a result may still come.
 
-        ``plan`` and ``pose``: the last report and its goal, received at ``heard``; ``planners``:
+        ``plan`` and ``pose``: last report and its goal, received at ``received_at``; ``planners``:
         present publishers of ``plan_state``.
         """
-        self._heard = max(self._heard, heard)
-        silent = now - self._heard > SILENCE_S
+        self._received = max(self._received, received_at)
+        silent = now - self._received > SILENCE_S
         self.gone = self.gone or silent or not planners <= self._planners
         if not self.gone:
             return None
         if silent:
             self._quiet_since, self._final_since = now, math.inf
-            if now - self._heard > RETURN_S:
+            if now - self._received > RETURN_S:
                 return Ended(
                     ErrorCode.NOT_READY,
                     "the planner ended while the goal was under way and sent no message for "

@@ -25,7 +25,7 @@ class PeerClock:
         # Sliding minimum: pairs (arrival, arrival minus stamp) with increasing differences.
         self._delays: deque[tuple[float, float]] = deque()
 
-    def hear(self, stamp: Time, now: Now) -> None:
+    def receive(self, stamp: Time, now: Now) -> None:
         """Process a message's stamp; a stamp of zero means that none was given."""
         if not (stamp.sec or stamp.nanosec):
             return

@@ -61,7 +61,7 @@ from tapping_cell.planning import (
     Done,
     Gains,
     KeepOut,
-    LookAgain,
+    ObserveAgain,
     Refusal,
     RefusalReason,
     Strike,
@@ -116,7 +116,7 @@ class Event(Enum):
     GIVEN_UP = "tap given up"
     WITHDRAWN = "arm withdrawn"
     HIDDEN = "object hidden"
-    LOOK_WANTED = "longer observation requested"
+    OBSERVATION_REQUESTED = "longer observation requested"
     GOAL_MET = "goal met"
     GOAL_FAILED = "goal failed"
     GOAL_CANCELED = "goal canceled"
@@ -146,7 +146,7 @@ TABLE = table(
             (S.WAITING_FOR_CELL,),
         ),
         ((S.LOOKING,), Event.OBSERVED, (S.PLANNING,)),
-        ((S.PLANNING,), Event.LOOK_WANTED, (S.LOOKING,)),
+        ((S.PLANNING,), Event.OBSERVATION_REQUESTED, (S.LOOKING,)),
         ((S.PLANNING,), Event.TAP_PROPOSED, (S.CONFIRMING,)),
         ((S.CONFIRMING,), Event.TAP_DROPPED, (S.LOOKING,)),
         # With a fixed tapper no arm moves, so the planner enters FIRING directly.
@@ -167,6 +167,15 @@ WORKING_STATES = tuple(WIRE[state] for state in WORKING)
 FINAL = (S.REACHED, S.FAILED, S.CANCELED)
 FINAL_STATES = tuple(WIRE[state] for state in FINAL)
 """Values of ``plan_state`` after a goal has ended."""
+LATE = frozenset(
+    (
+        ErrorCode.ARM_SILENT,
+        ErrorCode.CAMERA_SILENT,
+        ErrorCode.NOT_READY,
+        ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+    )
+)
+"""The tapper's codes for a tap that was not fired because a message or image came too late."""
 REMEMBERED = (
     "object_id",
     "planner",
@@ -510,7 +519,7 @@ class PlannerLogic:
             return
         {
             S.WAITING_FOR_CELL: self._wait_for_cell,
-            S.LOOKING: self._look,
+            S.LOOKING: self._observe,
             S.PLANNING: self._wait_for_computation,
             S.CONFIRMING: self._wait_for_person,
             S.PLACING: self._wait_for_arm,
@@ -532,7 +541,7 @@ class PlannerLogic:
             code, sentence = missing
             self._fail(code, f"the cell was not ready: {sentence}", now)
 
-    def _look(self, task: Task, now: Now) -> None:
+    def _observe(self, task: Task, now: Now) -> None:
         """Observe the object at rest, evaluate the last tap, and decide on the next one."""
         needed = self._settings.frames_needed
         observed = task.observed(self._monitor, self._look_after, needed, now)
@@ -581,24 +590,24 @@ class PlannerLogic:
         if fault is not None:
             self._fail(*fault, now)
 
-    def _look_on(self, now: Now) -> None:
+    def _keep_observing(self, now: Now) -> None:
         """Continue the observation: more images are fused."""
         if self.state is S.PLANNING:
-            self._enter(Event.LOOK_WANTED, S.LOOKING, now, self._deadline - now.steady)
+            self._enter(Event.OBSERVATION_REQUESTED, S.LOOKING, now, self._deadline - now.steady)
 
     def _act(self, task: Task, decision: Decision, seen: ObjectState, now: Now) -> None:
         """Carry out a decision that is based on the observation ``seen``."""
         if isinstance(task, ArrangementTask):
             self._turn_to_object(task)
-        if isinstance(decision, LookAgain):
-            self._look_on(now)
+        if isinstance(decision, ObserveAgain):
+            self._keep_observing(now)
             return
         if isinstance(decision, Refusal):
             # If the observation is too uncertain, every further image improves it.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late(now):
                 self._fail(REFUSALS[decision.reason], decision.sentence, now)
             else:
-                self._look_on(now)
+                self._keep_observing(now)
             return
         if self.state is S.LOOKING:
             self._enter(Event.OBSERVED, S.PLANNING, now)
@@ -790,15 +799,21 @@ class PlannerLogic:
         shot.measured_speed = tapper.measured_speed
         shot.fired_at = now.ros
         self._withdraw(shot.tap_id, now)
-        task.not_fired = task.not_fired + 1 if shot.outcome == TapperState.NOT_FIRED else 0
         if shot.outcome == TapperState.NOT_FIRED:
             code, sentence = tapper.error_code, tapper.error_msg
             if not code:
                 code, sentence = WITHDRAWN_BY_ANOTHER
             self._log(LogLevel.WARNING, f"tap not fired: {sentence}")
-            if task.not_fired >= self._settings.attempts:
+            # Nothing was fired, so another attempt is as safe as the first.
+            late = tapper.error_code in LATE
+            task.late += late
+            task.not_fired += not late
+            settings = self._settings
+            if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
                 self._fail(code, sentence, now)
                 return
+        else:
+            task.not_fired = task.late = 0
         self._enter(Event.OUTCOME_TOLD, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:

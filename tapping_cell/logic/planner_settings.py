@@ -91,3 +91,11 @@ class PlannerSettings:
         100,
         default=3,
     )
+    late_attempts: int = quantity(
+        "maximum number of consecutive taps that did not fire because a message or image came too "
+        "late, as on a busy machine",
+        "",
+        1,
+        100,
+        default=10,
+    )

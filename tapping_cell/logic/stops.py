@@ -25,7 +25,7 @@ class StopLatch:
     def __init__(self) -> None:
         self._sources: list[str] = []
         self._asserted = False
-        self._heard = 0
+        self._received = 0
         self._asked = 0
         self._confirm_until = -1.0
 
@@ -61,23 +61,23 @@ class StopLatch:
             self._add(name)
         self._asserted = self._asserted or content.get("asserted") is not False
 
-    def hear(self, level: bool) -> bool:
+    def receive(self, level: bool) -> bool:
         """Process a level of the topic; return whether the stored content has changed."""
         changed = level != self._asserted
         self._asserted = level
         if level:
-            self._heard += 1
+            self._received += 1
             changed = self._add(TOPIC) or changed
         return changed and self.stopped
 
     def press(self, source: str = SERVICE) -> bool:
         """Latch a stop without a level, such as that of the service; return whether it is new."""
-        self._heard += 1
+        self._received += 1
         return self._add(source)
 
     def begin_reset(self) -> None:
         """Begin a reset, before the publishers are queried for their levels."""
-        self._asked = self._heard
+        self._asked = self._received
 
     def try_reset(self, levels: StopLevels | None, now: Now) -> str:
         """Reset if the publishers' levels allow it; return why not, or "" after the reset."""
@@ -85,7 +85,7 @@ class StopLatch:
             return (
                 "the publishers of emergency_stop could not be determined; call clear_fault again"
             )
-        if self._heard != self._asked:
+        if self._received != self._asked:
             return "a stop occurred during clear_fault; " + self.advice()
         if levels.asserted:
             self._asserted = True

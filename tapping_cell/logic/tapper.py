@@ -234,7 +234,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     # Queries by the running job, without side effects
 
-    def doubt_charging(self, now: Now) -> Trouble | None:
+    def check_charging(self, now: Now) -> Trouble | None:
         """Return why charging must not begin or continue, or None if it may."""
         tap = self._tap
         if tap is None:
@@ -247,21 +247,21 @@ class TapperLogic(DeviceLogic[State, Event]):
             return enabling.RELEASED
         if now.ros > tap.expiry:
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed while it was charged"
-        return self._peers.charging_doubt(tap.tap_id, tap.planned, tap.strike, now)
+        return self._peers.check_charging(tap.tap_id, tap.planned, tap.strike, now)
 
-    def doubt_firing(self, release_by: float, now: Now) -> Trouble | None:
+    def check_firing(self, release_by: float, now: Now) -> Trouble | None:
         """Check for the last time before FIRE; return why firing is forbidden, or None.
 
         ``release_by``: latest end of the release, s on the steady clock.
         """
-        doubt = self.doubt_charging(now)
-        if doubt is not None:
-            return doubt
+        reason = self.check_charging(now)
+        if reason is not None:
+            return reason
         promise, tap = self._permit, self._tap
         assert tap is not None
-        doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
-        if doubt is not None:
-            return doubt
+        reason = self._peers.check_firing(tap.tap_id, tap.planned, tap.strike, now)
+        if reason is not None:
+            return reason
         if self._fixed:
             # A mount cannot move, so only the state of this tap remains to be checked.
             fires = self.state is S.FIRING
@@ -283,22 +283,22 @@ class TapperLogic(DeviceLogic[State, Event]):
         if topic == "tap_command":
             self._tap_command(message, now)
         elif topic == "arm_state":
-            self._peers.hear_arm(message, now)
+            self._peers.on_arm_state(message, now)
             self._charge_when_ready(now)
             self._ask_when_in_position(now)
         elif topic == "plan_state":
-            self._peers.hear_plan(message, now)
+            self._peers.on_plan_state(message, now)
             gone = self._peers.given_up()
             if gone is not None and self.state in SERVING:
                 self._give_up(gone)
         elif topic == "object_state":
-            self._peers.hear_object(message, now)
+            self._peers.on_object_state(message, now)
         elif topic == "object_states":
-            self._peers.hear_objects(message, now)
+            self._peers.on_object_states(message, now)
         elif topic == "tapper_state":
-            self._peers.hear_tapper(message, now)
+            self._peers.on_tapper_state(message, now)
         elif topic == enabling.TOPIC:
-            self._enabling.hear_key(message.data, now)
+            self._enabling.on_key(message.data, now)
             self._watch_enabling(now)
 
     def _handle_request(self, service: str, request: Message, token: Token, now: Now) -> None:
@@ -374,8 +374,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         tapper = tap_commands.named_tapper(command.tapper, self._all_names)
         if tapper is None:
             return tap_commands.unknown_tapper(command.tapper, self._all_names)
-        if self._fixed and (doubt := self._mounts.doubt()) is not None:
-            return doubt
+        if self._fixed and (reason := self._mounts.check()) is not None:
+            return reason
         if self._set_up and not self._enabling.held(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
@@ -404,7 +404,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _charge_when_ready(self, now: Now) -> None:
         tap = self._tap
-        if self.state is not S.WAITING or tap is None or self.doubt_charging(now) is not None:
+        if self.state is not S.WAITING or tap is None or self.check_charging(now) is not None:
             return
         self._machine.move(Event.ARM_READY, S.CHARGING)
         self._run(
@@ -414,7 +414,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 shot=tap.tap_id,
                 energy=tap.energy,
                 channel=tap.channel,
-                doubt=self.doubt_charging,
+                check=self.check_charging,
                 tell=self._set_up,
             ),
         )
@@ -448,10 +448,10 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._machine.move(Event.FIXED, S.FIRING)
             self._begin_shot(tap)
             return
-        if self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now) is None:
+        if self._peers.check_firing(tap.tap_id, tap.planned, tap.strike, now) is None:
             self._ask_arm(now)
             return
-        why = self.doubt_charging(now)
+        why = self.check_charging(now)
         if why is None and now.steady > self._charged_at + LONGEST_CHARGED_S:
             why = (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
@@ -464,7 +464,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _begin_shot(self, tap: Tap) -> None:
         self._run(
             "fire",
-            partial(tapper_jobs.fire, shot=tap.tap_id, doubt=self.doubt_firing, tell=self._set_up),
+            partial(tapper_jobs.fire, shot=tap.tap_id, check=self.check_firing, tell=self._set_up),
         )
 
     def _ask_arm(self, now: Now) -> None:
@@ -520,7 +520,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _job_told(self, name: str, content: Any, now: Now) -> None:
         assert isinstance(content, Reply), f"the job {name} may report only replies of the board"
-        self._hear_switch(content, now)
+        self._on_switch(content, now)
 
     def _job_done(self, name: str, result: Any, now: Now) -> None:
         if isinstance(result, FireEnd):
@@ -530,7 +530,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         else:
             assert isinstance(result, Status)
             self._take_in(result)
-            self._hear_switch(result.reply, now)
+            self._on_switch(result.reply, now)
             if name == "discharge":
                 self._not_fired(self._given_up)
             elif name == "connect":
@@ -643,7 +643,7 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _read_done(self, result: Any, now: Now) -> None:
         self._take_in(result)
-        self._hear_switch(result.reply, now)
+        self._on_switch(result.reply, now)
         self._see_stop(result.reply)
         if self.state is S.SAFE:
             self._see_mounts()
@@ -666,16 +666,16 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Report an error of the mounts while at rest, or clear it when it is gone."""
         if not self._fixed:
             return
-        doubt = self._mounts.doubt()
+        reason = self._mounts.check()
         of_mounts = (ErrorCode.TAPPER_STRIKER_AWAY, ErrorCode.TAPPER_MOUNT_NOT_PROVEN)
-        if doubt is not None:
-            self._say(*doubt)
+        if reason is not None:
+            self._say(*reason)
         elif self._trouble[0] in of_mounts:
             self._trouble = (ErrorCode.NONE, "")
 
-    def _hear_switch(self, reply: Reply, now: Now) -> None:
+    def _on_switch(self, reply: Reply, now: Now) -> None:
         self._told.enabling_switch = reply.enabled
-        self._enabling.hear_switch(reply.enabled, now)
+        self._enabling.on_switch(reply.enabled, now)
         self._watch_enabling(now)
 
     def _see_stop(self, reply: Reply) -> None:
@@ -798,8 +798,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._ask_when_in_position(now)
         tap = self._tap
         if self.state is S.WAITING and tap is not None and now.ros > tap.expiry:
-            doubt = self._peers.doubt(tap.tap_id, tap.planned, tap.strike, now)
-            why = f": {doubt[1]}" if doubt is not None else ""
+            reason = self._peers.check_firing(tap.tap_id, tap.planned, tap.strike, now)
+            why = f": {reason[1]}" if reason is not None else ""
             self._give_up(
                 (
                     ErrorCode.TAPPER_COMMAND_EXPIRED,

@@ -85,10 +85,10 @@ def charge(
     shot: int,
     energy: float,
     channel: int,
-    doubt: Callable[[Now], Trouble | None],
+    check: Callable[[Now], Trouble | None],
     tell: bool,
 ) -> ChargeEnd:
-    """Charge ``energy`` in J for a shot of a channel; discharge if ``doubt`` returns a reason.
+    """Charge ``energy`` in J for a shot of a channel; discharge if ``check`` returns a reason.
 
     ``tell``: post the board's last reply before each check.
     """
@@ -99,7 +99,7 @@ def charge(
         nonlocal refusal
         if tell and driver.last_reply is not None:
             context.post(driver.last_reply)
-        refusal = refusal or context.ask(doubt)
+        refusal = refusal or context.ask(check)
         return refusal is None and not context.abandoned()
 
     if not go_on():
@@ -112,12 +112,12 @@ def charge(
 def fire(
     context: JobContext,
     shot: int,
-    doubt: Callable[[float, Now], Trouble | None],
+    check: Callable[[float, Now], Trouble | None],
     tell: bool,
 ) -> FireEnd:
-    """Fire a charged shot if ``doubt`` allows it, or discharge it.
+    """Fire a charged shot if ``check`` allows it, or discharge it.
 
-    ``doubt`` receives the latest possible end of the release, s on the steady clock.
+    ``check`` receives the latest possible end of the release, s on the steady clock.
     ``tell``: post the board's last reply before each check.
     """
     driver: TapperDevice = context.driver
@@ -127,7 +127,7 @@ def fire(
         nonlocal refusal
         if tell and driver.last_reply is not None:
             context.post(driver.last_reply)
-        refusal = context.ask(lambda now: doubt(release_by, now))
+        refusal = context.ask(lambda now: check(release_by, now))
         return refusal is None and not context.abandoned()
 
     result: FireResult = driver.fire(shot, WINDOW_S, still_allowed)

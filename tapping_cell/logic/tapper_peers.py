@@ -80,7 +80,7 @@ class Mounts:
     fitted: bool = False
     away: tuple[str, ...] = ()
 
-    def doubt(self) -> Trouble | None:
+    def check(self) -> Trouble | None:
         """Return why no tapper of this board may be charged, or None if charging is allowed."""
         if not self.fitted:
             return (
@@ -114,9 +114,9 @@ class TapperPeers:
     def __init__(self, limits: PeerLimits) -> None:
         self._limits = limits
         self._arm: ArmState | None = None
-        self._arm_heard = -math.inf
+        self._arm_received = -math.inf
         self._clocks = {"arm": PeerClock(), "planner": PeerClock(), "camera": PeerClock()}
-        self._plan_heard: float | None = None
+        self._plan_received: float | None = None
         self._phase = PlanState.IDLE
         self._planners_tap = False
         self._picture_at: float | None = None
@@ -132,7 +132,7 @@ class TapperPeers:
         self._mounts = mounts
         self._other_boards = frozenset(tuple(names) for names in other_boards)
 
-    def hear_tapper(self, message: TapperState, now: Now) -> None:
+    def on_tapper_state(self, message: TapperState, now: Now) -> None:
         """Process ``tapper_state`` of any board."""
         names = tuple(message.tappers)
         if names in self._other_boards:
@@ -144,29 +144,29 @@ class TapperPeers:
         self._planners_tap = False
         self._object = object_id
 
-    def hear_arm(self, message: ArmState, now: Now) -> None:
+    def on_arm_state(self, message: ArmState, now: Now) -> None:
         """Process ``arm_state``."""
-        self._clocks["arm"].hear(message.header.stamp, now)
-        self._arm, self._arm_heard = message, now.steady
+        self._clocks["arm"].receive(message.header.stamp, now)
+        self._arm, self._arm_received = message, now.steady
 
-    def hear_plan(self, message: PlanState, now: Now) -> None:
+    def on_plan_state(self, message: PlanState, now: Now) -> None:
         """Process ``plan_state``."""
-        self._clocks["planner"].hear(message.header.stamp, now)
+        self._clocks["planner"].receive(message.header.stamp, now)
         self._phase = message.state
-        self._plan_heard = self._clocks["planner"].to_steady(message.header.stamp, now)
+        self._plan_received = self._clocks["planner"].to_steady(message.header.stamp, now)
         if message.state in TAPPING:
             self._planners_tap = True
 
-    def hear_object(self, message: ObjectState, now: Now) -> None:
+    def on_object_state(self, message: ObjectState, now: Now) -> None:
         """Process ``object_state``."""
         if message.error_code in BLIND:
             return
-        self._clocks["camera"].hear(message.header.stamp, now)
+        self._clocks["camera"].receive(message.header.stamp, now)
         self._picture_at = self._clocks["camera"].to_steady(message.header.stamp, now)
         if message.visible and message.error_code == ErrorCode.NONE:
             self._seen[""] = self._seen[message.object_id] = message, self._picture_at
 
-    def hear_objects(self, message: ObjectStates, now: Now) -> None:
+    def on_object_states(self, message: ObjectStates, now: Now) -> None:
         """Process ``object_states``; the age of each state is determined from its own stamp."""
         for state in message.objects:
             seen_at = self._clocks["camera"].to_steady(state.header.stamp, now)
@@ -184,31 +184,31 @@ class TapperPeers:
             )
         return None
 
-    def doubt(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
+    def check_firing(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
         """Return why the tap must not be fired, by the messages of the peers; None if it may.
 
         ``planned``: pose of the object for which the tap was planned; ``strike``: commanded pose of
         the tip. Both are in ``table``.
         """
         if self._mounts is not None:
-            return self._mount_doubt(now) or self._other_doubt(planned, now)
-        return self._arm_doubt(tap_id, strike, now) or self._other_doubt(planned, now)
+            return self._check_mounts(now) or self._check_others(planned, now)
+        return self._check_arm(tap_id, strike, now) or self._check_others(planned, now)
 
-    def charging_doubt(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
-        """Return why the tapper must not be charged, or None; see :meth:`doubt`.
+    def check_charging(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
+        """Return why the tapper must not be charged, or None; see :meth:`check_firing`.
 
         Charging may begin while the arm lowers the striker. The last read-back of the arm must be
         above the strike pose, so that only a motion straight down remains, and must be recent.
         """
         if self._mounts is not None:
-            return self._mount_doubt(now) or self._other_doubt(planned, now)
+            return self._check_mounts(now) or self._check_others(planned, now)
         if not self._lowers(tap_id, strike, now):
-            doubt = self._arm_doubt(tap_id, strike, now)
-            if doubt is not None:
-                return doubt
-        return self._other_doubt(planned, now)
+            reason = self._check_arm(tap_id, strike, now)
+            if reason is not None:
+                return reason
+        return self._check_others(planned, now)
 
-    def _other_doubt(self, planned: Pose, now: Now) -> Trouble | None:
+    def _check_others(self, planned: Pose, now: Now) -> Trouble | None:
         return (
             self.given_up()
             or self._skew(now)
@@ -221,11 +221,11 @@ class TapperPeers:
         arm = self._arm
         if arm is None or arm.state != ArmState.MOVING or arm.tap_id != tap_id or not arm.homed:
             return False
-        if now.steady - self._arm_heard > self._limits.arm_freshness:
+        if now.steady - self._arm_received > self._limits.arm_freshness:
             return False
         return _above(arm, strike)
 
-    def _arm_doubt(self, tap_id: int, strike: Pose, now: Now) -> Trouble | None:
+    def _check_arm(self, tap_id: int, strike: Pose, now: Now) -> Trouble | None:
         arm, limit = self._arm, self._limits.arm_freshness
         code = ErrorCode.TAPPER_ARM_NOT_IN_POSITION
         if arm is None:
@@ -236,7 +236,7 @@ class TapperPeers:
                 f"the arm is not in position for tap {tap_id} (state {arm.state}, tap"
                 f" {arm.tap_id})",
             )
-        age = max(self._clocks["arm"].age(arm.header.stamp, now), now.steady - self._arm_heard)
+        age = max(self._clocks["arm"].age(arm.header.stamp, now), now.steady - self._arm_received)
         if age > limit:
             return code, f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"
         if not _above(arm, strike):
@@ -244,15 +244,15 @@ class TapperPeers:
             return code, f"the arm is in position for another tap with the id {tap_id}"
         return None
 
-    def _mount_doubt(self, now: Now) -> Trouble | None:
+    def _check_mounts(self, now: Now) -> Trouble | None:
         """Return an error if the own mounts are not proven or another board is not at rest."""
         assert self._mounts is not None
-        doubt = self._mounts.doubt()
-        if doubt is not None:
-            return doubt
+        reason = self._mounts.check()
+        if reason is not None:
+            return reason
         for names in sorted(self._other_boards):
-            state, heard = self._boards.get(names, (None, -math.inf))
-            if state is None or now.steady - heard > self._limits.silence:
+            state, received_at = self._boards.get(names, (None, -math.inf))
+            if state is None or now.steady - received_at > self._limits.silence:
                 how = "has sent no message" if state is None else "is silent"
                 return (
                     ErrorCode.TAPPER_OTHER_ACTIVE,
@@ -280,9 +280,9 @@ class TapperPeers:
     def _silence(self, now: Now) -> Trouble | None:
         silence = self._limits.silence
         of_planner = silence if self._planners_tap else max(silence, IDLE_LIMIT_S)
-        for heard, limit, code, sentence in (
+        for received_at, limit, code, sentence in (
             (
-                self._plan_heard,
+                self._plan_received,
                 of_planner,
                 ErrorCode.NOT_READY,
                 "the planner has been silent for {:.2f} s, more than {:.2f} s; check its node",
@@ -295,8 +295,8 @@ class TapperPeers:
                 "the camera and its node",
             ),
         ):
-            if heard is not None and now.steady - heard > limit:
-                return code, sentence.format(now.steady - heard, limit)
+            if received_at is not None and now.steady - received_at > limit:
+                return code, sentence.format(now.steady - received_at, limit)
         return None
 
     def _disturbance(self, planned: Pose, now: Now) -> Trouble | None:

@@ -39,7 +39,7 @@ from tapping_cell.planning import (
     Strike,
 )
 from tapping_cell.planning.session import GoalSession
-from tapping_cell.planning.stopping import LONG_LOOK
+from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import ReferenceMap
 
@@ -161,6 +161,8 @@ class Task:
     """Whether a person confirms every tap."""
     records: list[TapRecord] = field(default_factory=list)
     not_fired: int = 0
+    late: int = 0
+    """Consecutive taps that were not fired because a message came too late."""
     without_effect: int = 0
     free_space: object | None = None
     """Map that the session uses at present."""
@@ -194,8 +196,8 @@ class Task:
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """Decide on the next action from an observation of the object at rest.
 
-        ``frames``: length of a normal observation in frames; a long one takes ``LONG_LOOK`` times
-        as many. It is 0 if no time is left for a long observation.
+        ``frames``: length of a normal observation in frames; a long one takes
+        ``LONG_OBSERVATION`` times as many. It is 0 if no time is left for a long observation.
         """
         assert isinstance(self.session, GoalSession)
         self.session.arm = self.arm
@@ -203,7 +205,7 @@ class Task:
         return self.session.decide(
             pose,
             covariance_from_message(seen.pose.covariance),
-            look_again=seen.frames_fused < LONG_LOOK * frames,
+            observe_again=seen.frames_fused < LONG_OBSERVATION * frames,
         )
 
     def take_in(self, shot: Shot, seen: ObjectState) -> None:

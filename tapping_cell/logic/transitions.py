@@ -32,10 +32,6 @@ class StateMachine(Generic[State, Event]):
         """Present state."""
         return self._state
 
-    def allows(self, event: Event) -> bool:
-        """Return whether the table has a row for this event in the present state."""
-        return (self._state, event) in self._table
-
     def move(self, event: Event, target: State) -> None:
         """Go to a state. Raises UndefinedTransition if the table does not allow it."""
         allowed = self._table.get((self._state, event), frozenset())

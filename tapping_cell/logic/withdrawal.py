@@ -18,7 +18,7 @@ from tapping_cell.hardware.arm_shape import arm_bars
 from tapping_cell.hardware.motion import (
     MotionSettings,
     Waypoint,
-    look_path,
+    clear_view_path,
     move_durations,
     raise_step,
     withdraw_path,
@@ -78,7 +78,7 @@ def withdrawal(
     way = move_durations(geometry, raised, free, motion.travel_speed)
     onwards = _to_next(cell, geometry, scene, free, motion)
     best = free[int(np.argmin(way + onwards))]
-    return look_path(geometry, current, Joints(*best.tolist()), motion)
+    return clear_view_path(geometry, current, Joints(*best.tolist()), motion)
 
 
 def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:

@@ -55,6 +55,21 @@ class TapPlan(NamedTuple):
     twist: Array
 
 
+def tips_at_rest(
+    strike_pose: ArrayLike, standoff: float, round_position: float = 0.0, round_angle: float = 0.0
+) -> Array:
+    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses, with the rounding in m
+    and rad of an arm that moves in steps; 0 does not round."""
+    tips = np.array(strike_pose, dtype=float)
+    tips[..., 0] -= standoff * np.cos(tips[..., 2])
+    tips[..., 1] -= standoff * np.sin(tips[..., 2])
+    if round_position > 0.0:
+        tips[..., :2] = round_position * np.round(tips[..., :2] / round_position)
+    if round_angle > 0.0:
+        tips[..., 2] = round_angle * np.round(tips[..., 2] / round_angle)
+    return tips
+
+
 class TapResult(NamedTuple):
     """Result of a tap; every field has the shape of the poses.
 
@@ -130,12 +145,6 @@ class Tap:
         Arguments as for :meth:`strike`.
         """
         return self.strike(object_pose, strike_pose, striker_speed).displacement
-
-    def launch_velocity(
-        self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
-    ) -> Array:
-        """Twist (..., 3) of the object just after the impact, in table axes, m/s and rad/s."""
-        return self._impact(object_pose, strike_pose, striker_speed).twist
 
     def strike(
         self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
@@ -219,6 +228,25 @@ class Tap:
         local = _in_frame(line.normal, line.point)
         found[found] = ~line.missed & self.impact.has_incidence(slope, local)
         return found
+
+    def plan_reachable(
+        self, displacements: Array, object_pose: ArrayLike = _ORIGIN
+    ) -> tuple[NDArray[np.bool_], TapPlan]:
+        """Return which displacements (n, 3) one tap can produce, (n,), and the plans of only these.
+
+        Faster than ``reachable`` followed by ``plan``. ``object_pose``: (3,) or (n, 3).
+        """
+        wanted = _poses("displacement", displacements)
+        held = np.broadcast_to(_poses("object pose", object_pose), wanted.shape)
+        found = np.array(self._inside(wanted))
+        plan = self._plan_in_body(_turn(wanted[found], -held[found, 2]))
+        known = ~np.isnan(plan.incidence)
+        found[found] = known
+        made = TapPlan(*(each[known] for each in plan))
+        return found, made._replace(
+            strike_pose=se2.compose(held[found], made.strike_pose),
+            twist=_turn(made.twist, held[found, 2]),
+        )
 
     def jacobian(self, displacement: ArrayLike) -> Array:
         """Derivative (..., 3, 3) of the tap's result with respect to the striker's pose, in m and

@@ -110,7 +110,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         # publishers, and a volatile subscription misses a stop that was published before this node
         # started.
         for profile in (LATCHED, COMMAND):
-            self.create_subscription(Bool, "emergency_stop", self.hear_stop, profile)
+            self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, profile)
         self.create_timer(1.0, self._publish_diagnostics)
         self._connections = ConnectionCheck(self)
         self.create_timer(CONNECTION_CHECK_S, self._check_connections)
@@ -238,7 +238,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     # Emergency stop
 
-    def hear_stop(self, message: Bool) -> None:
+    def on_emergency_stop(self, message: Bool) -> None:
         """Process a message on ``emergency_stop``."""
         if message.data:
             self.stop_now()

@@ -82,7 +82,7 @@ class LogicHost(Generic[Machine]):
         self._node.create_subscription(
             ros_class(kind.ROS_TYPE),
             topic,
-            lambda message: self.hear(topic, from_ros(message, kind)),
+            lambda message: self.receive(topic, from_ros(message, kind)),
             profile,
         )
 
@@ -109,7 +109,7 @@ class LogicHost(Generic[Machine]):
         """Notify the machine of a life-cycle event of its node."""
         self._dispatch(lambda now: self._logic.on_lifecycle(event, now))
 
-    def hear(self, topic: str, message: Any) -> None:
+    def receive(self, topic: str, message: Any) -> None:
         """Pass a message to the machine."""
         if topic == stops.TOPIC and message.data:
             self._stop_publishers |= self._present_publishers()
@@ -243,11 +243,11 @@ class LogicHost(Generic[Machine]):
         current value (True: stopped)."""
         levels: list[bool] = []
 
-        def hear(message: Bool) -> None:
+        def receive(message: Bool) -> None:
             levels.append(message.data)
 
         subscription = self._node.create_subscription(
-            Bool, stops.TOPIC, hear, self._node.stop_profile
+            Bool, stops.TOPIC, receive, self._node.stop_profile
         )
 
         def settle() -> None:

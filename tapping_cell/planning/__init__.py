@@ -19,7 +19,7 @@ from tapping_cell.planning.kept_gains import keep_gains, load_gains
 from tapping_cell.planning.prescribed import PrescribedSession, Prescription, cautious
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.registry import make_planner, planner_names, require_planner
-from tapping_cell.planning.session import Decision, Done, LookAgain, PositioningSession, Strike
+from tapping_cell.planning.session import Decision, Done, ObserveAgain, PositioningSession, Strike
 from tapping_cell.planning.settings import CameraNoise, PlannerSettings, Scatter
 from tapping_cell.planning.stopping import StoppingBox, stopping_box
 from tapping_cell.planning.strike import (
@@ -41,7 +41,7 @@ __all__ = [
     "FreeSpace",
     "Gains",
     "KeepOut",
-    "LookAgain",
+    "ObserveAgain",
     "Planner",
     "PlannerSettings",
     "PlanningError",

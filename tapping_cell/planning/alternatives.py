@@ -22,6 +22,9 @@ SHARES_OF_LARGEST = np.array([1.0, 0.6, 0.35, 0.2, 0.1, 0.05])
 TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
+LEAST = 80
+"""Minimum number of safe candidates that are checked together, as far as there are as many."""
+
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function of poses (n, 3) and displacements (n, 3) that returns which of them are possible."""
 
@@ -36,6 +39,7 @@ def alternative_taps(
     tap: Tap,
     strikeable: Strikeable,
     visited: VisitedPoses | None = None,
+    safe: Callable[[Array], NDArray[np.bool_]] | None = None,
 ) -> Iterator[Ranked]:
     """Generate alternative displacements to command, in chunks, best first.
 
@@ -44,21 +48,30 @@ def alternative_taps(
     the number of taps that the method needs afterwards, with the distance along the path around
     obstacles. One more tap is added if the goal is near but not reachable by one possible tap.
     ``visited``: poses that the object was tapped from before, whose costs were underestimated.
+    ``safe``: function that returns which displacements (n, 3) may be commanded; the others are left
+    out before the slower check of what follows.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
     order = np.argsort(made.cost, kind="stable")
     order = order[np.isfinite(made.cost[order])]
     waiting, waiting_cost = order[:0], made.cost[:0]
-    for start in range(0, order.size, CHUNK):
-        part = order[start : start + CHUNK]
+    start = 0
+    while start < order.size:
+        parts, count = [], 0
+        while start < order.size and count < LEAST:
+            block = order[start : start + CHUNK]
+            start += CHUNK
+            parts.append(block if safe is None else block[safe(made.commanded[block])])
+            count += parts[-1].size
+        part = np.concatenate(parts)
         cost = made.cost[part] + indirect(made.after[part], goal, number, planner, strikeable)
         if visited is not None:
             cost += visited.extra(made.after[part], cost)
         waiting = np.concatenate([waiting, part])
         waiting_cost = np.concatenate([waiting_cost, cost])
         # Candidates that no later candidate can precede.
-        following = order[start + CHUNK : start + CHUNK + 1]
+        following = order[start : start + 1]
         ready = waiting_cost <= made.cost[following].min(initial=np.inf)
         rank = np.argsort(waiting_cost[ready], kind="stable")
         if rank.size:

@@ -53,15 +53,15 @@ def expected_taps(
     box, camera, scatter = settings.stopping, settings.camera, settings.scatter
     share = max(scatter.distance, LEAST_SCATTER.distance)
     rough = max(scatter.rotation, LEAST_SCATTER.rotation)
-    look = 2.0 * camera.position**2
+    camera_noise = 2.0 * camera.position**2
     floor = LEAST_DEVIATION * box.distance
-    along = np.sqrt((share * sizes) ** 2 + look + floor**2)
-    across = np.sqrt((scatter.direction * sizes) ** 2 + look)
+    along = np.sqrt((share * sizes) ** 2 + camera_noise + floor**2)
+    across = np.sqrt((scatter.direction * sizes) ** 2 + camera_noise)
     ahead = distance * np.cos(aside)[:, None] - sizes
     beside = np.broadcast_to(-distance * np.sin(aside)[:, None], ahead.shape)
     lengths = np.hypot(
-        (ahead[..., None] + along[:, None] * _nodes(ALONG_NODES))[..., :, None],
-        (beside[..., None] + across[:, None] * _nodes(ASIDE_NODES))[..., None, :],
+        (ahead[..., None] + along[:, None] * normal_nodes(ALONG_NODES))[..., :, None],
+        (beside[..., None] + across[:, None] * normal_nodes(ASIDE_NODES))[..., None, :],
     ).reshape(ahead.size, -1)
     whole, inside = _radial_weights(solution.distances, lengths, box.distance)
 
@@ -77,7 +77,7 @@ def expected_taps(
     return np.where(np.abs(turns) > most[:, None], np.inf, taps)
 
 
-def _nodes(count: int) -> Array:
+def normal_nodes(count: int) -> Array:
     """Conditional means of N(0, 1) over intervals of equal probability, (count,)."""
     edges = ndtri(np.arange(1, count) / count)
     density = np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi)

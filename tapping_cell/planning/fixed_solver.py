@@ -141,7 +141,7 @@ class _Worker:
         process = context.Process(target=_work, args=(far,), name="goal solver", daemon=True)
         process.start()
         far.close()
-        Thread(target=self._hear, name="goal solver", daemon=True).start()
+        Thread(target=self._receive, name="goal solver", daemon=True).start()
 
     def ask(self, job: Job) -> None:
         """Have a goal solved, before those that were asked for earlier."""
@@ -151,7 +151,7 @@ class _Worker:
         except OSError:
             self._take(job.key, _gone())
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         while True:
             try:
                 key, result = self._line.recv()

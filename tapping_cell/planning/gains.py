@@ -217,14 +217,14 @@ class Gains:
         moved = np.hypot(seen[..., 0], seen[..., 1])
         usable = np.isfinite(moved) & np.isfinite(seen[..., 2]) & np.isfinite(asked)
         usable = usable & (asked > LEAST_MOVE)
-        look = math.sqrt(2.0) * camera.position
-        least = np.where(usable, np.maximum(moved, max(look, LEAST_MOVE)), 1.0)
+        camera_noise = math.sqrt(2.0) * camera.position
+        least = np.where(usable, np.maximum(moved, max(camera_noise, LEAST_MOVE)), 1.0)
         size = np.where(usable, asked, 1.0)
         slope = np.where(usable, command[..., 2], 0.0) / size
         heading = np.where(usable, np.arctan2(command[..., 1], command[..., 0]), 0.0)
         went = np.where(usable, np.arctan2(seen[..., 1], seen[..., 0]), 0.0)
         blank = np.where(usable, 0.0, math.nan)
-        aim = look / least
+        aim = camera_noise / least
         zero = np.zeros_like(aim)
 
         distance, known = self.distance.observe(
@@ -235,7 +235,7 @@ class Gains:
             np.hypot(scatter.distance, aim),
         )
         # The direction and the rotation per distance of a very short slide are not measurable.
-        still = np.where(moved > 3.0 * look, blank, math.nan)
+        still = np.where(moved > 3.0 * camera_noise, blank, math.nan)
         rotation, turned = self.rotation.observe(
             ROTATION,
             np.stack([slope, *_directions(went - np.asarray(orientation, dtype=float))], axis=-1),

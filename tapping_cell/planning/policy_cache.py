@@ -21,7 +21,7 @@ import numpy as np
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import FINE_STEPS, RATIO, Solution
 
-FORMAT = 5
+FORMAT = 6
 """Version of the format. Increase it whenever the solver gives different plans for the same
 settings and grids."""
 

@@ -20,9 +20,9 @@ def smallest_tap_share(settings: PlannerSettings) -> float:
     length from the goal and point straight towards it."""
     least, scatter, camera = settings.smallest_distance, settings.scatter, settings.camera
     # One observation is used for aiming the tap and another one for judging it.
-    look, turn = 2.0 * camera.position**2, 2.0 * camera.angle**2
-    along = (scatter.distance * least) ** 2 + look
-    across = (scatter.direction * least) ** 2 + look
+    camera_noise, turn = 2.0 * camera.position**2, 2.0 * camera.angle**2
+    along = (scatter.distance * least) ** 2 + camera_noise
+    across = (scatter.direction * least) ** 2 + camera_noise
     box = settings.stopping
     spread = np.diag([along, across, 0.0])
     placed = float(inside_probability(np.zeros(3), spread, box.distance, math.pi))

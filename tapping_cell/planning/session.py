@@ -38,7 +38,7 @@ MISSED = 0.1
 ELSEWHERE = math.radians(20.0)
 """Minimum change of direction after a miss, because the same tap would miss again."""
 
-WORTH_A_LOOK = 0.02
+WORTH_OBSERVING = 0.02
 """Minimum probability of being within the tolerance for requesting a longer observation."""
 
 PROBE_SIZE = 1.5
@@ -73,7 +73,7 @@ class Done:
 
 
 @dataclass(frozen=True, slots=True)
-class LookAgain:
+class ObserveAgain:
     """The object may be at the goal, and a longer observation may confirm this.
 
     residual: goal minus object, (dx, dy, dtheta) in `table`, m and rad. probability: probability
@@ -104,7 +104,7 @@ class Strike:
     detour: str = ""
 
 
-Decision = Done | LookAgain | Strike | Refusal
+Decision = Done | ObserveAgain | Strike | Refusal
 
 
 class GoalSession(ABC):
@@ -191,15 +191,15 @@ class GoalSession(ABC):
         object_pose: ArrayLike,
         covariance: ArrayLike | None = None,
         *,
-        look_again: bool = False,
+        observe_again: bool = False,
     ) -> Decision:
         """Decide on the next step for a stationary object.
 
         Args:
             object_pose: measured x, y, theta in `table`, m and rad.
             covariance: covariance (3, 3) of that pose; None uses the camera's nominal noise.
-            look_again: whether a longer observation is possible; ``LookAgain`` is returned only
-                if this is True.
+            observe_again: whether a longer observation is possible; ``ObserveAgain`` is
+                returned only if this is True.
         """
         if self._goal_refusal is not None:
             return self._goal_refusal
@@ -210,15 +210,15 @@ class GoalSession(ABC):
                 f"the object's pose {pose.tolist()} is not three finite numbers; observe the "
                 "object again",
             )
-        arrived = self.arrived(pose, covariance, look_again=look_again)
+        arrived = self.arrived(pose, covariance, observe_again=observe_again)
         if arrived is not None:
             return arrived
         left, box = self.residual(pose), self.stopping(covariance)
         return self._refusal_before_tap(pose, left, box) or self._next_tap(pose, left)
 
     def arrived(
-        self, object_pose: ArrayLike, covariance: ArrayLike | None, *, look_again: bool
-    ) -> Done | LookAgain | None:
+        self, object_pose: ArrayLike, covariance: ArrayLike | None, *, observe_again: bool
+    ) -> Done | ObserveAgain | None:
         """Return whether the object is at the goal or may be, or None; arguments as for
         ``decide``."""
         left = self.residual(object_pose)
@@ -227,8 +227,8 @@ class GoalSession(ABC):
         probability = self._inside(left, covariance, box)
         if probability >= CONFIDENCE and box.camera_suffices:
             return Done(residual, box)
-        if look_again and probability >= WORTH_A_LOOK:
-            return LookAgain(residual, probability)
+        if observe_again and probability >= WORTH_OBSERVING:
+            return ObserveAgain(residual, probability)
         return None
 
     def _inside(self, left: Array, covariance: ArrayLike | None, box: StoppingBox) -> float:
@@ -437,6 +437,16 @@ class PositioningSession(GoalSession):
         if missed and self._skipped and "skipped" not in detour:
             detour += "; another tap was skipped"
         allowed = struck = trusted = False
+
+        def safe(candidates: Array) -> BoolArray:
+            nonlocal trusted
+            short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
+            fits = short <= self._longest_tap() * (1.0 + 1e-9)
+            fits &= _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
+            if not trusted and not np.any(fits):
+                trusted = bool(np.any(self._ends_well(pose, candidates, trusting=True)))
+            return np.asarray(fits)
+
         for candidates, cost in alternative_taps(
             pose,
             self.goal,
@@ -447,20 +457,15 @@ class PositioningSession(GoalSession):
             self._space.tap,
             self._space.strikeable,
             self._visited,
+            safe,
         ):
-            short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
-            fits = short <= self._longest_tap() * (1.0 + 1e-9)
-            fits &= _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
-            safe = candidates[fits]
-            if safe.shape[0] == 0:
-                trusted = trusted or bool(np.any(self._ends_well(pose, candidates, trusting=True)))
-                continue
             allowed = True
-            struck = struck or bool(np.any(self._space.tap.reachable(safe, pose)))
-            found = self._space.first_strike(Pose(*pose.tolist()), safe)
-            if found is not None:
-                self._visited.add(pose, 1.0 + float(cost[fits][found[0]]))
-                return self._made(pose, left, safe[found[0]], found[1], detour)
+            found = self._space.first_strike(Pose(*pose.tolist()), candidates)
+            if found is None:
+                struck = struck or bool(np.any(self._space.tap.reachable(candidates, pose)))
+            else:
+                self._visited.add(pose, 1.0 + float(cost[found[0]]))
+                return self._made(pose, left, candidates[found[0]], found[1], detour)
         if missed:
             return self._strike(pose, left, missed=())
         return self._no_strike(pose, detour, allowed, struck, trusted)

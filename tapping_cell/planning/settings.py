@@ -16,7 +16,7 @@ import numpy as np
 
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
-from tapping_cell.planning.stopping import LONG_LOOK, Array, StoppingBox, stopping_box
+from tapping_cell.planning.stopping import LONG_OBSERVATION, Array, StoppingBox, stopping_box
 
 VARIANTS = ("retreat", "overshoot")
 
@@ -112,7 +112,7 @@ class PlannerSettings:
     @property
     def stopping(self) -> StoppingBox:
         """Box that plans are made for: the box in which a long observation stops."""
-        longer = math.sqrt(LONG_LOOK)
+        longer = math.sqrt(LONG_OBSERVATION)
         return stopping_box(
             self.tolerance_position,
             self.tolerance_angle,

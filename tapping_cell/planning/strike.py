@@ -257,10 +257,10 @@ class StrikeSpace:
 
         The slide itself is not checked here (see ``slide_is_safe``).
         """
-        known = np.flatnonzero(self.tap.reachable(displacements, object_pose))
+        found, plan = self.tap.plan_reachable(displacements, object_pose)
+        known = np.flatnonzero(found)
         if known.size == 0:
             return None
-        plan = self.tap.plan(displacements[known], object_pose)
         contact = np.asarray(plan.strike_pose, dtype=float)
         speed = np.asarray(plan.striker_speed, dtype=float)
         usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
@@ -274,11 +274,10 @@ class StrikeSpace:
 
     def strikeable(self, object_poses: Array, displacements: Array) -> BoolArray:
         """Return which displacements (n, 3) are possible, each from its own object pose (n, 3)."""
-        found = np.asarray(self.tap.reachable(displacements, object_poses))
+        found, plan = self.tap.plan_reachable(displacements, object_poses)
         if not np.any(found):
             return found
         held = object_poses[found]
-        plan = self.tap.plan(displacements[found], held)
         speed = np.asarray(plan.striker_speed, dtype=float)
         usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
         found[found] = usable & self.tool_fits(held, plan.strike_pose)

@@ -146,11 +146,11 @@ class _Problem:
         floor_r, floor_t = LEAST_DEVIATION * box.distance, LEAST_DEVIATION * box.rotation
         distance_share = max(scatter.distance, LEAST_SCATTER.distance)
         rotation_share = max(scatter.rotation, LEAST_SCATTER.rotation)
-        look_r, look_t = 2.0 * camera.position**2, 2.0 * camera.angle**2
-        along = np.sqrt((distance_share * self.taps) ** 2 + look_r + floor_r**2)
-        aside = np.sqrt((scatter.direction * self.taps) ** 2 + look_r)
+        camera_r, camera_t = 2.0 * camera.position**2, 2.0 * camera.angle**2
+        along = np.sqrt((distance_share * self.taps) ** 2 + camera_r + floor_r**2)
+        aside = np.sqrt((scatter.direction * self.taps) ** 2 + camera_r)
         self.p_r = _radial_weights(self.r, self.r[:, None] - self.taps, along, aside)
-        spread = np.sqrt((rotation_share * self.turns) ** 2 + look_t + floor_t**2)
+        spread = np.sqrt((rotation_share * self.turns) ** 2 + camera_t + floor_t**2)
         self.p_t = folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
 
     def solved(self, value: Values) -> Solution:
@@ -230,7 +230,9 @@ def state_grid(
     return np.array(values), FINE_STEPS
 
 
-def _weights(grid: Array, cumulative: Array, box: int, at_box: Array) -> tuple[Array, Array]:
+def interpolation_weights(
+    grid: Array, cumulative: Array, box: int, at_box: Array
+) -> tuple[Array, Array]:
     """Expected weights of linear interpolation, from the integral of the distribution function.
 
     ``cumulative``: I(z) = integral of F from 0 to z at the grid points (last axis); ``at_box``: F
@@ -259,7 +261,7 @@ def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, A
     cumulative = integral(grid) + integral(-grid) - 2.0 * integral(np.zeros(1))
     edge = grid[box]
     at_box = ndtr((edge - mean) / deviation) - ndtr((-edge - mean) / deviation)
-    return _weights(grid, cumulative, box, at_box)
+    return interpolation_weights(grid, cumulative, box, at_box)
 
 
 def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tuple[Array, Array]:
@@ -286,7 +288,7 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
     values = distribution(abscissae).reshape(*mean.shape, width.size, 3)
     cells = values @ (shares / 2.0) * width
     cumulative = np.concatenate([np.zeros((*mean.shape, 1)), np.cumsum(cells, axis=-1)], axis=-1)
-    return _weights(grid, cumulative, box, distribution(grid[box : box + 1])[..., 0])
+    return interpolation_weights(grid, cumulative, box, distribution(grid[box : box + 1])[..., 0])
 
 
 def _normal_quantiles(count: int) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 from tapping_cell.report.bag import Bag
 from tapping_cell.report.run import Phase
 
-TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, LOOKS, THINKS, ASKS = (
+TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, MEASURES, THINKS, ASKS = (
     "the arm travels",
     "the arm lowers the striker",
     "the tapper charges and fires",
@@ -68,7 +68,7 @@ def _activity(latest: dict[str, Any]) -> str:
     if arm.state == _ARM_WITHDRAWING:
         return WITHDRAWS
     if plan is not None and plan.state == _PLAN_LOOKING:
-        return LOOKS
+        return MEASURES
     return THINKS
 
 

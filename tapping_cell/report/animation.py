@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from tapping_cell.report.palette import GOAL, REST, START, STRIKE
 from tapping_cell.report.run import Run
-from tapping_cell.report.svg import GOAL, REST, START, STRIKE, Plan, stroke
+from tapping_cell.report.svg import Plan, stroke
 from tapping_cell.se2 import Array, Pose, transform_points
 
 TAP_S = 2.0

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from tapping_cell.report.palette import GOAL, REST, START, STRIKE
 from tapping_cell.report.run import Run
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MOST_IN_WORDS = 6
-START, REST, GOAL, STRIKE = "#555555", "#1f77b4", "#2ca02c", "#d62728"
 
 
 def draw_cell(run: Run, path: Path) -> None:

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from tapping_cell.mechanics import Sliding, Tap
 from tapping_cell.mechanics.sensitivity import norm, sensitivity
+from tapping_cell.report.palette import REST, STRIKE
 
 CONE = "mechanics_cone.png"
 VELOCITIES = "mechanics_velocities.png"
 
 _FARTHEST = 0.030
 _GRID = 61
-_TAP_COLOUR = "tab:blue"
-_GOAL_COLOUR = "tab:red"
 
 
 def write_figures(tap: Tap, folder: Path) -> list[Path]:
@@ -46,14 +45,14 @@ def _cone(figure: Figure, tap: Tap) -> None:
             sign * distance * 1e3,
             -np.degrees(slope * distance),
             np.degrees(slope * distance),
-            color=_TAP_COLOUR,
+            color=REST,
             alpha=0.15 if sign > 0 else 0.07,
             label="one tap forward" if sign > 0 else "one tap backward",
         )
     least = tap.smallest_distance * 1e3
     reach.axvspan(-least, least, color="grey", alpha=0.25, label=f"below {least:g} mm")
-    reach.plot(10, 3, "o", color=_TAP_COLOUR, label="10 mm, 3 degrees: one tap")
-    reach.plot(10, 10, "X", color=_GOAL_COLOUR, label="10 mm, 10 degrees: the paper's task")
+    reach.plot(10, 3, "o", color=REST, label="10 mm, 3 degrees: one tap")
+    reach.plot(10, 10, "X", color=STRIKE, label="10 mm, 10 degrees: the paper's task")
     reach.set(
         xlabel="distance (mm)",
         ylabel="rotation (degrees)",
@@ -89,9 +88,9 @@ def _velocities(figure: Figure, tap: Tap) -> None:
         times = _times(model, speed, spin)
         profile = model.profile(speed, spin, times)
         name = f"torque factor {model.torque_factor:g}"
-        left.plot(1e3 * times, 1e3 * profile.speed, style, color=_TAP_COLOUR, label=f"v, {name}")
-        left.plot([], [], style, color=_GOAL_COLOUR, label=f"omega, {name}")
-        turning.plot(1e3 * times, np.degrees(profile.spin), style, color=_GOAL_COLOUR)
+        left.plot(1e3 * times, 1e3 * profile.speed, style, color=REST, label=f"v, {name}")
+        left.plot([], [], style, color=STRIKE, label=f"omega, {name}")
+        turning.plot(1e3 * times, np.degrees(profile.spin), style, color=STRIKE)
     left.set(xlabel="time (ms)", ylabel="v (mm/s)", title="Velocities of a tap of 10 mm, 3 degrees")
     turning.set_ylabel("omega (degrees/s)")
     turning.set_ylim(bottom=0)

@@ -17,6 +17,7 @@ from matplotlib.patches import Rectangle
 from tapping_cell.planning import Planner, PlannerSettings, make_planner, planner_names
 from tapping_cell.planning.evaluation.fan import fan_of_runs
 from tapping_cell.planning.multi import MultiPlanner
+from tapping_cell.report.palette import REST, STRIKE
 
 FAN_RUNS = 60
 FAN_SEED = 1
@@ -100,8 +101,8 @@ def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
         share = np.zeros(last + 1)
         for taps, count in figures["taps"]["histogram"].items():
             share[min(int(taps), last)] += 100.0 * count / figures["trials"]
-        axis.bar(np.arange(last + 1), share, color="#1f77b4")
-        axis.axvline(figures["taps"]["mean"], color="#d62728", linewidth=1.2)
+        axis.bar(np.arange(last + 1), share, color=REST)
+        axis.axvline(figures["taps"]["mean"], color=STRIKE, linewidth=1.2)
         axis.set_title(f"{label}: mean {figures['taps']['mean']:.2f}", fontsize=9)
         axis.set_xlabel("taps" + (f" ({last} and more)" if longest > last else ""))
         axis.set_ylabel("runs (%)")
@@ -181,8 +182,8 @@ def draw_fans(settings: PlannerSettings, goal: Goal, path: Path) -> None:
     for axis, method in zip(axes, chosen, strict=False):
         planner = _planner(method, settings)
         for run in fan_of_runs(planner, (1e-3 * distance, math.radians(turn)), FAN_RUNS, FAN_SEED):
-            axis.plot(1e3 * run[:, 0], np.degrees(run[:, 1]), color="#1f77b4", alpha=0.15, lw=0.8)
-            axis.plot(1e3 * run[1:, 0], np.degrees(run[1:, 1]), ".", color="#d62728", markersize=2)
+            axis.plot(1e3 * run[:, 0], np.degrees(run[:, 1]), color=REST, alpha=0.15, lw=0.8)
+            axis.plot(1e3 * run[1:, 0], np.degrees(run[1:, 1]), ".", color=STRIKE, markersize=2)
         box = settings.stopping
         axis.add_patch(
             Rectangle(

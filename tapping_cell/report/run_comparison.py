@@ -9,11 +9,10 @@ from html import escape
 from statistics import fmean
 
 from tapping_cell.report.page_style import document
+from tapping_cell.report.palette import SERIES
 from tapping_cell.report.run import Run
 from tapping_cell.report.svg import chart
 from tapping_cell.se2 import Pose
-
-COLOURS = ("#1f6fb4", "#c8372d", "#218a4c", "#d98a00", "#7a5bb0", "#4aa3a2", "#8c5a2b", "#5b6570")
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +157,7 @@ def _groups(groups: Sequence[Group]) -> str:
 def _charts(runs: Sequence[Run]) -> str:
     """Plot the residual of each run after each tap, coloured by planner."""
     planners = sorted({run.planner for run in runs})
-    colours = {name: COLOURS[index % len(COLOURS)] for index, name in enumerate(planners)}
+    colours = {name: SERIES[index % len(SERIES)] for index, name in enumerate(planners)}
     distances, rotations = [], []
     for run in runs:
         goal = run.goal

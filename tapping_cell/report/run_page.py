@@ -15,8 +15,8 @@ from tapping_cell.report import error_codes
 from tapping_cell.report.activities import (
     ASKS,
     CHARGES,
-    LOOKS,
     LOWERS,
+    MEASURES,
     SLIDES,
     THINKS,
     TRAVELS,
@@ -24,6 +24,20 @@ from tapping_cell.report.activities import (
 )
 from tapping_cell.report.animation import TAP_S, animation
 from tapping_cell.report.page_style import document
+from tapping_cell.report.palette import (
+    CONFIRMING,
+    GOAL,
+    LOWERING,
+    PLANNING,
+    PREDICTED,
+    REST,
+    SLIDING,
+    START,
+    STRIKE,
+    TABLE,
+    WAITING,
+    WITHDRAWING,
+)
 from tapping_cell.report.run import (
     CANCELED,
     FAILED,
@@ -35,7 +49,7 @@ from tapping_cell.report.run import (
     TapRow,
 )
 from tapping_cell.report.run_reader import Story
-from tapping_cell.report.svg import GOAL, GUESS, REST, START, STRIKE, Plan, chart, window
+from tapping_cell.report.svg import Plan, chart, window
 from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.se2 import Array, Pose
 
@@ -47,25 +61,24 @@ _HEADLINES = {
     CANCELED: "Goal canceled",
     REFUSED: "Goal refused",
 }
-ASKS_COLOUR = "#5a3d8a"
 _ACTIVITY_COLOURS = {
-    TRAVELS: GUESS,
-    LOWERS: "#f0b95a",
+    TRAVELS: PREDICTED,
+    LOWERS: LOWERING,
     CHARGES: STRIKE,
-    SLIDES: "#4aa3a2",
-    WITHDRAWS: "#b98bd0",
-    LOOKS: REST,
-    THINKS: "#9aa5b1",
-    ASKS: ASKS_COLOUR,
+    SLIDES: SLIDING,
+    WITHDRAWS: WITHDRAWING,
+    MEASURES: REST,
+    THINKS: WAITING,
+    ASKS: CONFIRMING,
 }
 _PHASE_COLOURS = {
-    "waiting for the cell": "#9aa5b1",
+    "waiting for the cell": WAITING,
     "looking": REST,
-    "planning": "#7a5bb0",
-    "placing the striker": GUESS,
+    "planning": PLANNING,
+    "placing the striker": PREDICTED,
     "firing": STRIKE,
-    "waiting for rest": "#4aa3a2",
-    "waiting for confirmation": ASKS_COLOUR,
+    "waiting for rest": SLIDING,
+    "waiting for confirmation": CONFIRMING,
 }
 
 
@@ -194,7 +207,7 @@ def _table_plan(run: Run) -> Plan:
         low, high = window([(1000 * p.x, 1000 * p.y) for p in places], 60.0, 200.0)
     plan = Plan((low[0], low[1]), (high[0], high[1]))
     if half.any():
-        plan.rectangle(-half, half, 'fill="#faf8f2" stroke="#a99" stroke-width="1"')
+        plan.rectangle(-half, half, f'fill="{TABLE}" stroke="#a99" stroke-width="1"')
     return plan
 
 
@@ -343,8 +356,8 @@ def _close_up(run: Run, tap: TapRow) -> str:
         plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.12)
     plan.outline(outline, tap.before, START)
     if tap.predicted_covariance is not None:
-        plan.ellipse(np.array(tap.predicted_covariance)[:2, :2], tap.predicted, GUESS)
-    plan.outline(outline, tap.predicted, GUESS, dashed=True)
+        plan.ellipse(np.array(tap.predicted_covariance)[:2, :2], tap.predicted, PREDICTED)
+    plan.outline(outline, tap.predicted, PREDICTED, dashed=True)
     if math.isfinite(tap.measured.x):
         plan.outline(outline, tap.measured, REST)
         plan.arrow(middles[0], middles[-1], REST, 0.5)
@@ -357,7 +370,7 @@ def _close_up(run: Run, tap: TapRow) -> str:
 def _close_up_legend(run: Run) -> str:
     entries = [
         (START, "before"),
-        (GUESS, "predicted, its centre with 95 % in the ellipse"),
+        (PREDICTED, "predicted, its centre with 95 % in the ellipse"),
         (REST, "measured"),
         (STRIKE, "strike"),
     ]

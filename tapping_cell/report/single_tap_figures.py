@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from tapping_cell.report.palette import INK, MUTED, PREDICTED, REST, STRIKE
 from tapping_cell.report.single_tap import Array, ProfileView, SingleTapReport
 
 RUNS = "single_tap_runs.png"
@@ -20,9 +21,6 @@ RESIDUALS = "single_tap_residuals.png"
 ERRORS = "single_tap_errors.png"
 VALUES = "single_tap_values.png"
 
-_SEEN = "#1c2733"
-_PREDICTED = "#c8372d"
-_PLAIN = "#8a97a5"
 # Matplotlib before 3.7, as in Ubuntu 24.04, cannot place a legend outside the axes.
 _BELOW = "outside lower center" if matplotlib.__version_info__ >= (3, 7) else "lower center"
 _GRID: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.6}
@@ -72,14 +70,14 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
         for label, (colour, mark) in _styles(report).items():
             run = names == label
             axes.plot(x[run], y[run], mark, color=colour, ms=6, alpha=0.75, label=f"run {label}")
-            axes.plot(slide_x[run], slide_y[run], "+", color=_SEEN, ms=9, mew=1.0)
+            axes.plot(slide_x[run], slide_y[run], "+", color=INK, ms=9, mew=1.0)
             if np.isfinite(tap_x[run]).any():
                 # Average each side separately, because the mean of both is not a real tap.
                 for side in (y[run] > 0, y[run] <= 0):
                     if np.isfinite(tap_x[run][side]).any():
                         middle = np.nanmean(tap_x[run][side]), np.nanmean(tap_y[run][side])
                         axes.plot(*middle, mark, mfc="white", mec=colour, mew=2.2, ms=11)
-        axes.axhline(0.0, color=_PLAIN, lw=0.8)
+        axes.axhline(0.0, color=MUTED, lw=0.8)
         axes.grid(**_GRID)
         axes.set_xlim(left=0)
     left.set(xlabel="displacement (mm)", ylabel="rotation (degrees)", title="Displacements")
@@ -88,8 +86,8 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
     )
     handles, words = left.get_legend_handles_labels()
     handles += [
-        Line2D([], [], marker="+", color=_SEEN, ls="", ms=9),
-        Line2D([], [], marker="o", mfc="white", mec=_SEEN, mew=2.2, ls="", ms=10),
+        Line2D([], [], marker="+", color=INK, ls="", ms=9),
+        Line2D([], [], marker="o", mfc="white", mec=INK, mew=2.2, ls="", ms=10),
     ]
     words += ["calculated from the other, each trial", "predicted from the striker, mean"]
     figure.legend(handles, words, loc=_BELOW, ncols=6, fontsize=8, frameon=False)
@@ -101,9 +99,9 @@ def _profiles(figure: Figure, report: SingleTapReport) -> None:
     for row, view in zip(grid, report.profiles, strict=True):
         _profile(row[0], row[1], row[2], view)
     handles = [
-        Line2D([], [], marker="o", color=_SEEN, ls="", ms=5),
-        Line2D([], [], color=_PREDICTED),
-        Line2D([], [], color=_PLAIN, ls="--"),
+        Line2D([], [], marker="o", color=INK, ls="", ms=5),
+        Line2D([], [], color=STRIKE),
+        Line2D([], [], color=MUTED, ls="--"),
     ]
     words = [
         "measured (velocities: differences of frames)",
@@ -114,21 +112,21 @@ def _profiles(figure: Figure, report: SingleTapReport) -> None:
 
 
 def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
-    speed.plot(view.plain_time, view.plain_speed, "--", color=_PLAIN)
-    speed.plot(view.curve_time, view.curve_speed, color=_PREDICTED)
-    speed.plot(view.rate_time, view.seen_speed, "o", color=_SEEN, ms=5)
+    speed.plot(view.plain_time, view.plain_speed, "--", color=MUTED)
+    speed.plot(view.curve_time, view.curve_speed, color=STRIKE)
+    speed.plot(view.rate_time, view.seen_speed, "o", color=INK, ms=5)
     speed.set(ylabel="speed (mm/s)", title=view.title)
-    spin.plot(view.plain_time, view.plain_spin, "--", color=_PLAIN)
-    spin.plot(view.curve_time, view.curve_spin, color=_PREDICTED)
-    spin.plot(view.rate_time, view.seen_spin, "o", color=_SEEN, ms=5)
+    spin.plot(view.plain_time, view.plain_spin, "--", color=MUTED)
+    spin.plot(view.curve_time, view.curve_spin, color=STRIKE)
+    spin.plot(view.rate_time, view.seen_spin, "o", color=INK, ms=5)
     spin.set(ylabel="spin (degrees/s)", title="spin")
-    pose.plot(view.curve_time, view.curve_distance, color=_PREDICTED)
-    pose.plot(view.seen_time, view.seen_distance, "o", color=_SEEN, ms=5)
+    pose.plot(view.curve_time, view.curve_distance, color=STRIKE)
+    pose.plot(view.seen_time, view.seen_distance, "o", color=INK, ms=5)
     pose.set(ylabel="distance (mm)", title="poses")
     turned = pose.twinx()
-    turned.plot(view.curve_time, view.curve_rotation, color=_PREDICTED, alpha=0.5)
-    turned.plot(view.seen_time, view.seen_rotation, "s", color=_PLAIN, ms=4)
-    turned.set_ylabel("rotation (degrees), squares", color=_PLAIN)
+    turned.plot(view.curve_time, view.curve_rotation, color=STRIKE, alpha=0.5)
+    turned.plot(view.seen_time, view.seen_rotation, "s", color=MUTED, ms=4)
+    turned.set_ylabel("rotation (degrees), squares", color=MUTED)
     for axes in (speed, spin, pose):
         axes.set_xlabel("time from the impact (ms)")
         axes.set_xlim(-40, max(float(view.curve_time[-1]), float(view.plain_time[-1])) * 1.15)
@@ -149,7 +147,7 @@ def _residuals(figure: Figure, report: SingleTapReport) -> None:
         for label, (colour, mark) in _styles(report).items():
             run = names == label
             axes.plot(index[run], values[run], mark, color=colour, ms=5, label=f"run {label}")
-        axes.axhline(0.0, color=_PLAIN, lw=0.8)
+        axes.axhline(0.0, color=MUTED, lw=0.8)
         axes.set(xlabel="trial", ylabel="%", title=title)
         axes.title.set_fontsize(10)
         axes.grid(**_GRID)
@@ -175,13 +173,13 @@ def _errors(figure: Figure, report: SingleTapReport) -> None:
     for axes, (kind, title) in zip(all_axes, kinds, strict=True):
         values = np.array([getattr(run, kind) for run in report.runs])
         for shift, column, colour, word in (
-            (-0.2, 0, "#1f77b4", "translation"),
-            (0.2, 1, "#ff7f0e", "rotation"),
+            (-0.2, 0, REST, "translation"),
+            (0.2, 1, PREDICTED, "rotation"),
         ):
             bars = axes.bar(place + shift, values[:, column], 0.38, color=colour, label=word)
             known = [f"{v:+.1f}" if np.isfinite(v) else "" for v in values[:, column]]
             axes.bar_label(bars, labels=known, fontsize=7, padding=2)
-        axes.axhline(0.0, color=_SEEN, lw=0.8)
+        axes.axhline(0.0, color=INK, lw=0.8)
         axes.set_xticks(place, [f"run {run.label}" for run in report.runs], fontsize=8)
         axes.set_title(title, fontsize=10)
         axes.grid(axis="y", **_GRID)
@@ -199,8 +197,8 @@ def _values(figure: Figure, report: SingleTapReport) -> None:
     place = np.arange(len(rows))[::-1]
     for y, p in zip(place, rows, strict=True):
         low, value, high = (100 * (v / p.old - 1) for v in (p.low, p.value, p.high))
-        axes.plot([low, high], [y, y], color=_PREDICTED, lw=3, solid_capstyle="butt")
-        axes.plot(value, y, "o", color=_PREDICTED)
+        axes.plot([low, high], [y, y], color=STRIKE, lw=3, solid_capstyle="butt")
+        axes.plot(value, y, "o", color=STRIKE)
         axes.annotate(
             f"{p.value:.4g}  (was {p.old:.4g})",
             (high, float(y)),
@@ -209,7 +207,7 @@ def _values(figure: Figure, report: SingleTapReport) -> None:
             va="center",
             fontsize=8,
         )
-    axes.axvline(0.0, color=_SEEN, lw=1.0)
+    axes.axvline(0.0, color=INK, lw=1.0)
     axes.set_yticks(place, [p.name for p in rows])
     axes.set_xlabel("fitted over old value, minus 1 (%), with the 95 % interval")
     axes.grid(axis="x", **_GRID)

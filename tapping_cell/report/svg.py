@@ -11,18 +11,8 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tapping_cell.report.palette import GOAL, INK, MUTED
 from tapping_cell.se2 import Array, Pose, transform_points
-
-INK, MUTED, START, REST, GOAL, STRIKE, GUESS = (
-    "#1c2733",
-    "#66727f",
-    "#5b6570",
-    "#1f6fb4",
-    "#218a4c",
-    "#c8372d",
-    "#d98a00",
-)
-
 
 _ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the 95 % region of a bivariate normal distribution, in standard deviations."""

@@ -86,7 +86,7 @@ class SceneObject:
     marker: ObjectMarker | ObjectOutline
 
 
-class _Look:
+class _Drawable:
     """Pre-computed appearance of one object in the camera."""
 
     def __init__(
@@ -140,8 +140,8 @@ class SceneRenderer:
         self._background16 = _fixed_point(background)
         self._background_image = background
         objects = (SceneObject(np.asarray(outline, dtype=float), marker), *others)
-        self._looks = tuple(
-            _Look(shown, self.view.rays_on_plane(rays, shown.marker.height), pixel, blur)
+        self._drawables = tuple(
+            _Drawable(shown, self.view.rays_on_plane(rays, shown.marker.height), pixel, blur)
             for shown in objects
         )
         if self.settings.shadow_depth > 0.0:
@@ -245,7 +245,7 @@ class SceneRenderer:
             self._still_windows = []
             for number in np.flatnonzero(still).tolist():
                 pose = start[number]
-                drawn = self._draw(self._looks[number], pose, pose, self._still)
+                drawn = self._draw(self._drawables[number], pose, pose, self._still)
                 if drawn is not None:
                     window, patch = drawn
                     self._still[window] = patch
@@ -259,7 +259,7 @@ class SceneRenderer:
         moving = np.flatnonzero(~still).tolist()
         floor = self._still.copy() if len(moving) > 1 else self._still
         for number in moving:
-            drawn = self._draw(self._looks[number], start[number], end[number], floor)
+            drawn = self._draw(self._drawables[number], start[number], end[number], floor)
             if drawn is not None:
                 window, patch = drawn
                 if len(moving) > 1:
@@ -269,7 +269,7 @@ class SceneRenderer:
 
     def _draw(
         self,
-        look: _Look,
+        drawn: _Drawable,
         start: NDArray[np.float64],
         end: NDArray[np.float64],
         floor: Array32,
@@ -277,8 +277,8 @@ class SceneRenderer:
         """Return an image region and the scene in it with an object moving between two poses; None
         if it is out of view. ``floor`` is the image without the object."""
         ends = np.stack([start, end])
-        base = se2.transform_points(ends[:, None, :], look.outline)
-        rims = np.stack([self.view.project(base), self.view.project(base, look.height)])
+        base = se2.transform_points(ends[:, None, :], drawn.outline)
+        rims = np.stack([self.view.project(base), self.view.project(base, drawn.height)])
         fallen = self.view.project(base + np.array(self.settings.shadow))
         window = self._window(np.concatenate([rims.reshape(-1, 2), fallen.reshape(-1, 2)]))
         if window is None:
@@ -288,41 +288,41 @@ class SceneRenderer:
         shares = (np.arange(count) + 0.5) / count
         total = np.zeros(self._light[window].shape, dtype=np.float32)
         for share in shares:
-            total += self._patch(look, window, start + share * (end - start), floor[window])
+            total += self._patch(drawn, window, start + share * (end - start), floor[window])
         return window, np.asarray(total / np.float32(count), dtype=np.float32)
 
     def _patch(
         self,
-        look: _Look,
+        drawn: _Drawable,
         window: tuple[slice, slice],
         pose: NDArray[np.float64],
         floor: Array32,
     ) -> Array32:
         """Render the scene in a region with the object at one pose."""
         light = self._light[window] * np.float32(WHITE_LEVEL)
-        body = self._body_coverage(look, window, pose)
+        body = self._body_coverage(drawn, window, pose)
         if self.settings.shadow_depth > 0.0:
             ground = self._ground[window]
             fallen = pose + np.array([*self.settings.shadow, 0.0])
-            _, shaded = look.body.sample(*_local(fallen, ground[..., 0], ground[..., 1]))
+            _, shaded = drawn.body.sample(*_local(fallen, ground[..., 0], ground[..., 1]))
             floor = floor * (1 - np.float32(self.settings.shadow_depth) * shaded)
-        x, y = look.x[window], look.y[window]
-        top, covered = look.body.sample(*_local(pose, x, y))
+        x, y = drawn.x[window], drawn.y[window]
+        top, covered = drawn.body.sample(*_local(pose, x, y))
         # Coverages of top, wall and floor add up, so no wall appears at edges where it is hidden.
-        behind = np.maximum(body - covered, 0.0) * light * np.float32(look.wall)
+        behind = np.maximum(body - covered, 0.0) * light * np.float32(drawn.wall)
         patch = floor * (1 - np.maximum(body, covered)) + behind + top * light
-        if look.label is not None:
-            label_pose = se2.compose(pose, look.label_pose)
-            reflected, covered = look.label.sample(*_local(label_pose, x, y))
+        if drawn.label is not None:
+            label_pose = se2.compose(pose, drawn.label_pose)
+            reflected, covered = drawn.label.sample(*_local(label_pose, x, y))
             patch = patch * (1 - covered) + reflected * light
         return np.asarray(patch, dtype=np.float32)
 
     def _body_coverage(
-        self, look: _Look, window: tuple[slice, slice], pose: NDArray[np.float64]
+        self, drawn: _Drawable, window: tuple[slice, slice], pose: NDArray[np.float64]
     ) -> Array32:
         """Return the coverage of the whole body, from the outline on the table to the top."""
-        base = se2.transform_points(pose, look.outline)
-        rims = np.concatenate([self.view.project(base), self.view.project(base, look.height)])
+        base = se2.transform_points(pose, drawn.outline)
+        rims = np.concatenate([self.view.project(base), self.view.project(base, drawn.height)])
         hull = cv2.convexHull(rims.astype(np.float32))[:, 0]
         corner = np.array([window[1].start, window[0].start]) - 0.5
         rows, columns = (part.stop - part.start for part in window)

@@ -72,7 +72,7 @@ class SheetCamera:
         if len(fine_x) and len(fine_y):
             rays = np.stack([spline(fine_y, fine_x) for spline in self._rays], axis=-1)
             ground = View(camera, pose).rays_on_plane(rays)
-            seen = _look(sheet, ground).reshape(len(rows), SAMPLES, len(columns), SAMPLES)
+            seen = _reflectance(sheet, ground).reshape(len(rows), SAMPLES, len(columns), SAMPLES)
             image[window] = seen.mean(axis=(1, 3))
         if blur > 0:
             image = cv2.GaussianBlur(image, (0, 0), blur)
@@ -93,7 +93,7 @@ class SheetCamera:
         return slice(low[1], high[1]), slice(low[0], high[0])
 
 
-def _look(sheet: Sheet, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _reflectance(sheet: Sheet, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the grey levels of points (..., 2) in the plane of the sheet."""
     rows, columns = sheet.pattern.shape
     column = np.floor(points[..., 0] / sheet.pixel + columns / 2).astype(np.intp)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.mechanics import Tap
+from tapping_cell.mechanics.tap import tips_at_rest
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.simulation.world import World
@@ -52,13 +53,7 @@ class SimulatedTaps:
         centre of mass. A tap that misses moves nothing.
         """
         plan = self.model.plan(commanded, seen)
-        tips = np.array(plan.strike_pose)
-        tips[..., 0] -= self.standoff * np.cos(tips[..., 2])
-        tips[..., 1] -= self.standoff * np.sin(tips[..., 2])
-        if self.round_position > 0.0:
-            tips[..., :2] = self.round_position * np.round(tips[..., :2] / self.round_position)
-        if self.round_angle > 0.0:
-            tips[..., 2] = self.round_angle * np.round(tips[..., 2] / self.round_angle)
+        tips = tips_at_rest(plan.strike_pose, self.standoff, self.round_position, self.round_angle)
         world = World(self.content, self.model.impact.striker, self.stroke, self.truth, rng)
         world.advance(0.0)
         moved = np.empty((len(tips), 3))

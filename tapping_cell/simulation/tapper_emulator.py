@@ -127,7 +127,7 @@ class TapperEmulator:
         self.channel = 0
         self._fired = 0
         self._speed_um = 0
-        self._heard = now
+        self._received = now
         self._expires = 0.0
         self._released_until = 0.0
         self._press = ""
@@ -264,9 +264,9 @@ class TapperEmulator:
     def _limit(self) -> float:
         """Return the time when silence or the timeout ends the current action."""
         if self._state == "HOMING":
-            return self._heard + SILENCE
+            return self._received + SILENCE
         if self._state in ("CHARGING", "CHARGED"):
-            return min(self._heard + SILENCE, self._expires)
+            return min(self._received + SILENCE, self._expires)
         return float("inf")
 
     def _next_internal(self) -> float | None:
@@ -321,12 +321,12 @@ class TapperEmulator:
             return
         elif sequence == self._sequence:
             if body == self._last_body:
-                self._heard = now
+                self._received = now
                 self._output.put(self._last_reply, now)
             return
         elif not self._is_newer(sequence):
             return
-        self._heard = now
+        self._received = now
         self._sequence = sequence
         result = self._act(parts[2], parts[3:], now)
         self._last_body = body

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.output_link import Answer, Heard
+from tapping_cell.hardware.output_link import Answer, InputLevel
 
 
 @dataclass(slots=True)
@@ -103,20 +103,20 @@ class VirtualOutputLink:
         return not math.isinf(self._opened)
 
     @property
-    def guard(self) -> Heard | None:
+    def guard(self) -> InputLevel | None:
         """Level of the guard, published at ``rate`` Hz."""
         told = self._told_at()
-        return None if told is None else Heard(self.device.guard_closed, told)
+        return None if told is None else InputLevel(self.device.guard_closed, told)
 
     @property
-    def read_back(self) -> Heard | None:
+    def read_back(self) -> InputLevel | None:
         """Level of the output, published at ``rate`` Hz and at each change."""
         told = self._told_at()
         if not self.reads_back or told is None:
             return None
         changes = [at for at, _ in self.device.edges if told < at <= self._now()]
         told = max([told, *changes])
-        return Heard(self.device.level(told) and not self.device.faults.broken_wire, told)
+        return InputLevel(self.device.level(told) and not self.device.faults.broken_wire, told)
 
     @property
     def last_on(self) -> float:

@@ -64,7 +64,7 @@ class VirtualTrajectoryLink:
         self._rate = rate
         self._by_action = by_action
         self._samples: deque[JointSample] = deque()
-        self._heard_until = now()
+        self._received_until = now()
         self._course: Course | None = None
         self._open = False
         self._stopped = False
@@ -157,8 +157,8 @@ class VirtualTrajectoryLink:
     def _listen(self) -> None:
         """Receive the states published since the last call."""
         until = self.now() - self.faults.late
-        for measured in stamps(self._heard_until, until, self._rate):
-            self._heard_until = measured
+        for measured in stamps(self._received_until, until, self._rate):
+            self._received_until = measured
             if self.faults.silent or self.faults.foreign_names or not self.faults.present:
                 continue
             positions, speeds = self.controller.state(measured)

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tapping_cell.logic.clock import to_stamp
-from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.poses import covariance_to_message, to_message
 from tapping_cell.messages import ObjectState, PoseWithCovariance
-from tapping_cell.se2 import Array, Pose
+from tapping_cell.se2 import Pose
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
@@ -44,7 +44,7 @@ class CameraFaults:
 class Camera:
     """Publishes ``object_state`` through ``publish`` while its process is alive.
 
-    ``look`` returns the true pose of the object at a time, or None while something covers it.
+    ``observe`` returns the true pose of the object at a time, or None while something covers it.
     ``ros_now`` returns the ROS time (ns) of the camera's computer. ``sigma``: standard deviation of
     the pose in one frame: m, m, rad.
     """
@@ -53,7 +53,7 @@ class Camera:
         self,
         scheduler: Scheduler,
         rng: np.random.Generator,
-        look: Callable[[float], Pose | None],
+        observe: Callable[[float], Pose | None],
         ros_now: Callable[[], int],
         publish: Callable[[ObjectState], None],
         object_id: str,
@@ -64,7 +64,7 @@ class Camera:
         self.alive = True
         self._scheduler = scheduler
         self._rng = rng
-        self._look = look
+        self._true_pose = observe
         self._ros_now = ros_now
         self._publish = publish
         self._object_id = object_id
@@ -100,7 +100,7 @@ class Camera:
             repeated = self._last
             self._scheduler.at(due, lambda: self._send(repeated))
             return
-        true = None if now < faults.hidden_until else self._look(now)
+        true = None if now < faults.hidden_until else self._true_pose(now)
         self._last = state = self._observe(true, now)
         self._scheduler.at(due, lambda: self._send(state))
 
@@ -132,16 +132,9 @@ class Camera:
             state.at_rest_since = to_stamp(stamp - round(1e9 * (now - motion.rest_since)))
         state.pose = PoseWithCovariance(
             pose=to_message(Pose(*map(float, motion.pose))),
-            covariance=_planar_covariance(motion.covariance),
+            covariance=covariance_to_message(motion.covariance),
         )
         vx, vy, omega = map(float, motion.velocity)
         state.velocity.linear.x, state.velocity.linear.y = vx, vy
         state.velocity.angular.z = omega
         return state
-
-
-def _planar_covariance(planar: Array) -> list[float]:
-    """Convert a covariance (3, 3) of x, y, theta to the 36 numbers of PoseWithCovariance."""
-    whole = np.zeros((6, 6))
-    whole[np.ix_((0, 1, 5), (0, 1, 5))] = planar
-    return [float(value) for value in whole.ravel()]

@@ -44,6 +44,8 @@ HOMED_S = 3.0
 last report of a new reading of a homed arm; bytes on the line may be that late."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner exceeds the deadline of a wait."""
+ROUNDING_S = 1e-6
+"""Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
 """Maximum time from a stop command to the arm's rest, with delivery and braking."""
 
@@ -98,7 +100,7 @@ class Witness:
     tapper may execute only one that it received."""
     planners: set[int] = field(default_factory=set)
     """Ids of the taps that the planner has commanded."""
-    planner_heard: float = -math.inf
+    planner_received: float = -math.inf
     """Time at which the tapper's process last received a message of the planner."""
     planner_waits: bool = False
     """Whether the planner has shown, since the tapper's process received the last TAP, that it
@@ -182,7 +184,7 @@ class Witness:
         gone = release.time - self.planner_gone_since
         if gone > ORPHAN_S:
             self.violate("no planner", f"shot {shot} was released {gone:.2f} s after its planner")
-        silent = release.time - self.planner_heard
+        silent = release.time - self.planner_received
         patience = HEARTBEAT_S if self.planner_waits else SILENCE_S
         if shot in self.planners and silent > patience + WINDOW_S:
             self.violate(
@@ -244,9 +246,9 @@ class Witness:
                 f"shot {release.shot} was released {end - release.time:.3f} s before the end of"
                 " the arm's promise to stand still",
             )
-        asked, doubt = self.last_check
-        if doubt is not None:
-            self.violate("against its check", f"shot {release.shot} was released against: {doubt}")
+        asked, reason = self.last_check
+        if reason is not None:
+            self.violate("against its check", f"shot {release.shot} was released against: {reason}")
         elif release.time > asked + CHECK_S:
             self.violate(
                 "check too old",
@@ -345,7 +347,7 @@ class Witness:
                     " can be through its stroke",
                 )
             for tap_id, end in self.promises.items():
-                if now < end and tap_id not in self.outcomes:
+                if now < end - ROUNDING_S and tap_id not in self.outcomes:
                     self.violate(
                         "broken promise",
                         f"the arm began to move {end - now:.3f} s before the end of its promise for"

@@ -51,7 +51,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "        self._permit = Permit(shot, math.inf)\n"
         "        self._machine.move(Event.HELD, S.FIRING)\n"
         '        self._run("fire", partial(tapper_jobs.fire, shot=shot, '
-        "doubt=self.doubt_firing))\n",
+        "check=self.check_firing))\n",
         "S1",
         kinds=("foreign withdrawal", "heard by one", "freeze at a shot"),
     ),
@@ -133,9 +133,9 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "fires whatever the last check says",
         "tapping_cell.logic.tapper_jobs",
-        "refusal = context.ask(lambda now: doubt(release_by, now))\n"
+        "refusal = context.ask(lambda now: check(release_by, now))\n"
         "        return refusal is None and not context.abandoned()",
-        "refusal = context.ask(lambda now: doubt(release_by, now))\n"
+        "refusal = context.ask(lambda now: check(release_by, now))\n"
         "        refusal = None\n"
         "        return True",
         "S1",
@@ -167,7 +167,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("emergency stop", "kill", "restart"),
     ),
     Mutant(
-        "does not hear the emergency stop",
+        "does not receive the emergency stop",
         "tapping_cell.logic.stops",
         "            changed = self._add(TOPIC) or changed\n",
         "",
@@ -223,7 +223,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "a read under way overwrites the state",
         "tapping_cell.logic.tapper",
-        "        self._hear_switch(result.reply, now)\n        self._see_stop(result.reply)\n",
+        "        self._on_switch(result.reply, now)\n        self._see_stop(result.reply)\n",
         "        if result.reply.state.value == 'SAFE':\n"
         "            self._machine._state = S.SAFE\n",
         "S7",
@@ -349,8 +349,9 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not withdraw a tap after its outcome",
         "tapping_cell.logic.planner",
-        "        self._withdraw(shot.tap_id, now)\n        task.not_fired =",
-        "        task.not_fired =",
+        "        self._withdraw(shot.tap_id, now)\n"
+        "        if shot.outcome == TapperState.NOT_FIRED:",
+        "        if shot.outcome == TapperState.NOT_FIRED:",
         kinds=("camera",),
     ),
     Mutant(

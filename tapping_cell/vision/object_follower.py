@@ -124,11 +124,11 @@ class ObjectFollower(ABC):
         """Receive the detections in the whole image of the next frame."""
 
     @abstractmethod
-    def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
         """Return pose (3,) and covariance (3, 3) in the working view, or the reason for none."""
 
     @abstractmethod
-    def doubt(self, frame: Frame) -> tuple[Array, str]:
+    def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
         """Return the uncertainty of the last measurement that is common to all frames: covariance
         (3, 3), and a warning."""
 
@@ -159,7 +159,7 @@ class ObjectFollower(ABC):
 
     def observe(self, frame: Frame) -> Observation:
         """Measure the object in this frame and evaluate the result."""
-        answer = self.look(frame)
+        answer = self.measure(frame)
         if isinstance(answer[0], Problem):
             if self._vain_since is None:
                 self._vain_since = frame.stamp
@@ -201,7 +201,7 @@ class ObjectFollower(ABC):
         again = _JUDGED_AGAIN[int(motion.rest_since is None)]
         error, shared = self._calibration(frame.table, pose, again)
         pose = pose - error
-        doubt, sentence = self.doubt(frame)
+        extra, sentence = self.extra_uncertainty(frame)
         # A fraction of the variance of a frame remains, however many frames are fused.
         spread = motion.covariance * (1.0 + self.fixed * (motion.frames - 1))
         instant = _INSTANT * motion.velocity
@@ -209,7 +209,7 @@ class ObjectFollower(ABC):
             stamp=frame.stamp,
             visible=True,
             pose=Pose(*pose.tolist()),
-            covariance=spread + shared + doubt + np.outer(instant, instant),
+            covariance=spread + shared + extra + np.outer(instant, instant),
             at_rest=motion.rest_since is not None,
             at_rest_since=motion.rest_since,
             frames_fused=motion.frames,

@@ -151,7 +151,7 @@ class PoseTracker:
         self._measured_at = observation.stamp
         view = self.view
         settled = observation.frames_fused >= self.settings.settled_frames
-        self._last = observation if settled and not self._references.doubtful else None
+        self._last = observation if settled and not self._references.suspect else None
         lying = [(self._object, observation)]
         lying += [(self._others[n], seen) for n, seen in self._seen.items() if seen.visible]
         since = tuple(seen.at_rest_since for _, seen in lying)

@@ -408,7 +408,7 @@ def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
     while page.mode() != "lost":
         assert time.monotonic() < end
         time.sleep(0.1)
-    # Nothing may be pressed that would not be heard; STOP has a connection of its own.
+    # Nothing may be pressed that would not be received; STOP has a connection of its own.
     for name in ("send", "cancel", "goal-x", "home-ghost"):
         assert not page.element(name).is_enabled(), name
     end = time.monotonic() + 20

@@ -139,10 +139,12 @@ def test_the_graph_has_the_names_of_the_design(cell: Cell) -> None:
 def test_a_bad_goal_on_the_topic_is_refused_in_words_and_moves_nothing(
     cell: Cell, pose: Pose, frame: str, code: int
 ) -> None:
-    heard, commanded = len(cell.plans), len(cell.commands)
+    received, commanded = len(cell.plans), len(cell.commands)
     cell.publish_goal(pose, frame)
-    cell.wait(lambda: any(plan.error_code == code for plan in cell.plans[heard:]), str(code), 10.0)
-    refused = next(plan for plan in cell.plans[heard:] if plan.error_code == code)
+    cell.wait(
+        lambda: any(plan.error_code == code for plan in cell.plans[received:]), str(code), 10.0
+    )
+    refused = next(plan for plan in cell.plans[received:] if plan.error_code == code)
     assert len(refused.error_msg) > 30
     time.sleep(0.5)
     assert len(cell.commands) == commanded

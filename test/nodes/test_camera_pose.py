@@ -323,9 +323,11 @@ def test_compressed_pictures_are_measured_as_well() -> None:
             stamp += Duration(seconds=1 / 30)
             picture = images.to_message(renderer.render(TRUE), "mono8")
             picture.header.stamp = stamp.to_msg()
-            heard = len(states)
+            received = len(states)
             publisher.publish(picture, info)
-            b.wait(lambda heard=heard: len(states) > heard, f"picture {number} is answered")
+            b.wait(
+                lambda received=received: len(states) > received, f"picture {number} is answered"
+            )
     measured = from_message(states[-1].pose.pose)
     assert states[-1].at_rest and states[-1].frames_fused >= 10
     assert measured.distance_to(TRUE) < 0.0001

@@ -125,7 +125,7 @@ def goal(frame: str, pose: Pose, stamp: Stamp | None = None) -> PoseStamped:
 
 
 def send_until(actors: Actors, message: PoseStamped, done: Any) -> None:
-    """Frames travel apart from goals: the goal is sent again until its frame was heard, too."""
+    """Frames travel apart from goals: the goal is sent again until its frame was received, too."""
     actors.bench.wait(lambda: actors.goals.get_subscription_count() == 2, "the planner is up")
 
     def sent() -> bool:

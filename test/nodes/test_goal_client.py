@@ -34,14 +34,14 @@ def follow(client: GoalClient, typed: Callable[[], str], words: io.StringIO) -> 
     console = Console(file=words, width=200)
     with os.fdopen(reader) as answers:
         person = Person(client, console, answers)
-        hear = person.hear
+        on_event = person.on_event
 
         def listen(event: object) -> None:
             if isinstance(event, TapProposed):
                 os.write(writer, typed().encode())
-            hear(event)
+            on_event(event)
 
-        person.hear = listen  # type: ignore[method-assign]
+        person.on_event = listen  # type: ignore[method-assign]
         try:
             return session.follow(client, lambda: None, console, person)
         finally:

@@ -106,7 +106,7 @@ class Browser:
     async def say(self, content: dict[str, object]) -> None:
         await self.connection.write_message(json.dumps(content))
 
-    async def hear(self, wanted: Callable[[Any], bool]) -> Any:
+    async def receive(self, wanted: Callable[[Any], bool]) -> Any:
         """The next message that is wanted; texts as objects, pictures as bytes."""
 
         async def search() -> Any:
@@ -121,14 +121,14 @@ class Browser:
 
     async def state(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """The next state for which the condition holds."""
-        found: dict[str, Any] = await self.hear(
+        found: dict[str, Any] = await self.receive(
             lambda m: isinstance(m, dict) and m["type"] == "state" and bool(wanted(m))
         )
         return found
 
     async def answer(self, to: str) -> dict[str, Any]:
         """The next answer to a request."""
-        found: dict[str, Any] = await self.hear(
+        found: dict[str, Any] = await self.receive(
             lambda m: isinstance(m, dict) and m["type"] == "answer" and m.get("to") == to
         )
         return found
@@ -279,7 +279,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
                 show()
                 await asyncio.sleep(0.1)
             with pytest.raises(asyncio.TimeoutError):
-                await asyncio.wait_for(page.hear(lambda m: isinstance(m, bytes)), 0.5)
+                await asyncio.wait_for(page.receive(lambda m: isinstance(m, bytes)), 0.5)
             await page.say({"do": "seen", "number": number})
             again = await asyncio.wait_for(pictures(page), PATIENCE_S)
             assert PICTURE_HEADER.unpack(again[:20])[0] > number
@@ -292,19 +292,19 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
         pixel = view.project([[wanted.x, wanted.y]], height)[0]
         u, v = (pixel + 0.5) / (camera.width, camera.height)
         await page.say({"do": "move", "number": 7, "u": u, "v": v, "angle": 30.0})
-        answer = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "ghost")
+        answer = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "ghost")
         assert answer["number"] == 7 and answer["refusal"] == ""
         assert (answer["x"], answer["y"]) == pytest.approx((80.0, -50.0), abs=0.05)
         assert answer["angle"] == 30.0
         await page.say({"do": "place", "number": 8, "x": 400, "y": 0, "angle": 0})
-        answer = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "ghost")
+        answer = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "ghost")
         assert "(103)" in answer["refusal"] and "400.0 mm" in answer["refusal"]
 
     play(scenario)
 
 
 def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) -> None:
-    heard = cell.bench.listen(Bool, "emergency_stop", LATCHED)
+    received = cell.bench.listen(Bool, "emergency_stop", LATCHED)
     stop_port(cell)
     cleared: list[str] = []
 
@@ -322,7 +322,7 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
         async with cell.open() as page:
             await page.say({"do": "stop"})
             assert (await page.answer("stop"))["ok"]
-            cell.bench.wait(lambda: [m.data for m in heard] == [True], "the stop")
+            cell.bench.wait(lambda: [m.data for m in received] == [True], "the stop")
             await asyncio.sleep(1.0)
             await page.say({"do": "clear"})
             answers = [await page.answer("clear"), await page.answer("clear")]
@@ -330,7 +330,7 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
                 (True, "scara_arm: clearing"),
                 (False, "tapper_trigger: does not answer; is it up?"),
             }
-            cell.bench.wait(lambda: [m.data for m in heard] == [True, False], "the latch ends")
+            cell.bench.wait(lambda: [m.data for m in received] == [True, False], "the latch ends")
             for name in ("cancel", "home", "press_button"):
                 await page.say({"do": name})
                 answer = await page.answer(name)
@@ -397,11 +397,11 @@ def test_recorded_runs_are_listed_but_nothing_outside_the_folder(tmp_path: Path)
 
         async def scenario() -> None:
             async with cell.open() as page:
-                found = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "runs")
+                found = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "runs")
                 assert [run["name"] for run in found["runs"]] == ["a-run"]
                 forged = str(tmp_path / "elsewhere" / "forged")
                 cell.publish("last_run", String(data=forged))
-                again = await page.hear(lambda m: isinstance(m, dict) and m["type"] == "runs")
+                again = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "runs")
                 assert [run["name"] for run in again["runs"]] == ["a-run"]
                 state = await page.state(lambda s: "recorded to" in s["runs_hint"])
                 assert forged in state["runs_hint"] and "'runs'" in state["runs_hint"]
@@ -430,7 +430,7 @@ def press_stop(cell: Cell, port: int) -> int:
 
 
 def test_stop_has_a_path_that_full_and_busy_pages_cannot_block(cell: Cell) -> None:
-    heard = cell.bench.listen(Bool, "emergency_stop", LATCHED)
+    received = cell.bench.listen(Bool, "emergency_stop", LATCHED)
     port = stop_port(cell)
 
     def busy(_: object) -> dict[str, object]:
@@ -448,7 +448,7 @@ def test_stop_has_a_path_that_full_and_busy_pages_cannot_block(cell: Cell) -> No
             async with cell.open() as late:  # there is no room for another page
                 assert await late.connection.read_message() is None
             assert await asyncio.to_thread(press_stop, cell, port) == 200
-            cell.bench.wait(lambda: heard and heard[0].data, "the stop")
+            cell.bench.wait(lambda: received and received[0].data, "the stop")
 
     play(scenario)
 
@@ -514,10 +514,12 @@ def test_a_port_in_use_is_said_and_taken_when_it_is_free() -> None:
         taken.listen()
         port = taken.getsockname()[1]
         with bench(make, {"operator_page": {"port": port, "stop_port": 0}}) as b:
-            heard = b.listen(DiagnosticArray, "/diagnostics")
+            received = b.listen(DiagnosticArray, "/diagnostics")
 
             def complaints() -> list[str]:
-                return [s.message for m in heard for s in m.status if f"port {port}" in s.message]
+                return [
+                    s.message for m in received for s in m.status if f"port {port}" in s.message
+                ]
 
             b.wait(complaints, "the taken port is said")
             assert "in use" in complaints()[0] and "set the parameters" in complaints()[0]

@@ -187,7 +187,7 @@ class ToldOfTaps(Told):
     def object_state(self) -> ObjectState:
         return ObjectState(object_id=CELL.object.name)
 
-    def camera_rate(self, look_for: float, check: object) -> float:
+    def camera_rate(self, duration: float, check: object) -> float:
         return 30.0
 
 

@@ -98,7 +98,7 @@ class FakeCell:
         self.plan(goal, PlanState.PLACING)
         picture = images.to_message(np.full((96, 128, 3), 80, dtype=np.uint8), "bgr8")
         self.bench.wait(lambda: self.pictures.get_subscription_count() == 1, "pictures are kept")
-        self.bench.wait(lambda: self.truths.get_subscription_count() == 1, "the truth is heard")
+        self.bench.wait(lambda: self.truths.get_subscription_count() == 1, "the truth is received")
         self.pictures.publish(self.stamp(picture))
         record = TapRecord(tap_id=9, number=1, planner="optimal", object_pose=to_message(START))
         record.measured_pose.pose = to_message(GOAL)

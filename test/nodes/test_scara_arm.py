@@ -230,10 +230,10 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
 def test_the_stops_that_hold_are_told_to_late_joiners(cell: Cell) -> None:
     cell.stop.publish(Bool(data=True))
     cell.wait_state(ArmState.STOPPED)
-    heard = cell.bench.listen(StopState, "scara_arm/stop_state", LATCHED)
-    cell.bench.wait(lambda: heard, "the level is told")
-    assert heard[-1].stopped and list(heard[-1].sources) == ["emergency_stop"]
-    assert "release the emergency stop" in heard[-1].error_msg
+    received = cell.bench.listen(StopState, "scara_arm/stop_state", LATCHED)
+    cell.bench.wait(lambda: received, "the level is told")
+    assert received[-1].stopped and list(received[-1].sources) == ["emergency_stop"]
+    assert "release the emergency stop" in received[-1].error_msg
 
 
 def test_an_inactive_arm_is_still(cell: Cell) -> None:
@@ -246,10 +246,10 @@ def test_an_inactive_arm_is_still(cell: Cell) -> None:
 
 @pytest.mark.parametrize("cell", ["marlin"], indirect=True)
 def test_diagnostics_tell_of_port_firmware_homing_and_the_line(cell: Cell) -> None:
-    heard = cell.bench.listen(DiagnosticArray, "/diagnostics")
+    received = cell.bench.listen(DiagnosticArray, "/diagnostics")
 
     def values() -> dict[str, str]:
-        ours = [s for m in heard for s in m.status if s.name == "/scara_arm"]
+        ours = [s for m in received for s in m.status if s.name == "/scara_arm"]
         return {entry.key: entry.value for entry in ours[-1].values} if ours else {}
 
     cell.bench.wait(values, "diagnostics")

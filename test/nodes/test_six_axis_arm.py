@@ -65,7 +65,7 @@ def test_a_tap_and_back_with_six_joints(tmp_path: Path) -> None:
             states = b.listen(ArmState, "arm_state", LATCHED)
             commands = node.create_publisher(TapCommand, "tap_command", COMMAND)
             home = node.create_client(Trigger, "scara_arm/home")
-            b.wait(lambda: states and states[-1].state == ArmState.NOT_HOMED, "it is heard")
+            b.wait(lambda: states and states[-1].state == ArmState.NOT_HOMED, "it is received")
             b.wait(home.service_is_ready, "home is there")
             future = home.call_async(Trigger.Request())
             b.wait(future.done, "it is homed")

@@ -254,7 +254,7 @@ def test_a_stop_published_before_the_node_was_there_holds(tmp_path: Path) -> Non
     with PseudoTerminal(device, path), bench(make, parameters) as b:
         cell = Cell(b, device, None, b.listen(TapperState, "tapper_state", LATCHED))  # type: ignore[arg-type]
         cell.stop.publish(Bool(data=True))
-        b.wait(lambda: nodes[0].stopped, "the stop is heard")
+        b.wait(lambda: nodes[0].stopped, "the stop is received")
         # A configuration that meets a slow board fails and is tried again, as autostart does.
         b.wait(lambda: (nodes[0].trigger_configure(), nodes[0].configured)[1], "configured")
         nodes[0].trigger_activate()
@@ -265,11 +265,11 @@ def test_a_stop_published_before_the_node_was_there_holds(tmp_path: Path) -> Non
 
 
 def test_diagnostics_tell_of_port_firmware_and_shots(cell: Cell) -> None:
-    heard = cell.bench.listen(DiagnosticArray, "/diagnostics")
+    received = cell.bench.listen(DiagnosticArray, "/diagnostics")
     cell.fire(100)
 
     def values() -> dict[str, str]:
-        ours = [s for m in heard for s in m.status if s.name == "/tapper_trigger"]
+        ours = [s for m in received for s in m.status if s.name == "/tapper_trigger"]
         return {entry.key: entry.value for entry in ours[-1].values} if ours else {}
 
     cell.bench.wait(lambda: values().get("shots fired") == "1", "the shot is counted")

@@ -78,6 +78,7 @@ ROS_SUBPACKAGES = {"nodes", "cli"}
 HOMES = {
     "serial": {"hardware"},
     "matplotlib": {"report"},
+    "distributed": {"cli"},
     "rich": {"cli", "report"},
     "rosbags": {"report"},
     "tornado": {"nodes"},

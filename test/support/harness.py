@@ -20,11 +20,11 @@ class Bench:
 
     def __init__(self) -> None:
         self.probe: Node | None = None
-        self.heard: dict[str, list[Any]] = {}
+        self.received: dict[str, list[Any]] = {}
 
     def listen(self, kind: type, topic: str, profile: object = 10) -> list[Any]:
         """Every message of a topic from now on."""
-        messages: list[Any] = self.heard.setdefault(topic, [])
+        messages: list[Any] = self.received.setdefault(topic, [])
         assert self.probe is not None
         self.probe.create_subscription(kind, topic, messages.append, profile)
         return messages

@@ -57,9 +57,9 @@ class VirtualNode:
 
     def listen(self, topic: str) -> list[Any]:
         """Every message of a topic from now on."""
-        heard: list[Any] = []
-        self.network.subscribe(PROBE, topic, lambda _, message: heard.append(message))
-        return heard
+        received: list[Any] = []
+        self.network.subscribe(PROBE, topic, lambda _, message: received.append(message))
+        return received
 
     @property
     def last(self) -> Any:

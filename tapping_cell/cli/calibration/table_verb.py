@@ -30,7 +30,7 @@ from tapping_cell.calibration.table import (
     MarkerView,
     TableCalibration,
     calibrate_table,
-    look,
+    observe_markers,
 )
 from tapping_cell.calibration.table_file import table_yaml
 from tapping_cell.calibration.table_frame import (
@@ -190,7 +190,7 @@ def _views(
     views = []
     for path, image in kept.items():
         try:
-            found = look(image, path.name, camera, dictionary, known)
+            found = observe_markers(image, path.name, camera, dictionary, known)
         except MarkerError as error:
             raise CalibrationRefused(str(error)) from error
         if isinstance(found, str):

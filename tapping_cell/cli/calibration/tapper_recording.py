@@ -33,7 +33,7 @@ _STEP = 0.93
 _USELESS = 4
 """Number of consecutive unusable taps after which the recording is aborted."""
 READY_PATIENCE_S = 60.0
-LOOK_AT_RATE_S = 1.0
+RATE_WINDOW_S = 1.0
 _ALIKE = 0.02
 
 
@@ -122,15 +122,10 @@ def _make(
     growing: GrowingCsv,
     console: Console,
 ) -> None:
-    if client.object_state is None or client.object_state.object_id != cell.object.name:
-        seen = client.object_state.object_id if client.object_state else "nothing"
-        raise CalibrationRefused(
-            f"the camera tracks '{seen}', but the taps are to be on '{cell.object.name}'; "
-            "give the running cell's own --object"
-        )
+    session.require_object(client, cell)
     maker = TapMaker(client, lambda: None)
     curve, tap = cell.file.tapper.curve(), assembly.make_tap(cell)
-    rate = client.camera_rate(LOOK_AT_RATE_S, lambda: None)
+    rate = client.camera_rate(RATE_WINDOW_S, lambda: None)
     header = ExperimentFile(
         format=1,
         made="",

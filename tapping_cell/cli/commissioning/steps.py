@@ -41,7 +41,7 @@ SPEED = 1.0
 LIMIT_SHARE = 0.9
 """Fraction of the distance from the park posture to each limit that a joint moves."""
 ARM_POSES, TAPS = 10, 10
-LOOKS = 20
+OBSERVATIONS = 20
 REST_SPREAD = 0.0005
 """Maximum standard deviation of the object's position at rest, m."""
 HELD = (0.012, -0.004, 0.3)
@@ -301,9 +301,9 @@ def object_at_rest(session: Session) -> Proof:
                 if stamp not in seen_at:
                     seen_at.add(stamp)
                     places.append(from_message(seen.pose.pose))
-            return len(places) >= LOOKS
+            return len(places) >= OBSERVATIONS
 
-        wait(looked, READY_S, f"{LOOKS} measurements of the object at rest", graph)
+        wait(looked, READY_S, f"{OBSERVATIONS} measurements of the object at rest", graph)
     spread = float(np.hypot(np.std([p.x for p in places]), np.std([p.y for p in places])))
     if spread > REST_SPREAD:
         raise StepFailed(

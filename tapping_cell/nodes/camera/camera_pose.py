@@ -139,7 +139,7 @@ class CameraPose(CellNode[Parameters]):
         self._goal: Pose | None = None
         self._tapped = ""
         self._other_states: list[ObjectState] = []
-        self._heard = time.monotonic()
+        self._received = time.monotonic()
         self._missed = 0
         self._annotated_at = 0.0
         self._camera_told_at = 0.0
@@ -207,10 +207,10 @@ class CameraPose(CellNode[Parameters]):
     def _on_camera_info(self, message: CameraInfo) -> None:
         if not self.active or self._cell is None:
             return
-        heard = images.calibration_of(message)
-        if heard == self._calibration:
+        calibration = images.calibration_of(message)
+        if calibration == self._calibration:
             return
-        self._calibration = heard
+        self._calibration = calibration
         try:
             camera = images.from_camera_info(message)
         except CameraError as error:
@@ -231,7 +231,7 @@ class CameraPose(CellNode[Parameters]):
         self._turns = Turns(len(others))
 
     def _on_image(self, message: Image, info: dict[str, int]) -> None:
-        self._heard = time.monotonic()
+        self._received = time.monotonic()
         if not self.active:
             return
         self._answer(self._newest(message, info))
@@ -388,7 +388,7 @@ class CameraPose(CellNode[Parameters]):
     def _watch(self) -> None:
         """Report when no image arrives."""
         now = time.monotonic()
-        silent = now - self._heard
+        silent = now - self._received
         if not self.active or silent <= self.settings.silence_limit:
             self._missed = 0
             return

@@ -74,7 +74,7 @@ class ActionFollower(ClientNode, Generic[Event]):
         self._sent += 1
         number = self._sent
         future = self._action.send_goal_async(
-            message, feedback_callback=lambda heard: self._on_feedback(heard.feedback)
+            message, feedback_callback=lambda received: self._on_feedback(received.feedback)
         )
         future.add_done_callback(lambda done: self._on_response(done.result(), number))
 

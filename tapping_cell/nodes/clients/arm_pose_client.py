@@ -26,7 +26,7 @@ from tapping_cell.se2 import Pose
 ARRIVED = 0.01
 """Maximum distance of each joint from its target, in rad, at which the posture is reached."""
 MOVE_PATIENCE_S = 30.0
-LOOK_PATIENCE_S = 10.0
+OBSERVATION_PATIENCE_S = 10.0
 UNSEEN_PATIENCE_S = 3.0
 """Timeout for an observation at rest, and for the marker to come into view at all."""
 PICTURES = 10
@@ -89,7 +89,7 @@ class ArmPoseClient(GoalClient):
         """
         sent = self.node.get_clock().now()
         arrived = self.go(target, speed, check)
-        seen = self._look(sent, arrived, check)
+        seen = self._observe(sent, arrived, check)
         here = self.joints()
         assert here is not None
         return None if seen is None else Seen(here, from_message(seen.pose.pose))
@@ -136,11 +136,13 @@ class ArmPoseClient(GoalClient):
             "driver, then continue with --resume"
         )
 
-    def _look(self, sent: Time, arrived: Time, check: Callable[[], None]) -> ObjectState | None:
+    def _observe(self, sent: Time, arrived: Time, check: Callable[[], None]) -> ObjectState | None:
         """Return the first observation at rest that began after the command and ended after the
         arrival."""
         begun = shown = time.monotonic()
-        while (now := time.monotonic()) < min(begun + LOOK_PATIENCE_S, shown + UNSEEN_PATIENCE_S):
+        while (now := time.monotonic()) < min(
+            begun + OBSERVATION_PATIENCE_S, shown + UNSEEN_PATIENCE_S
+        ):
             check()
             seen = self.object_state
             if seen is not None and seen.visible and Time.from_msg(seen.header.stamp) > arrived:

@@ -71,11 +71,11 @@ class CellClient(ClientNode):
         self._view.emergency_stop = message.data
 
     def _on_stop_state(self, actor: str) -> Callable[[StopState], None]:
-        def hear(message: StopState) -> None:
+        def on_message(message: StopState) -> None:
             self._stopped[actor] = message.stopped
             self._view.stops[actor] = tuple(message.sources) if message.stopped else ()
 
-        return hear
+        return on_message
 
     # State
 
@@ -101,14 +101,14 @@ class CellClient(ClientNode):
         """
         deadline = time.monotonic() + patience
         while True:
-            self.in_executor(self._watch.look)
+            self.in_executor(self._watch.check)
             state = self.state()
             rows = {row["name"]: row for row in state["nodes"]}
-            heard = [row for row in rows.values() if row["life"] != "not running"]
-            known = {row["name"] for row in heard if row["sentence"] != NOT_YET}
+            received = [row for row in rows.values() if row["life"] != "not running"]
+            known = {row["name"] for row in received if row["sentence"] != NOT_YET}
             complete = known.issuperset(self._watch.core) and not known.isdisjoint(CAMERAS)
             if (complete and state["mode"] != "not ready") or (
-                heard and time.monotonic() > deadline
+                received and time.monotonic() > deadline
             ):
                 return state
             if time.monotonic() > deadline:

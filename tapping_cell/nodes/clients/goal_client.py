@@ -96,8 +96,8 @@ class GoalClient(ActionFollower[Event]):
         """Folder of the run that the recorder finished last; empty before the first."""
         self.planner_active = False
         """Whether the planner has published its state, which it does once it is active."""
-        self._true_pose_heard = 0.0
-        self._taps_heard = 0
+        self._true_pose_received = 0.0
+        self._taps_received = 0
         self._phase = ""
         self._proposed = 0
         self._watch: GoalWatch | None = None
@@ -150,7 +150,7 @@ class GoalClient(ActionFollower[Event]):
         self,
         goal: Pose,
         tolerance: tuple[float, float] = (0.0, 0.0),
-        look: ObjectState | None = None,
+        observed: ObjectState | None = None,
         *,
         probe: bool = False,
         ask: bool = False,
@@ -158,17 +158,17 @@ class GoalClient(ActionFollower[Event]):
         """Send a goal in ``table``. A tolerance (m, rad) of 0 selects the cell's default.
         ``probe``: start with a few of the smallest taps. ``ask``: every tap waits for confirmation.
 
-        If the goal is relative to an observation ``look``, it receives the stamp of this
+        If the goal is relative to an observation ``observed``, it receives the stamp of this
         observation.
         """
         message = PositionObject.Goal()
         message.goal_pose.header.frame_id = "table"
         now = self.node.get_clock().now().to_msg()
-        message.goal_pose.header.stamp = look.header.stamp if look is not None else now
+        message.goal_pose.header.stamp = observed.header.stamp if observed is not None else now
         message.goal_pose.pose = to_message(goal)
         message.position_tolerance, message.angle_tolerance = tolerance
         message.probe, message.ask = probe, ask
-        self._taps_heard, self._phase, self._proposed = 0, "", 0
+        self._taps_received, self._phase, self._proposed = 0, "", 0
         self._watch = GoalWatch(goal, self._planners(), time.monotonic())
         self._send_goal(message)
 
@@ -199,14 +199,14 @@ class GoalClient(ActionFollower[Event]):
 
     def _event_of_silence(self) -> PlannerLost | Finished | None:
         """That the planner is gone, told once; or the end of a goal that nobody will answer."""
-        watch, heard = self._watch, self._plan
+        watch, received = self._watch, self._plan
         if watch is None:
             return None
-        plan, at = heard if heard is not None else (None, -math.inf)
+        plan, at = received if received is not None else (None, -math.inf)
         pose = from_message(plan.goal.pose) if plan is not None else None
         mirror = from_ros(plan, messages.PlanState) if plan is not None else None
         was_gone = watch.gone
-        ended = watch.look(mirror, pose, at, self._planners(), time.monotonic())
+        ended = watch.check(mirror, pose, at, self._planners(), time.monotonic())
         if ended is None:
             return PlannerLost() if watch.gone and not was_gone else None
         seen = self.object_state
@@ -216,7 +216,7 @@ class GoalClient(ActionFollower[Event]):
             self.object_pose() if seen is not None and seen.visible else None,
             plan.residual_distance if plan is not None else math.nan,
             plan.residual_rotation if plan is not None else math.nan,
-            plan.taps if plan is not None else self._taps_heard,
+            plan.taps if plan is not None else self._taps_received,
         )
 
     def settled_truth(self, patience: float = 1.0) -> Pose | None:
@@ -224,7 +224,7 @@ class GoalClient(ActionFollower[Event]):
         arrives."""
         asked = time.monotonic()
         while time.monotonic() < asked + patience:
-            if self._true_pose_heard > asked:
+            if self._true_pose_received > asked:
                 return self.true_pose
             time.sleep(0.01)
         return None
@@ -249,13 +249,13 @@ class GoalClient(ActionFollower[Event]):
 
     def _on_ground_truth(self, message: PoseStamped) -> None:
         self.true_pose = from_message(message.pose)
-        self._true_pose_heard = time.monotonic()
+        self._true_pose_received = time.monotonic()
 
     def _on_feedback(self, feedback: PositionObject.Feedback) -> None:
         self._follow(feedback.plan_state)
 
     def _follow(self, state: PlanState) -> None:
-        self._hear(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
+        self._receive(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
         phase = PHASES[state.state]
         if phase != self._phase:
             self._phase = phase
@@ -265,14 +265,14 @@ class GoalClient(ActionFollower[Event]):
             self._events.put(TapProposed(state.planned_tap))
         self._proposed = proposed
 
-    def _hear(self, record: TapRecord, taps: int, distance: float, rotation: float) -> None:
-        if record.number > self._taps_heard:
-            self._taps_heard = record.number
+    def _receive(self, record: TapRecord, taps: int, distance: float, rotation: float) -> None:
+        if record.number > self._taps_received:
+            self._taps_received = record.number
             self._events.put(TapDone(record, distance, rotation, self.true_pose))
 
     def _on_result(self, result: PositionObject.Result) -> None:
         if result.records:
-            self._hear(
+            self._receive(
                 result.records[-1],
                 result.taps,
                 result.residual_distance,

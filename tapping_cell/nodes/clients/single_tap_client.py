@@ -32,7 +32,7 @@ from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message, seconds
-from tapping_cell.nodes.recorder.recording import Heard
+from tapping_cell.nodes.recorder.recording import ReceivedMessage
 from tapping_cell.report.bag import BagWriter, Quality
 from tapping_cell.se2 import Pose
 
@@ -70,7 +70,7 @@ class SingleTapClient(GoalClient):
         self._results: queue.Queue[SingleTap.Result] = queue.Queue()
         self._poses: deque[PoseWithCovarianceStamped] = deque(maxlen=KEPT_POSES)
         self._tips: dict[int, Pose] = {}
-        self._heard: deque[Heard] = deque()
+        self._received: deque[ReceivedMessage] = deque()
         self.phase = ""
         for kind, topic, profile, _ in RECORDED:
             self.node.create_subscription(kind, topic, self._keeper(kind, topic), profile, raw=True)
@@ -88,10 +88,10 @@ class SingleTapClient(GoalClient):
         """Return whether the taps are made in a simulated world."""
         return bool(self.node.count_publishers("ground_truth") > 0)
 
-    def camera_rate(self, look_for: float, check: Callable[[], None]) -> float:
-        """Measure the number of poses per second for ``look_for`` s; NaN if no pose arrives."""
+    def camera_rate(self, duration: float, check: Callable[[], None]) -> float:
+        """Measure the number of poses per second for ``duration`` s; NaN if no pose arrives."""
         self._poses.clear()
-        end = time.monotonic() + look_for
+        end = time.monotonic() + duration
         while time.monotonic() < end:
             check()
             time.sleep(0.05)
@@ -177,16 +177,18 @@ class SingleTapClient(GoalClient):
         Raises:
             OSError: the disk is full or not available.
         """
-        while self._heard:
-            heard = self._heard.popleft()
-            bag.write(heard.topic, heard.stamp, heard.data)
+        while self._received:
+            message = self._received.popleft()
+            bag.write(message.topic, message.stamp, message.data)
         bag.flush()
 
     def _keeper(self, kind: type, topic: str) -> Callable[[bytes], None]:
         name = self.node.resolve_topic_name(topic)
 
         def keep(data: bytes) -> None:
-            self._heard.append(Heard(name, self.node.get_clock().now().nanoseconds, data))
+            self._received.append(
+                ReceivedMessage(name, self.node.get_clock().now().nanoseconds, data)
+            )
             if kind is PoseWithCovarianceStamped:
                 self._poses.append(deserialize_message(data, kind))
 

@@ -108,9 +108,9 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
             self.driver.close()
         self.driver = None
 
-    def hear_stop(self, message: Bool) -> None:
+    def on_emergency_stop(self, message: Bool) -> None:
         """Pass an emergency stop message to the machine, which stops the device immediately."""
-        self.host.hear(stops.TOPIC, messages.Bool(data=message.data))
+        self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
 
 def run_driver(

@@ -16,7 +16,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool
 
 from tapping_cell.configuration.cell import OutputSection
-from tapping_cell.hardware.output_link import Answer, Heard
+from tapping_cell.hardware.output_link import Answer, InputLevel
 from tapping_cell.nodes.cell_node import COMMAND
 from tapping_cell.nodes.drivers.ros_link import RosLink
 from tapping_cell.nodes.kept_content import KeptContent
@@ -59,8 +59,8 @@ class RosOutputLink(RosLink):
     def __init__(self, parent: Node, section: OutputSection) -> None:
         super().__init__(parent, "output")
         self._section = section
-        self._guard: Heard | None = None
-        self._read_back: Heard | None = None
+        self._guard: InputLevel | None = None
+        self._read_back: InputLevel | None = None
         self._last_on = -math.inf
         self._number = 0
         self._futures: dict[int, Any] = {}
@@ -71,9 +71,9 @@ class RosOutputLink(RosLink):
         else:
             kind = KINDS[section.interface]
             self._publisher = self._node.create_publisher(kind, section.name, COMMAND)
-        self._node.create_subscription(Bool, section.guard, self._hear_guard, INPUT)
+        self._node.create_subscription(Bool, section.guard, self._on_guard, INPUT)
         if section.read_back:
-            self._node.create_subscription(Bool, section.read_back, self._hear_read_back, INPUT)
+            self._node.create_subscription(Bool, section.read_back, self._on_read_back, INPUT)
         self._start()
 
     # Connection
@@ -114,41 +114,41 @@ class RosOutputLink(RosLink):
         self._stopped = True
         with self._lock:
             self._send(False, 0.0)
-        with self._heard:
-            self._heard.notify_all()
+        with self._received:
+            self._received.notify_all()
         return self._present()
 
     # Inputs
 
     @property
-    def guard(self) -> Heard | None:
+    def guard(self) -> InputLevel | None:
         """Last message on whether the guard is closed."""
-        with self._heard:
+        with self._received:
             return self._guard
 
     @property
-    def read_back(self) -> Heard | None:
+    def read_back(self) -> InputLevel | None:
         """Last read-back of whether the output is on."""
-        with self._heard:
+        with self._received:
             return self._read_back
 
     @property
     def last_on(self) -> float:
         """Time of the last read-back that reported the output as on, in s."""
-        with self._heard:
+        with self._received:
             return self._last_on
 
-    def _hear_guard(self, message: Bool) -> None:
-        with self._heard:
-            self._guard = Heard(message.data, self.now())
-            self._heard.notify_all()
+    def _on_guard(self, message: Bool) -> None:
+        with self._received:
+            self._guard = InputLevel(message.data, self.now())
+            self._received.notify_all()
 
-    def _hear_read_back(self, message: Bool) -> None:
-        with self._heard:
-            self._read_back = Heard(message.data, self.now())
+    def _on_read_back(self, message: Bool) -> None:
+        with self._received:
+            self._read_back = InputLevel(message.data, self.now())
             if message.data:
                 self._last_on = self._read_back.received
-            self._heard.notify_all()
+            self._received.notify_all()
 
     # Output
 

@@ -23,11 +23,11 @@ class RosLink(ABC):
     that started later.
 
     A subclass creates its topics and services on ``_node``, then calls ``_start``. It notifies
-    ``_heard`` of new messages. ``_lock`` serialises commands and stops.
+    ``_received`` of new messages. ``_lock`` serialises commands and stops.
     """
 
     def __init__(self, parent: Node, suffix: str) -> None:
-        self._heard = threading.Condition()
+        self._received = threading.Condition()
         self._lock = threading.Lock()
         self._open = False
         self._stopped = False
@@ -98,8 +98,8 @@ class RosLink(ABC):
         Raises HardwareFault: STOPPED, DISCONNECTED.
         """
         self._require()
-        with self._heard:
-            self._heard.wait(max(duration, 0.0))
+        with self._received:
+            self._received.wait(max(duration, 0.0))
         self._require()
 
     @abstractmethod

@@ -72,7 +72,7 @@ class RosTrajectoryLink(RosLink):
         self._publisher = self._node.create_publisher(JointTrajectory, self._topic, COMMAND)
         # Best effort also matches reliable publishers, and the next message replaces a lost state.
         self._node.create_subscription(
-            JointState, section.joint_states, self._hear, qos_profile_sensor_data
+            JointState, section.joint_states, self._receive, qos_profile_sensor_data
         )
         self._action: Any = None
         if section.interface != "topic" and FollowJointTrajectory is not None:
@@ -92,8 +92,8 @@ class RosTrajectoryLink(RosLink):
         """Latch the stop and brake, from any thread."""
         self._stopped = True
         reached = self.brake()
-        with self._heard:
-            self._heard.notify_all()
+        with self._received:
+            self._received.notify_all()
         return reached
 
     def brake(self) -> bool:
@@ -119,7 +119,7 @@ class RosTrajectoryLink(RosLink):
     @property
     def samples(self) -> Sequence[JointSample]:
         """Samples received in the last second, newest last."""
-        with self._heard:
+        with self._received:
             return tuple(self._samples)
 
     @property
@@ -132,7 +132,7 @@ class RosTrajectoryLink(RosLink):
         """Other nodes that publish on the controller's topic."""
         return self._publishers(self._topic)
 
-    def _hear(self, message: JointState) -> None:
+    def _receive(self, message: JointState) -> None:
         received = self.now()
         places = {name: index for index, name in enumerate(message.name)}
         if not all(name in places for name in self._joints):
@@ -155,11 +155,11 @@ class RosTrajectoryLink(RosLink):
             speeds,
             max(-age, 0.0),
         )
-        with self._heard:
+        with self._received:
             self._samples.append(sample)
             while self._samples[0].received < received - KEPT_S:
                 self._samples.popleft()
-            self._heard.notify_all()
+            self._received.notify_all()
 
     # Trajectories
 
@@ -268,7 +268,7 @@ class RosTrajectoryLink(RosLink):
         )
 
     def _found(self) -> None:
-        with self._heard:
+        with self._received:
             self._samples.clear()
 
     def _before_destruction(self) -> None:

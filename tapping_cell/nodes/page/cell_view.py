@@ -103,7 +103,7 @@ class CellView:
     def __init__(self) -> None:
         self._monitor = CellMonitor(SILENCE_LIMIT_S)
         self._plan: PlanState | None = None
-        self._plan_heard = -math.inf
+        self._plan_received = -math.inf
         self._taps: list[dict[str, object]] = []
         self._own_goal: Pose | None = None
         self._report: GoalReport | None = None
@@ -151,7 +151,7 @@ class CellView:
     def on_plan(self, message: PlanState) -> None:
         """Process ``plan_state``: a new goal, a tap, an end."""
         before, self._plan = self._plan, message
-        self._plan_heard = time.monotonic()
+        self._plan_received = time.monotonic()
         tap = message.last_tap
         if not tap.tap_id and message.state not in FINAL_STATES:
             self._taps.clear()
@@ -222,7 +222,7 @@ class CellView:
         seen = self._monitor.object
         if seen is not None and seen.error_code:
             return Mode("not ready", seen.error_msg, seen.error_code)
-        if self._plan is None or time.monotonic() - self._plan_heard > 2 * SILENCE_LIMIT_S:
+        if self._plan is None or time.monotonic() - self._plan_received > 2 * SILENCE_LIMIT_S:
             return Mode("not ready", "the planner sends no messages; start tap_planner")
         return Mode("ready", "the cell takes a goal")
 

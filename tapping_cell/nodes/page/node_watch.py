@@ -41,7 +41,7 @@ class _Peer:
     life: str = ""
     level: str = ""
     sentence: str = ""
-    heard_at: float = 0.0
+    received_at: float = 0.0
 
 
 class NodeWatch:
@@ -56,7 +56,7 @@ class NodeWatch:
         self._subscription = node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
         )
-        self._timer = node.create_timer(1.0, self.look)
+        self._timer = node.create_timer(1.0, self.check)
 
     def close(self) -> None:
         """Stop monitoring."""
@@ -66,7 +66,7 @@ class NodeWatch:
             if peer.client is not None:
                 self._node.destroy_client(peer.client)
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Query the life-cycle state of every node."""
         found = set()
         for service, types in self._node.get_service_names_and_types():
@@ -102,7 +102,7 @@ class NodeWatch:
             if name:
                 peer = self._peers.setdefault(name, _Peer())
                 peer.level = LEVELS.get(status.level, "error")
-                peer.sentence, peer.heard_at = status.message, time.monotonic()
+                peer.sentence, peer.received_at = status.message, time.monotonic()
 
     def _own_name(self, name: str) -> str:
         """Return a node's name without the namespace; empty for a node of another cell."""
@@ -133,7 +133,7 @@ class NodeWatch:
         row = {"name": name, "life": peer.life or "not running"}
         if not peer.life:
             return {**row, "level": "error", "sentence": f"start {name}"}
-        if time.monotonic() - peer.heard_at > SILENCE_LIMIT_S:
-            silent = NOT_YET if not peer.heard_at else "has stopped sending"
+        if time.monotonic() - peer.received_at > SILENCE_LIMIT_S:
+            silent = NOT_YET if not peer.received_at else "has stopped sending"
             return {**row, "level": "warn", "sentence": silent}
         return {**row, "level": peer.level, "sentence": peer.sentence}

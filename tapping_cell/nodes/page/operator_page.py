@@ -272,9 +272,9 @@ class OperatorPage(CellNode[Parameters]):
             return DiagnosticStatus.WARN, "the process that serves STOP is starting", values
         return DiagnosticStatus.OK, "ok", values
 
-    def hear_stop(self, message: Bool) -> None:
+    def on_emergency_stop(self, message: Bool) -> None:
         """Also show an emergency stop message on the page."""
-        super().hear_stop(message)
+        super().on_emergency_stop(message)
         self._view.emergency_stop = message.data
         if message.data:
             self._queue.hold("The queue is paused: the cell was stopped.")
@@ -333,7 +333,7 @@ class OperatorPage(CellNode[Parameters]):
             subscribe(Image, "camera/image_annotated", self._on_picture, LATEST),
         ]
         self._watch = NodeWatch(self)
-        self._watch.look()
+        self._watch.check()
         self._timer = self.create_timer(STATE_PERIOD_S, self._show)
 
     def _unsubscribe(self) -> None:
@@ -692,10 +692,10 @@ def _goal_check(cell: Cell) -> Callable[[Pose], Refusal | None]:
 
 
 def _on_stop_state(view: CellView, actor: str) -> Callable[[StopState], None]:
-    def hear(message: StopState) -> None:
+    def on_message(message: StopState) -> None:
         view.stops[actor] = tuple(message.sources) if message.stopped else ()
 
-    return hear
+    return on_message
 
 
 def _answer(to: str, ok: bool, sentence: str) -> dict[str, object]:

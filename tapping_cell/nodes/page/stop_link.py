@@ -105,11 +105,11 @@ class StopLink:
             with self._lock:
                 self._process = process
             for line in process.stdout:
-                self._hear(json.loads(line))
+                self._receive(json.loads(line))
             with self._lock:
                 self._process = None
 
-    def _hear(self, told: dict[str, object]) -> None:
+    def _receive(self, told: dict[str, object]) -> None:
         changed = told["held"] != self.held
         self.held = bool(told["held"])
         self.ready.set()

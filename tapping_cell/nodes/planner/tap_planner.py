@@ -93,7 +93,7 @@ class TapPlanner(CellNode[Parameters]):
         # A reliable subscription does not match best-effort publishers, and a best-effort
         # subscription may miss messages of a reliable publisher. With both, a goal received twice
         # counts once.
-        self._goals_heard: deque[int] = deque(maxlen=COMMAND.depth)
+        self._goals_received: deque[int] = deque(maxlen=COMMAND.depth)
         for profile in (COMMAND, BEST_EFFORT_COMMAND):
             self.create_subscription(
                 PoseStamped,
@@ -166,9 +166,9 @@ class TapPlanner(CellNode[Parameters]):
         elif self.configured:
             self.logic.goals.use(str(value))
 
-    def hear_stop(self, message: Bool) -> None:
+    def on_emergency_stop(self, message: Bool) -> None:
         """Pass an emergency stop message to the machine, which aborts its goal."""
-        self.host.hear(stops.TOPIC, messages.Bool(data=message.data))
+        self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
     def destroy_node(self) -> None:
         """Also destroy the action servers, which rclpy does not destroy. Otherwise, clients would
@@ -193,9 +193,9 @@ class TapPlanner(CellNode[Parameters]):
 
     def _on_goal_pose(self, message: PoseStamped, info: dict[str, int]) -> None:
         sent = info["source_timestamp"]
-        if sent not in self._goals_heard:
-            self._goals_heard.append(sent)
-            self.host.hear("goal_pose", from_ros(message, messages.PoseStamped))
+        if sent not in self._goals_received:
+            self._goals_received.append(sent)
+            self.host.receive("goal_pose", from_ros(message, messages.PoseStamped))
 
     # Actions
 

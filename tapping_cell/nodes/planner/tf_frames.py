@@ -65,8 +65,8 @@ class TfFrames:
 
     def _known(self) -> list[str]:
         """Return the frames that are connected to ``table``."""
-        heard = yaml.safe_load(self._buffer.all_frames_as_yaml()) or {}
-        names = set(heard) | {entry["parent"] for entry in heard.values()}
+        received = yaml.safe_load(self._buffer.all_frames_as_yaml()) or {}
+        names = set(received) | {entry["parent"] for entry in received.values()}
         connected = (n for n in names - {TABLE} if self._buffer.can_transform(TABLE, n, Time()))
         return sorted(connected)
 

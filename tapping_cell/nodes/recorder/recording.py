@@ -30,7 +30,7 @@ class CannotRecord(RuntimeError):
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class ReceivedMessage:
     """A received message: resolved topic name, ROS time of reception in ns, serialised CDR
     bytes."""
 
@@ -152,7 +152,7 @@ class Recording:
         except OSError as error:
             raise CannotRecord(f"{folder} cannot be written ({error.strerror})") from error
 
-    def write(self, messages: Iterable[Heard]) -> None:
+    def write(self, messages: Iterable[ReceivedMessage]) -> None:
         """Write messages and flush them to the operating system.
 
         Raises:

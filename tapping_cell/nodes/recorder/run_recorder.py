@@ -48,7 +48,7 @@ from tapping_cell.nodes.conversions import seconds
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
     CannotRecord,
-    Heard,
+    ReceivedMessage,
     RecordedTopic,
     Recording,
     cell_notes,
@@ -186,9 +186,9 @@ class RunRecorder(CellNode[Parameters]):
         self._cell: Cell | None = None
         self._notes: dict[str, Any] = {}
         self._lock = threading.Lock()
-        self._lead: deque[Heard] = deque()
-        self._latched: dict[str, Heard] = {}
-        self._waiting: deque[Heard] = deque()
+        self._lead: deque[ReceivedMessage] = deque()
+        self._latched: dict[str, ReceivedMessage] = {}
+        self._waiting: deque[ReceivedMessage] = deque()
         self._plan: PlanState | None = None
         self._ends_at: float | None = None
         self._end: PlanState | GoalReport | None = None
@@ -197,7 +197,7 @@ class RunRecorder(CellNode[Parameters]):
         self._runs = 0
         self._refusal: tuple[int, str, float] = (0, "", 0.0)
         self._picture_at = 0.0
-        self._planner_heard = 0.0
+        self._planner_received = 0.0
         self._frames: list[Subscription] = []
         self._folder, self._name = self.settings.folder, self.settings.name
         self._picture_rate = self.settings.picture_rate
@@ -240,12 +240,12 @@ class RunRecorder(CellNode[Parameters]):
         reader = readers.get(kind)
         seldom = kind is CameraInfo
 
-        def hear(data: bytes) -> None:
-            self._note(Heard(topic, self._now(), data), latched, seldom)
+        def on_message(data: bytes) -> None:
+            self._note(ReceivedMessage(topic, self._now(), data), latched, seldom)
             if reader is not None:
                 reader(deserialize_message(data, kind))
 
-        return self.create_subscription(kind, name, hear, profile, raw=True)
+        return self.create_subscription(kind, name, on_message, profile, raw=True)
 
     # Life cycle
 
@@ -315,25 +315,25 @@ class RunRecorder(CellNode[Parameters]):
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
-    def _note(self, heard: Heard, latched: bool, seldom: bool) -> None:
+    def _note(self, message: ReceivedMessage, latched: bool, seldom: bool) -> None:
         """Buffer a message for the current bag or the next one."""
         with self._lock:
-            last = self._latched.get(heard.topic)
-            if seldom and last is not None and heard.stamp - last.stamp < 1_000_000_000:
+            last = self._latched.get(message.topic)
+            if seldom and last is not None and message.stamp - last.stamp < 1_000_000_000:
                 return
             if latched or seldom:
-                self._latched[heard.topic] = heard
+                self._latched[message.topic] = message
             if self._plan is not None:
-                self._waiting.append(heard)
+                self._waiting.append(message)
                 return
-            self._lead.append(heard)
-            while self._lead[0].stamp < heard.stamp - 1e9 * LEAD_S:
+            self._lead.append(message)
+            while self._lead[0].stamp < message.stamp - 1e9 * LEAD_S:
                 self._lead.popleft()
 
     def _on_plan_state(self, plan: PlanState) -> None:
         if not self.active:
             return
-        self._planner_heard = time.monotonic()
+        self._planner_received = time.monotonic()
         known = self._plan is not None and same_goal(self._plan, plan)
         if self._is_late(plan):
             return
@@ -386,17 +386,17 @@ class RunRecorder(CellNode[Parameters]):
             # Latched messages older than the lead time are written at the start of the bag.
             told = {message.topic for message in lead}
             old = [
-                Heard(message.topic, first, message.data)
+                ReceivedMessage(message.topic, first, message.data)
                 for message in self._latched.values()
                 if message.topic not in told
             ]
             self._lead.clear()
             text = serialize_message(String(data=json.dumps(notes)))
-            self._waiting.append(Heard(self._notes_topic, first, text))
+            self._waiting.append(ReceivedMessage(self._notes_topic, first, text))
             self._waiting.extend(old + lead)
             self._plan = plan
         self._ends_at = None
-        self._planner_heard = time.monotonic()
+        self._planner_received = time.monotonic()
         folder = Path(self._folder).expanduser().absolute()
         self._submit(lambda: self._open(folder, name))
         if not refused and not self._frames:
@@ -421,7 +421,7 @@ class RunRecorder(CellNode[Parameters]):
     def _tick(self) -> None:
         now = time.monotonic()
         over = self._ends_at is not None and now >= self._ends_at
-        if over or (self._plan is not None and now - self._planner_heard > SILENCE_S):
+        if over or (self._plan is not None and now - self._planner_received > SILENCE_S):
             self._conclude(pictures=True)
 
     def _conclude(self, pictures: bool) -> None:
@@ -461,7 +461,7 @@ class RunRecorder(CellNode[Parameters]):
             self._waiting.clear()
         self._write(messages)
 
-    def _write(self, messages: list[Heard]) -> None:
+    def _write(self, messages: list[ReceivedMessage]) -> None:
         recording = self._recording
         if recording is None:
             return
@@ -495,12 +495,12 @@ class RunRecorder(CellNode[Parameters]):
         if coded:
             small = CompressedImage(header=message.header, format="bgr8; jpeg compressed bgr8")
             small.data = array.array("B", jpeg.tobytes())
-            heard = Heard(self._picture_topic, stamp, serialize_message(small))
+            recorded = ReceivedMessage(self._picture_topic, stamp, serialize_message(small))
             with self._lock:
                 if self._plan is not None:
-                    self._waiting.append(heard)
+                    self._waiting.append(recorded)
 
-    def _close(self, rest: list[Heard], pictures: bool) -> None:
+    def _close(self, rest: list[ReceivedMessage], pictures: bool) -> None:
         self._write(rest)
         recording, self._recording = self._recording, None
         if recording is None:

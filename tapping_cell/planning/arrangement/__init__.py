@@ -6,7 +6,7 @@ Example::
     bodies = [Body("left", FreeSpace(space), planner, goal_pose), ...]
     session = ArrangementSession(bodies, maps=maps)
     decision = session.decide({"left": Observation(pose, covariance), ...})
-    # AllDone, LookLonger, TapOf(name, strike, move) or Refusal
+    # AllDone, ObserveLonger, TapOf(name, strike, move) or Refusal
     ...  # fire decision.strike.plan, measure the pose of every object again
     session.observe(decision, before, after)
 
@@ -22,14 +22,14 @@ from tapping_cell.planning.arrangement.interface import (
     Purpose,
     Scene,
 )
-from tapping_cell.planning.arrangement.layout import check_layout
+from tapping_cell.planning.arrangement.layout import check_goals, check_layout
 from tapping_cell.planning.arrangement.sequence import SequencePlanner
 from tapping_cell.planning.arrangement.session import (
     AllDone,
     ArrangementDecision,
     ArrangementSession,
-    LookLonger,
     Observation,
+    ObserveLonger,
     TapOf,
 )
 
@@ -41,13 +41,14 @@ __all__ = [
     "ArrangementSession",
     "Body",
     "FileOrder",
-    "LookLonger",
     "Move",
     "NearestFirst",
     "Observation",
+    "ObserveLonger",
     "Purpose",
     "Scene",
     "SequencePlanner",
     "TapOf",
+    "check_goals",
     "check_layout",
 ]

@@ -46,7 +46,8 @@ class NearestFirst:
 
 
 def _unfinished(scene: Scene) -> list[Body]:
-    return [b for b in scene.bodies if b.goal is not None and b.name not in scene.finished]
+    left_out = scene.finished | scene.later
+    return [b for b in scene.bodies if b.goal is not None and b.name not in left_out]
 
 
 def _first_possible(scene: Scene, order: Iterable[Body], maps: AmongOthers) -> Move | Refusal:

@@ -49,12 +49,16 @@ class Purpose(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Move of one object to a target by one or more taps. ``reason``: text for messages."""
+    """Move of one object to a target by one or more taps.
+
+    reason: text for messages. blocked: name of the object that it makes way for, or empty.
+    """
 
     name: str
     target: Pose
     purpose: Purpose
     reason: str = ""
+    blocked: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +68,8 @@ class Scene:
     bodies: all objects. poses: stationary pose of each object. finished: names of the objects at
     their goals. excluded: moves as (name, purpose) that are not to be chosen now, because no tap
     was possible in this state or many taps did not finish them. buffers: targets of the earlier
-    moves out of the way, by name of the object.
+    moves out of the way, by name of the object. later: names of the objects that go to their goals
+    only after others, because of the requested order or because they made way for them.
     """
 
     bodies: Sequence[Body]
@@ -72,6 +77,7 @@ class Scene:
     finished: frozenset[str] = frozenset()
     excluded: frozenset[tuple[str, Purpose]] = frozenset()
     buffers: Mapping[str, Sequence[Pose]] = field(default_factory=dict)
+    later: frozenset[str] = frozenset()
 
 
 class ArrangementPlanner(Protocol):

@@ -9,6 +9,8 @@ can make way for each other on the table before that is not checked here.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from tapping_cell.planning.arrangement.among import AmongOthers, gap
@@ -17,6 +19,8 @@ from tapping_cell.planning.goal import check_goal, place_text
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.workspace import CircleArea
 from tapping_cell.se2 import Pose
+
+NOWHERE: Mapping[str, Pose] = {}
 
 
 def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
@@ -29,20 +33,31 @@ def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
                 RefusalReason.OBJECT_POSE_NOT_FINITE,
                 f"the pose of '{body.name}' is {list(place)}; look again",
             )
+    standing = {body.name: scene.poses[body.name] for body in scene.bodies if not body.movable}
+    return check_goals(scene.bodies, standing) or _order_exists(scene, goals, maps)
+
+
+def check_goals(bodies: Sequence[Body], standing: Mapping[str, Pose] = NOWHERE) -> Refusal | None:
+    """Return why goals are impossible wherever the movable objects are now, or None.
+
+    Each goal is checked by itself, and against the other goals and the poses ``standing`` of
+    unmovable objects.
+    """
+    for body in bodies:
         if body.goal is None:
             continue
         alone = check_goal(np.array(body.goal), body.free.space, body.free)
         if alone is not None:
             return Refusal(alone.reason, f"'{body.name}': {alone.sentence}")
-    return _overlap(scene) or _order_exists(scene, goals, maps)
+    return _overlap(bodies, standing)
 
 
-def _overlap(scene: Scene) -> Refusal | None:
+def _overlap(bodies: Sequence[Body], standing: Mapping[str, Pose]) -> Refusal | None:
     """Return a refusal if two goals, or a goal and an unmovable object, are too close together."""
     placed = [
-        (body, body.goal) if body.goal is not None else (body, scene.poses[body.name])
-        for body in scene.bodies
-        if body.goal is not None or not body.movable
+        (body, body.goal if body.goal is not None else standing[body.name])
+        for body in bodies
+        if body.goal is not None or body.name in standing
     ]
     for number, (first, here) in enumerate(placed):
         for second, there in placed[:number]:

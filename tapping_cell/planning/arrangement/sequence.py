@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,9 @@ The tool needs this space, and a polygon can be tapped along only a few lines.""
 CROWDED = 2.0
 """Extra cost, in taps, of a buffer place directly beside an open goal."""
 
+CLOSEST = 3
+"""Number of objects tried first that may be in the way of taps where the map shows a path."""
+
 AGAIN = 1.0
 """Extra cost, in taps, of each earlier move of the object out of the way, because it did not help
 enough; twice that close to the earlier buffer place."""
@@ -68,7 +71,7 @@ class SequencePlanner:
         """Return the next move; see ``ArrangementPlanner``."""
         options = [
             option
-            for body in _open(scene)
+            for body in _due(scene)
             if (body.name, Purpose.TO_GOAL) not in scene.excluded
             and (option := self._to_goal(scene, body)) is not None
         ]
@@ -106,13 +109,17 @@ class SequencePlanner:
         for body in scene.bodies:
             if body.name == move.name or not any(each.move.name == body.name for each in options):
                 continue
-            others = areas_of(scene.bodies, poses, [body.name])
-            assert body.goal is not None
-            if not self._maps.fits(body, others, body.goal) or not math.isfinite(
-                self._maps.path(body, others, poses[body.name], body.goal)
-            ):
+            if not self._is_open(replace(scene, poses=poses), body):
                 return False
         return True
+
+    def _is_open(self, scene: Scene, body: Body) -> bool:
+        """Return whether the goal of an object is free and a path leads to it."""
+        others = areas_of(scene.bodies, scene.poses, [body.name])
+        assert body.goal is not None
+        return self._maps.fits(body, others, body.goal) and math.isfinite(
+            self._maps.path(body, others, scene.poses[body.name], body.goal)
+        )
 
     def _leaves_a_way(self, scene: Scene, body: Body) -> bool:
         left = [other for other in _open(scene) if other is not body]
@@ -123,7 +130,7 @@ class SequencePlanner:
     def _make_way(self, scene: Scene) -> Move | None:
         """Return the cheapest move that clears the goal or the path of another object, or None."""
         found: list[_Option] = []
-        for blocked in _open(scene):
+        for blocked in _due(scene):
             for name in self._in_the_way(scene, blocked):
                 body = next(each for each in scene.bodies if each.name == name)
                 if not body.movable or (name, Purpose.MAKE_WAY) in scene.excluded:
@@ -141,6 +148,13 @@ class SequencePlanner:
         goal, pose = blocked.goal, scene.poses[blocked.name]
         assert goal is not None
         others = [body for body in scene.bodies if body is not blocked]
+        if (blocked.name, Purpose.TO_GOAL) in scene.excluded and self._is_open(scene, blocked):
+            # The map shows a way, but no tap leads along it: what stands close is in the way.
+            near = sorted(
+                others,
+                key=lambda body: _from_line(scene.poses[body.name], pose, goal) - body.radius,
+            )
+            return [body.name for body in near[:CLOSEST]]
         alone = []
         for body in others:
             areas = areas_of(others, scene.poses, [body.name])
@@ -186,11 +200,16 @@ class SequencePlanner:
                 away = np.hypot(places[:, 0] - other.goal.x, places[:, 1] - other.goal.y)
                 room = (away - other.radius - body.radius) / TOOL_CLEARANCE
                 cost = cost + CROWDED * np.clip(1.0 - room, 0.0, 1.0)
+        # Away from the blocked object as well, whose taps need clearance.
+        here = scene.poses[blocked.name]
+        room = np.hypot(places[:, 0] - here.x, places[:, 1] - here.y) - blocked.radius - body.radius
+        cost = cost + CROWDED * np.clip(1.0 - room / TOOL_CLEARANCE, 0.0, 1.0)
         for index in np.argsort(cost, kind="stable")[:: max(1, len(cost) // 400)][:BUFFERS_TRIED]:
             place = Pose(float(places[index, 0]), float(places[index, 1]), pose.theta)
             if self._opens(scene, body, place, blocked):
                 reason = f"it is in the way of '{blocked.name}'"
-                return _Option(float(cost[index]), Move(body.name, place, Purpose.MAKE_WAY, reason))
+                move = Move(body.name, place, Purpose.MAKE_WAY, reason, blocked.name)
+                return _Option(float(cost[index]), move)
         return None
 
     def _opens(self, scene: Scene, body: Body, place: Pose, blocked: Body) -> bool:
@@ -231,6 +250,11 @@ def taps(body: Body, distance: float, turn: float) -> float:
 def _open(scene: Scene) -> list[Body]:
     """Return the objects that are not yet at their goals."""
     return [b for b in scene.bodies if b.goal is not None and b.name not in scene.finished]
+
+
+def _due(scene: Scene) -> list[Body]:
+    """Return the objects that may go to their goals now."""
+    return [body for body in _open(scene) if body.name not in scene.later]
 
 
 def _margin(body: Body) -> float:

@@ -32,7 +32,7 @@ from tapping_cell.planning.interface import Planner
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import (
     Done,
-    LookAgain,
+    ObserveAgain,
     PositioningSession,
     Strike,
     noise_of,
@@ -81,11 +81,11 @@ class TapOf:
 
 
 @dataclass(frozen=True, slots=True)
-class LookLonger:
+class ObserveLonger:
     """Request for a longer observation, which may confirm that the object is at its goal."""
 
     name: str
-    look: LookAgain
+    request: ObserveAgain
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class AllDone:
     residuals: Mapping[str, Pose]
 
 
-ArrangementDecision = AllDone | LookLonger | TapOf | Refusal
+ArrangementDecision = AllDone | ObserveLonger | TapOf | Refusal
 
 
 class ArrangementSession:
@@ -136,6 +136,7 @@ class ArrangementSession:
         self._stalled: frozenset[tuple[str, Purpose]] = frozenset()
         self._buffers: dict[str, tuple[Pose, ...]] = {}
         self._confirmed: dict[str, Pose] = {}
+        self._waits_for: dict[str, str] = {}  # objects that made way: the object they wait for
         self._best = math.inf  # smallest estimate of the remaining taps of the current move
         self._in_vain = 0  # consecutive taps of the current move without progress
         self._session: PositioningSession | None = None
@@ -159,7 +160,7 @@ class ArrangementSession:
         return self._session
 
     def decide(
-        self, seen: Mapping[str, Observation], *, look_again: bool = False
+        self, seen: Mapping[str, Observation], *, observe_again: bool = False
     ) -> ArrangementDecision:
         """Decide on the next step; ``seen`` must contain an observation of every object."""
         missing = [body.name for body in self.bodies if body.name not in seen]
@@ -184,12 +185,12 @@ class ArrangementSession:
                 self._confirmed.pop(name, None)
         for _ in range(4 * len(self.bodies) + 4):
             if self.move is None:
-                chosen = self._choose(seen, poses, look_again)
+                chosen = self._choose(seen, poses, observe_again)
                 if not isinstance(chosen, Move):
                     return chosen
                 self._begin(chosen)
                 assert self.move is not None
-            decision = self._step(self.move, seen[self.move.name], look_again)
+            decision = self._step(self.move, seen[self.move.name], observe_again)
             if decision is not None:
                 return decision
         return Refusal(
@@ -217,6 +218,8 @@ class ArrangementSession:
         self._best, self._in_vain = math.inf, 0
         if move.purpose is Purpose.MAKE_WAY:
             self._buffers[move.name] = (*self._buffers.get(move.name, ()), move.target)
+            if move.blocked:
+                self._waits_for[move.name] = move.blocked
 
     def _progresses(self, move: Move, pose: Pose) -> bool:
         """Return whether the taps of a move have brought its object closer to the target lately."""
@@ -245,8 +248,8 @@ class ArrangementSession:
         return bool(moved)
 
     def _choose(
-        self, seen: Mapping[str, Observation], poses: Mapping[str, Pose], look_again: bool
-    ) -> Move | AllDone | LookLonger | Refusal:
+        self, seen: Mapping[str, Observation], poses: Mapping[str, Pose], observe_again: bool
+    ) -> Move | AllDone | ObserveLonger | Refusal:
         """Check which objects are at their goals, then return the next move or the end."""
         done = set()
         for body in self.bodies:
@@ -256,13 +259,13 @@ class ArrangementSession:
                 done.add(body.name)
                 continue
             decision = self._alone(body).arrived(
-                seen[body.name].pose, seen[body.name].covariance, look_again=look_again
+                seen[body.name].pose, seen[body.name].covariance, observe_again=observe_again
             )
             if isinstance(decision, Done):
                 done.add(body.name)
                 self._confirmed[body.name] = poses[body.name]
-            elif isinstance(decision, LookAgain):
-                return LookLonger(body.name, decision)
+            elif isinstance(decision, ObserveAgain):
+                return ObserveLonger(body.name, decision)
         self.finished = frozenset(done)
         if all(body.goal is None or body.name in done for body in self.bodies):
             return AllDone({name: self._residual(name, poses[name]) for name in done})
@@ -272,10 +275,11 @@ class ArrangementSession:
                 f"{sum(self.taps.values())} taps did not bring all objects to their goals, the "
                 f"limit is {self._most_taps}",
             )
-        chosen = self._planner.next_move(self._scene(self._excluded | self._stalled))
-        if isinstance(chosen, Refusal) and self._stalled:
-            self._stalled = frozenset()
-            chosen = self._planner.next_move(self._scene(self._excluded))
+        waiting = frozenset(n for n, other in self._waits_for.items() if other not in done)
+        chosen = self._planner.next_move(self._scene(self._excluded | self._stalled, waiting))
+        if isinstance(chosen, Refusal) and (self._stalled or waiting):
+            self._stalled, self._waits_for = frozenset(), {}
+            chosen = self._planner.next_move(self._scene(self._excluded, frozenset()))
         return chosen
 
     def _still_at_goal(self, body: Body, seen: Observation) -> bool:
@@ -297,12 +301,11 @@ class ArrangementSession:
             and abs(pose.rotation_to(body.goal)) <= settings.tolerance_angle
         )
 
-    def _scene(self, excluded: frozenset[tuple[str, Purpose]]) -> Scene:
+    def _scene(self, excluded: frozenset[tuple[str, Purpose]], waiting: frozenset[str]) -> Scene:
         due = [name for name in self._order if name not in self.finished]
         if due:
-            later = {b.name for b in self.bodies if b.goal is not None} - {due[0]}
-            excluded |= {(name, Purpose.TO_GOAL) for name in later}
-        return Scene(self.bodies, self._settled, self.finished, excluded, self._buffers)
+            waiting |= {b.name for b in self.bodies if b.goal is not None} - {due[0]}
+        return Scene(self.bodies, self._settled, self.finished, excluded, self._buffers, waiting)
 
     def _alone(self, body: Body) -> PositioningSession:
         """Return a session that only checks the goal and therefore ignores the other objects."""
@@ -310,8 +313,8 @@ class ArrangementSession:
         return _at_goal(body, self._most_taps)
 
     def _step(
-        self, move: Move, seen: Observation, look_again: bool
-    ) -> TapOf | LookLonger | Refusal | None:
+        self, move: Move, seen: Observation, observe_again: bool
+    ) -> TapOf | ObserveLonger | Refusal | None:
         """Return the next step of the current move, or None if another move is needed."""
         body = self._by_name[move.name]
         free = self._maps.map(body, areas_of(self.bodies, self._settled, [body.name]))
@@ -330,13 +333,13 @@ class ArrangementSession:
             self._session.use_free_space(free.space, free)
         self._session_move, self._session_map = move, free
         # An object that makes way need not be seen as well as one at its goal.
-        look_again = look_again and move.purpose is Purpose.TO_GOAL
-        decision = self._session.decide(seen.pose, seen.covariance, look_again=look_again)
+        observe_again = observe_again and move.purpose is Purpose.TO_GOAL
+        decision = self._session.decide(seen.pose, seen.covariance, observe_again=observe_again)
         if isinstance(decision, Done):
             self.move = None
             return None
-        if isinstance(decision, LookAgain):
-            return LookLonger(body.name, decision)
+        if isinstance(decision, ObserveAgain):
+            return ObserveLonger(body.name, decision)
         if isinstance(decision, Strike) and not self._progresses(move, seen.pose):
             self._stalled |= {(body.name, move.purpose)}
             self.move = None

@@ -27,9 +27,9 @@ from tapping_cell.planning.arrangement import (
     ArrangementSession,
     Body,
     FileOrder,
-    LookLonger,
     NearestFirst,
     Observation,
+    ObserveLonger,
     SequencePlanner,
     TapOf,
 )
@@ -39,7 +39,7 @@ from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.refusal import Refusal
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.stopping import LONG_LOOK
+from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.planning.workspace import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, transform_points, wrap_angle
 
@@ -52,7 +52,6 @@ METHODS: dict[str, Callable[[AmongOthers], ArrangementPlanner]] = {
 
 GOALS = ("random", "swap", "grid")
 
-GOAL_GAP = 0.040
 START_GAP = 0.040
 DRAWS = 4000
 SWEEP = 25
@@ -202,19 +201,19 @@ def arrange(
     trial.history.append({name: Pose(*pose.tolist()) for name, pose in true.items()})
     number_of = {body.name: number for number, body in enumerate(bodies)}
     by_name = {body.name: body for body in bodies}
-    seen = {name: _look(by_name[name], true[name], rng) for name in true}
-    looks = dict.fromkeys(true, 1)
+    seen = {name: _observe(by_name[name], true[name], rng) for name in true}
+    observations = dict.fromkeys(true, 1)
     last_move = None
     while True:
         began = time.thread_time()
-        decision = session.decide(seen, look_again=max(looks.values()) < LONG_LOOK)
+        decision = session.decide(seen, observe_again=max(observations.values()) < LONG_OBSERVATION)
         spent = time.thread_time() - began
         trial.decisions += 1
         trial.slowest, trial.planning = max(trial.slowest, spent), trial.planning + spent
-        if isinstance(decision, LookLonger):
+        if isinstance(decision, ObserveLonger):
             name = decision.name
-            looks[name] += 1
-            seen[name] = _longer(by_name[name], seen[name], true[name], looks[name], rng)
+            observations[name] += 1
+            seen[name] = _longer(by_name[name], seen[name], true[name], observations[name], rng)
             continue
         if not isinstance(decision, TapOf):
             break
@@ -230,8 +229,8 @@ def arrange(
         trial.contacts += _slide(body, moved, bodies, true)
         trial.taps += 1
         before = seen[body.name]
-        seen = {name: _look(by_name[name], true[name], rng) for name in true}
-        looks = dict.fromkeys(true, 1)
+        seen = {name: _observe(by_name[name], true[name], rng) for name in true}
+        observations = dict.fromkeys(true, 1)
         session.observe(decision, before, seen[body.name])
         trial.history.append({name: Pose(*pose.tolist()) for name, pose in true.items()})
     if isinstance(decision, AllDone):
@@ -304,21 +303,23 @@ def _tool_touches(tap: TapOf, bodies: Sequence[Body], true: Mapping[str, Array])
     return False
 
 
-def _look(body: Body, true: Array, rng: np.random.Generator) -> Observation:
+def _observe(body: Body, true: Array, rng: np.random.Generator) -> Observation:
     camera = body.planner.settings.camera
     noise = np.array([camera.position, camera.position, camera.angle])
     return Observation(Pose(*(true + noise * rng.standard_normal(3)).tolist()), camera.covariance)
 
 
 def _longer(
-    body: Body, seen: Observation, true: Array, looks: int, rng: np.random.Generator
+    body: Body, seen: Observation, true: Array, observations: int, rng: np.random.Generator
 ) -> Observation:
     """Return the mean of all observations after one more observation."""
-    before, one = np.array(seen.pose), np.array(_look(body, true, rng).pose)
+    before, one = np.array(seen.pose), np.array(_observe(body, true, rng).pose)
     step = one - before
     step[2] = wrap_angle(step[2])
     camera = body.planner.settings.camera
-    return Observation(Pose(*(before + step / looks).tolist()), camera.covariance / looks)
+    return Observation(
+        Pose(*(before + step / observations).tolist()), camera.covariance / observations
+    )
 
 
 def _inside(body: Body, true: Array) -> bool:

@@ -15,9 +15,9 @@ from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.planning.interface import Array
-from tapping_cell.planning.session import Decision, Done, LookAgain, Strike
+from tapping_cell.planning.session import Decision, Done, ObserveAgain, Strike
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.stopping import LONG_LOOK
+from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import Pose, wrap_angle
 
 
@@ -104,16 +104,16 @@ def _run_one(
         most_taps=evaluation.most_taps,
     )
     camera = settings.camera
-    look = np.array([camera.position, camera.position, camera.angle])
+    camera_noise = np.array([camera.position, camera.position, camera.angle])
     left = False
-    decision, seen = _decide(session, pose, look, rng)
+    decision, seen = _decide(session, pose, camera_noise, rng)
     while isinstance(decision, Strike):
         pose = pose + _answer(true, decision, pose, settings, rng)
         pose[2] = wrap_angle(pose[2])
         left = left or float(area.clearance(pose[:2])) < 0.0
         before = seen
-        session.observe(decision, before, pose + look * rng.standard_normal(3))
-        decision, seen = _decide(session, pose, look, rng)
+        session.observe(decision, before, pose + camera_noise * rng.standard_normal(3))
+        decision, seen = _decide(session, pose, camera_noise, rng)
     if isinstance(decision, Done):
         end = End.DONE
     elif session.taps >= evaluation.most_taps:
@@ -175,15 +175,17 @@ def _answer(
 
 
 def _decide(
-    session: FixedTapperSession, pose: Array, look: Array, rng: np.random.Generator
+    session: FixedTapperSession, pose: Array, camera_noise: Array, rng: np.random.Generator
 ) -> tuple[Decision, Array]:
     """Return the session's decision and the measured pose, after the longer observations that the
     session requests."""
     camera = session.settings.camera
-    seen = pose + look * rng.standard_normal(3)
-    for looks in range(1, LONG_LOOK + 1):
-        decision = session.decide(seen, camera.covariance / looks, look_again=looks < LONG_LOOK)
-        if not isinstance(decision, LookAgain):
+    seen = pose + camera_noise * rng.standard_normal(3)
+    for observations in range(1, LONG_OBSERVATION + 1):
+        decision = session.decide(
+            seen, camera.covariance / observations, observe_again=observations < LONG_OBSERVATION
+        )
+        if not isinstance(decision, ObserveAgain):
             break
-        seen = seen + (pose + look * rng.standard_normal(3) - seen) / (looks + 1)
+        seen = seen + (pose + camera_noise * rng.standard_normal(3) - seen) / (observations + 1)
     return decision, seen

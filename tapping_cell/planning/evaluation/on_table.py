@@ -17,8 +17,8 @@ from tapping_cell.planning.evaluation.task import (
 )
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
-from tapping_cell.planning.session import Decision, Done, LookAgain, PositioningSession, Strike
-from tapping_cell.planning.stopping import LONG_LOOK
+from tapping_cell.planning.session import Decision, Done, ObserveAgain, PositioningSession, Strike
+from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.se2 import Pose, wrap_angle
 
@@ -89,12 +89,12 @@ def _run_one(
         most_taps=evaluation.most_taps,
     )
     camera, settings = evaluation.settings.camera, evaluation.settings
-    look = np.array([camera.position, camera.position, camera.angle])
+    camera_noise = np.array([camera.position, camera.position, camera.angle])
     pose, over, seconds = start.copy(), False, math.nan
     if clock is not None:
         tip, seconds = clock.parked, 0.0
         session.arm = tip
-    seen = pose + look * rng.standard_normal(3)
+    seen = pose + camera_noise * rng.standard_normal(3)
     decision, seen = _decide(session, pose, seen, evaluation, rng)
     while isinstance(decision, Strike):
         moved = evaluation.answer(
@@ -107,7 +107,7 @@ def _run_one(
             spent, tip = clock.tap(tip, Pose(*seen.tolist()), decision)
             session.arm = tip
             seconds += spent
-        before, seen = seen, pose + look * rng.standard_normal(3)
+        before, seen = seen, pose + camera_noise * rng.standard_normal(3)
         session.observe(decision, before, seen)
         decision, seen = _decide(session, pose, seen, evaluation, rng)
     if isinstance(decision, Done):
@@ -132,10 +132,12 @@ def _decide(
     """Return the session's decision and the measured pose, after the longer observations that the
     session requests."""
     camera = evaluation.settings.camera
-    look = np.array([camera.position, camera.position, camera.angle])
-    for looks in range(1, LONG_LOOK + 1):
-        decision = session.decide(seen, camera.covariance / looks, look_again=looks < LONG_LOOK)
-        if not isinstance(decision, LookAgain):
+    camera_noise = np.array([camera.position, camera.position, camera.angle])
+    for observations in range(1, LONG_OBSERVATION + 1):
+        decision = session.decide(
+            seen, camera.covariance / observations, observe_again=observations < LONG_OBSERVATION
+        )
+        if not isinstance(decision, ObserveAgain):
             break
-        seen = seen + (pose + look * rng.standard_normal(3) - seen) / (looks + 1)
+        seen = seen + (pose + camera_noise * rng.standard_normal(3) - seen) / (observations + 1)
     return decision, seen

@@ -18,9 +18,9 @@ from tapping_cell.planning.evaluation.task import (
 from tapping_cell.planning.evaluation.worlds import draw_starts
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.interface import Array, Planner
-from tapping_cell.planning.session import WORTH_A_LOOK
+from tapping_cell.planning.session import WORTH_OBSERVING
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.stopping import CONFIDENCE, LONG_LOOK, inside_probability
+from tapping_cell.planning.stopping import CONFIDENCE, LONG_OBSERVATION, inside_probability
 from tapping_cell.se2 import wrap_angle
 
 MISSED = 0.1
@@ -39,15 +39,15 @@ def run_open_trials(
     goal = pose + draw_tasks(evaluation, count, rng)
     true_gains = draw_gains(evaluation, count, rng)
     gains = Gains.start((count,))
-    look = np.array([camera.position, camera.position, camera.angle])
-    seen = pose + look * rng.standard_normal((count, 3))
+    camera_noise = np.array([camera.position, camera.position, camera.angle])
+    seen = pose + camera_noise * rng.standard_normal((count, 3))
     taps = np.zeros(count, dtype=np.int64)
     end = np.full(count, End.ENDLESS, dtype=np.int64)
     aside = np.zeros(count)
     running: NDArray[np.intp] = np.arange(count, dtype=np.intp)
     model = evaluation.world.model if evaluation.world is not None else None
     for _ in range(evaluation.most_taps + 1):
-        inside = look_longer(seen, pose, goal, running, evaluation.settings, rng)
+        inside = observe_longer(seen, pose, goal, running, evaluation.settings, rng)
         left = _remaining(goal[running], seen[running])
         end[running[inside]] = End.DONE
         running, left = running[~inside], left[~inside]
@@ -83,7 +83,7 @@ def run_open_trials(
         moved = evaluation.answer(pose[running], seen[running], commanded, true_gains[running], rng)
         pose[running] += moved
         before = seen[running]
-        seen[running] = pose[running] + look * rng.standard_normal((running.size, 3))
+        seen[running] = pose[running] + camera_noise * rng.standard_normal((running.size, 3))
         taps[running] += 1
         measured = seen[running] - before
         missed = np.hypot(measured[:, 0], measured[:, 1]) < MISSED * np.hypot(
@@ -107,7 +107,7 @@ def run_open_trials(
     return Results(taps, end, within, distance, rotation, never, unknown)
 
 
-def look_longer(
+def observe_longer(
     seen: Array,
     pose: Array,
     goal: Array,
@@ -117,9 +117,11 @@ def look_longer(
 ) -> NDArray[np.bool_]:
     """Return which objects in ``rows`` are at their goals with the required confidence.
 
-    Undecided objects are observed again, at most ``LONG_LOOK`` times in total; ``seen`` is
+    Undecided objects are observed again, at most ``LONG_OBSERVATION`` times in total; ``seen`` is
     overwritten with the mean of the observations."""
-    look = np.array([settings.camera.position, settings.camera.position, settings.camera.angle])
+    camera_noise = np.array(
+        [settings.camera.position, settings.camera.position, settings.camera.angle]
+    )
     tolerance = settings.tolerance_position, settings.tolerance_angle
     if settings.box is not None:
         left, box = _remaining(goal[rows], seen[rows]), settings.stopping
@@ -127,18 +129,18 @@ def look_longer(
         return np.asarray(near & (np.abs(left[:, 2]) <= box.rotation))
     inside = np.zeros(rows.size, dtype=bool)
     open_rows: NDArray[np.intp] = np.arange(rows.size)
-    for looks in range(1, LONG_LOOK + 1):
+    for observations in range(1, LONG_OBSERVATION + 1):
         at = rows[open_rows]
-        if looks > 1:
-            fresh = pose[at] + look * rng.standard_normal((at.size, 3))
-            seen[at] += (fresh - seen[at]) / looks
+        if observations > 1:
+            fresh = pose[at] + camera_noise * rng.standard_normal((at.size, 3))
+            seen[at] += (fresh - seen[at]) / observations
         probability = inside_probability(
-            _remaining(goal[at], seen[at]), settings.camera.covariance / looks, *tolerance
+            _remaining(goal[at], seen[at]), settings.camera.covariance / observations, *tolerance
         )
         sure = probability >= CONFIDENCE
         inside[open_rows[sure]] = True
-        open_rows = open_rows[~sure & (probability >= WORTH_A_LOOK)]
-        if open_rows.size == 0 or not np.any(look):
+        open_rows = open_rows[~sure & (probability >= WORTH_OBSERVING)]
+        if open_rows.size == 0 or not np.any(camera_noise):
             break
     return inside
 

@@ -15,8 +15,12 @@ from tapping_cell.planning.interface import Array, Planner
 BLOCK = 32
 """Number of trials whose candidates are ranked per batch, so that a batch fits in the cache."""
 
-BEST = 24
-"""Number of cheapest candidates that are evaluated before all other candidates."""
+CHECKED = 16 * BLOCK
+"""Number of trials whose best candidates are checked together with the exact slide."""
+
+FIRST, MORE = 24, 4
+"""Number of cheapest candidates that are evaluated first, and the factor by which this number grows
+until the best one is certain."""
 
 ATTEMPTS = 8
 """Maximum number of candidates per tap that are checked with the exact slide."""
@@ -37,12 +41,20 @@ def contact_taps(
     chosen = first.copy()
     rough = replace(tap, sliding=tap.sliding.approximated())
     rows = np.flatnonzero(~tap.reachable(first, pose))
-    for begin in range(0, rows.size, BLOCK):
-        at = rows[begin : begin + BLOCK]
-        ranking = _Ranking(pose[at], goal[at], first[at], number[at], planner, rough)
+    for begin in range(0, rows.size, CHECKED):
+        at = rows[begin : begin + CHECKED]
+        rankings = [
+            _Ranking(pose[part], goal[part], first[part], number[part], planner, rough)
+            for part in np.split(at, range(BLOCK, at.size, BLOCK))
+        ]
         open_rows: NDArray[np.intp] = np.arange(at.size)
         for _ in range(ATTEMPTS):
-            best = ranking.best(open_rows)
+            best = np.concatenate(
+                [
+                    ranking.best(open_rows[open_rows // BLOCK == index] - index * BLOCK)
+                    for index, ranking in enumerate(rankings)
+                ]
+            )
             chosen[at[open_rows]] = best
             known = np.flatnonzero(np.isfinite(best[:, 0]))
             wrong = ~tap.reachable(best[known], pose[at[open_rows[known]]])
@@ -75,7 +87,8 @@ class _Ranking:
         chosen = np.full((rows.size, 3), np.nan)
         count = made.cost.shape[1]
         left: NDArray[np.intp] = np.arange(rows.size)
-        for tried in (BEST, count):
+        tried = min(FIRST, count)
+        while left.size:
             at = rows[left]
             order = np.argpartition(made.cost[at], min(tried, count - 1), axis=1)
             some = np.sort(order[:, :tried], axis=1)
@@ -90,9 +103,11 @@ class _Ranking:
             column = some[np.arange(left.size), best]
             chosen[left[sure]] = made.commanded[at[sure], column[sure]]
             made.cost[at[sure], column[sure]] = np.inf
-            left = left[~sure]
-            if left.size == 0:
+            none = np.isinf(least) & np.isinf(bound)
+            left = left[~sure & ~none]
+            if tried == count:
                 break
+            tried = min(MORE * tried, count)
         return chosen
 
     def _total(self, rows: NDArray[np.intp], some: NDArray[np.intp]) -> Array:

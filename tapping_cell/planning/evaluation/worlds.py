@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from tapping_cell.mechanics import Tap
+from tapping_cell.mechanics.tap import tips_at_rest
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import Scatter
 
@@ -64,13 +65,7 @@ class PhysicsWorld:
         """True displacements (n, 3) of taps that are planned for the measured poses ``seen``
         (n, 3)."""
         plan = self.model.plan(commanded, seen)
-        tips = np.array(plan.strike_pose)
-        tips[..., 0] -= self.standoff * np.cos(tips[..., 2])
-        tips[..., 1] -= self.standoff * np.sin(tips[..., 2])
-        if self.round_position > 0.0:
-            tips[..., :2] = self.round_position * np.round(tips[..., :2] / self.round_position)
-        if self.round_angle > 0.0:
-            tips[..., 2] = self.round_angle * np.round(tips[..., 2] / self.round_angle)
+        tips = tips_at_rest(plan.strike_pose, self.standoff, self.round_position, self.round_angle)
         moved = self.truth.outcome(poses, tips, self.speed_factor * plan.striker_speed)
         return scattered(moved, gains, poses, self.scatter, rng)
 

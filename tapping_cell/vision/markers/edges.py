@@ -36,7 +36,7 @@ _OBLIQUE = 0.8
 """Ratio of the sides' distance to their mean length, below which the distance sets the window."""
 _ROWS_ALIKE = 3
 """Maximum lag, in rows, of the error correlation."""
-_MOST_LOOKS = 8
+_MOST_OBSERVATIONS = 8
 _MOST_PULL = 0.9
 _LEAST_SHARE = 0.7
 """Minimum fraction of a side's rows that must agree with a straight line."""
@@ -115,19 +115,19 @@ def _at_widths(image: Image, quads: Array, widths: NDArray[np.intp]) -> MarkerEd
 
 def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
     """Measure the edges with windows of one width, until the windows are centred on the edges."""
-    found = _look(image, quads, half_width)
-    for _ in range(_MOST_LOOKS):
+    found = _sample_edges(image, quads, half_width)
+    for _ in range(_MOST_OBSERVATIONS):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))
         redo = found.good & (shift > np.where(found.soft > _SOFT, 0.04, 0.6)) & (shift < 8.0)
         if not redo.any():
             break
         quads = np.where(redo[:, None, None], found.corners, quads)
-        found = _look(image, quads, half_width)
+        found = _sample_edges(image, quads, half_width)
     return _edges(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
+class _EdgeSamples:
     """One measurement of all sides (4 M); ``outward`` (1 or -1) is the outward direction of q.
 
     ``p`` (4 M, R) are the row coordinates of a side and ``q`` the positions at which the edge
@@ -155,7 +155,7 @@ class _Look:
     good: NDArray[np.bool_]
 
 
-def _look(image: Image, quads: Array, half_width: int) -> _Look:
+def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
     count = quads.shape[0]
     start = quads.reshape(-1, 2)
     end = quads[:, [1, 2, 3, 0]].reshape(-1, 2)
@@ -208,7 +208,7 @@ def _look(image: Image, quads: Array, half_width: int) -> _Look:
     # Change from pixel to pixel at the window's ends, relative to the contrast, averaged over rows.
     ends = np.abs(np.matmul(usable[:, None, :], sums[..., 3:])[:, 0])
     soft = ends.sum(axis=1) / np.maximum(2.0 * (contrast * usable).sum(axis=1), 1e-9)
-    return _Look(
+    return _EdgeSamples(
         half_width,
         steep,
         outward,
@@ -240,41 +240,45 @@ def _sums(half_width: int) -> NDArray[np.float32]:
     return matrix
 
 
-def _edges(look: _Look) -> MarkerEdges:
+def _edges(samples: _EdgeSamples) -> MarkerEdges:
     """Convert a measurement to the edges of its markers."""
-    count = len(look.good)
-    squares = (look.kept * look.residual**2).sum(axis=1)
-    squares /= np.maximum(look.kept.sum(axis=1) - 2.0, 1.0) * (1.0 + look.slope**2)
+    count = len(samples.good)
+    squares = (samples.kept * samples.residual**2).sum(axis=1)
+    squares /= np.maximum(samples.kept.sum(axis=1) - 2.0, 1.0) * (1.0 + samples.slope**2)
     # Noise correlated between neighbouring rows is also correlated between the pixels of a window,
     # so the larger factor is applied instead of both.
-    squares *= max(_level_noise(2 * look.half_width + 1), _together(look))
+    squares *= max(_level_noise(2 * samples.half_width + 1), _together(samples))
     spread = np.sqrt(squares.reshape(count, 4).mean(axis=1))
-    number = np.maximum(look.mask.sum(axis=1), 1.0)
-    black, white = ((level * look.mask).sum(axis=1) / number for level in (look.black, look.white))
-    q = look.q + _uneven(look, white)[:, None]
-    points, weights = _condense(look.p, q, look.kept, look.low, look.high, look.steep)
+    number = np.maximum(samples.mask.sum(axis=1), 1.0)
+    black, white = (
+        (level * samples.mask).sum(axis=1) / number for level in (samples.black, samples.white)
+    )
+    q = samples.q + _uneven(samples, white)[:, None]
+    points, weights = _condense(
+        samples.p, q, samples.kept, samples.low, samples.high, samples.steep
+    )
     return MarkerEdges(
         points=points.reshape(count, 4, BINS, 2),
         weights=weights.reshape(count, 4, BINS),
-        corners=look.corners,
+        corners=samples.corners,
         spread=spread,
         black=black.reshape(count, 4).mean(axis=1),
         white=white.reshape(count, 4).mean(axis=1),
         # A ramp over the whole window has the slope 1 / (2 half_width - 1) per pixel.
-        pull=look.soft * (2 * look.half_width - 1),
-        good=look.good & (spread < 0.6),
+        pull=samples.soft * (2 * samples.half_width - 1),
+        good=samples.good & (spread < 0.6),
     )
 
 
-def _together(look: _Look) -> float:
+def _together(samples: _EdgeSamples) -> float:
     """Factor, at least 1, on the variance of a side's line due to correlated errors of nearby rows.
 
     Smoothed, demosaiced and compressed images have such correlation, and so have rounded grey
     levels without noise. It is estimated from the residuals of all sides. Fitting a line to n rows
     reduces the mean product of residuals by 2 / n of their variance, which is added again.
     """
-    kept = look.kept
-    residual = kept * look.residual
+    kept = samples.kept
+    residual = kept * samples.residual
     number = kept.sum()
     square = float((residual**2).sum() / max(number, 1.0))
     if square == 0.0:
@@ -287,7 +291,7 @@ def _together(look: _Look) -> float:
     return max(factor, 1.0)
 
 
-def _uneven(look: _Look, white: Array) -> Array:
+def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     """Correction of the sides (S,) along q for uneven illumination, to be added.
 
     The levels are measured at a distance m outside and inside the edge. If the illumination
@@ -296,10 +300,10 @@ def _uneven(look: _Look, white: Array) -> Array:
     opposite sides of a marker are displaced in the same direction. The slope of the illumination
     comes from ``white`` (S,) beside the sides.
     """
-    corners, each = look.corners, np.arange(len(white))
-    away = look.half_width - 0.5 * (_outermost(2 * look.half_width + 1) - 1)
+    corners, each = samples.corners, np.arange(len(white))
+    away = samples.half_width - 0.5 * (_outermost(2 * samples.half_width + 1) - 1)
     place = 0.5 * (corners + corners[:, [1, 2, 3, 0]]).reshape(-1, 2)
-    place[each, 1 - look.steep.astype(np.intp)] += look.outward * away
+    place[each, 1 - samples.steep.astype(np.intp)] += samples.outward * away
     place, level = place.reshape(-1, 4, 2), white.reshape(-1, 4)
     gaps = place[:, :2] - place[:, 2:]
     turned = gaps[:, 0, 0] * gaps[:, 1, 1] - gaps[:, 0, 1] * gaps[:, 1, 0]
@@ -307,8 +311,8 @@ def _uneven(look: _Look, white: Array) -> Array:
     across = change[:, 0] * gaps[:, 1, 1] - change[:, 1] * gaps[:, 0, 1]
     down = change[:, 1] * gaps[:, 0, 0] - change[:, 0] * gaps[:, 1, 0]
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
-    slope = np.where(look.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
-    length = look.half_width + 0.5
+    slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
+    length = samples.half_width + 0.5
     # The slope is along the coordinate itself, so the outward signs cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 

@@ -94,7 +94,7 @@ class MarkerFollower(ObjectFollower):
                 image if search.first else image[::2, ::2], found, expected
             )
 
-    def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
         """Measure the marker at its detected or predicted position, or near it."""
         searched = self._searched_at == frame.stamp
         if searched and self._detected is None and self.trouble is not None:
@@ -119,7 +119,7 @@ class MarkerFollower(ObjectFollower):
         self._shape, self.trouble = shape, None
         return self._pose(frame.image, frame.working, fit)
 
-    def doubt(self, frame: Frame) -> tuple[Array, str]:
+    def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
         """Return the uncertainty of the pose due to the marker's shape, and a warning."""
         assert self._shape is not None
         sentence = self._warnings.sentence(self._shape, frame.table.camera_height)

@@ -70,11 +70,11 @@ class Alignment:
     covariance: Array
     unexplained: float
     blur: float
-    look: Look
+    linearisation: Linearisation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class Linearisation:
     """An alignment linearised at ``pose`` (3,), for frames in which the marker has not moved.
 
     It holds the pixels on the marker (flat indices), the design matrix (N, 14) and its normal
@@ -152,48 +152,59 @@ def align(
     answers = np.linalg.inv(information)[_POSE]
     influence = weighted @ np.linalg.solve(np.linalg.cholesky(answers[:, _POSE]), answers).T
     together = _together(chosen, image.shape[1], influence, weight * residual)
-    look = Look(chosen, columns, normal, pose - step, answer[:3], template, pixel, together)
-    return _judged(look, answer, residual, weight, information, spread)
+    linearisation = Linearisation(
+        chosen, columns, normal, pose - step, answer[:3], template, pixel, together
+    )
+    return _judged(linearisation, answer, residual, weight, information, spread)
 
 
-def align_again(image: Image, look: Look, marker: ObjectMarker, start: Array) -> Alignment | None:
+def align_again(
+    image: Image, linearisation: Linearisation, marker: ObjectMarker, start: Array
+) -> Alignment | None:
     """Align the marker in a frame in which it has not moved according to the edges (``start``).
 
     It takes one step of Gauss-Newton from the last alignment, in a tenth of the time. None means
     only that the marker or the illumination changed, not that the marker is absent.
     """
-    gap = start - look.pose
-    if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * look.pixel:
+    gap = start - linearisation.pose
+    if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * linearisation.pixel:
         return None
-    columns = look.columns
-    grey = image.reshape(-1)[look.pixels].astype(float)
+    columns = linearisation.columns
+    grey = image.reshape(-1)[linearisation.pixels].astype(float)
     product = grey @ columns
-    residual = grey - columns @ np.linalg.solve(look.normal, product)
+    residual = grey - columns @ np.linalg.solve(linearisation.normal, product)
     spread = 1.4826 * float(np.median(np.abs(residual)))
     weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
     # Nearly all pixels have full weight, so only the contribution of the others is subtracted.
     less = np.flatnonzero(weight < 1.0)
     spoilt = columns[less]
     lost = spoilt.T * (1.0 - weight[less])
-    information = look.normal - lost @ spoilt
+    information = linearisation.normal - lost @ spoilt
     try:
         answer = np.linalg.solve(information, product - lost @ grey[less])
     except np.linalg.LinAlgError:
         return None
     step = answer[_POSE]
-    size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / look.pixel
-    change = float(np.abs(answer[:3] - look.light).max()) / abs(float(look.light[0]))
+    size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / linearisation.pixel
+    change = float(np.abs(answer[:3] - linearisation.light).max()) / abs(
+        float(linearisation.light[0])
+    )
     if not size < _SAME_PLACE or not change < _SAME_LIGHT:
         return None
     residual = grey - columns @ answer
-    return _judged(look, answer, residual, weight, information, spread)
+    return _judged(linearisation, answer, residual, weight, information, spread)
 
 
 def _judged(
-    look: Look, answer: Array, residual: Array, weight: Array, information: Array, spread: float
+    linearisation: Linearisation,
+    answer: Array,
+    residual: Array,
+    weight: Array,
+    information: Array,
+    spread: float,
 ) -> Alignment | None:
     """Evaluate the last step of an alignment; None if the pattern does not explain the image."""
-    columns, template, pixel = look.columns, look.template, look.pixel
+    columns, template, pixel = linearisation.columns, linearisation.template, linearisation.pixel
     contrast = float(answer[0])
     noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
     # Residuals at edges determine the error of the pose, and show deviations of the pattern.
@@ -203,10 +214,12 @@ def _judged(
     if contrast < 12.0 or noise > 0.12 * contrast:
         return None
     root = np.linalg.cholesky(np.linalg.inv(information)[_POSE, _POSE]) * noise
-    covariance = np.asarray(root @ look.together @ root.T, dtype=float)
+    covariance = np.asarray(root @ linearisation.together @ root.T, dtype=float)
     softening = template.blur**2 + 2.0 * float(answer[6])
     blur = math.sqrt(max(softening, (0.3 * pixel) ** 2))
-    return Alignment(look.pose + answer[_POSE], covariance, unexplained, blur, look)
+    return Alignment(
+        linearisation.pose + answer[_POSE], covariance, unexplained, blur, linearisation
+    )
 
 
 def _together(

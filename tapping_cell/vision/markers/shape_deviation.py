@@ -78,12 +78,12 @@ def shape_deviation(
     strain = math.hypot(oblong, float(_SIGN @ turns) / 4.0)
     pull = min(float(edges.pull[row]), 0.9)
     spread = max(float(edges.spread[row]), 0.01) / math.sqrt(max(float(total.mean()), 1.0))
-    doubt = (
+    uncertainty = (
         (_CONFIDENCE * 2.0 * spread + _PIXELS + _SMEARED * pull / (1.0 - pull))
         * pixel
         / marker.size
     )
-    allowance = _SHARE + doubt
+    allowance = _SHARE + uncertainty
     return ShapeDeviation(
         stretch,
         strain,
@@ -113,7 +113,7 @@ class ShapeWarnings:
             self._said = said = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * said[0] * 1e3
         return (
-            f"{self._looks(*said)}: lifted (by {lifted:.0f} mm?), tilted, or not of the "
+            f"{self._described(*said)}: lifted (by {lifted:.0f} mm?), tilted, or not of the "
             "object file's size and height; the reported uncertainty includes this"
         )
 
@@ -121,11 +121,11 @@ class ShapeWarnings:
         """Error message for a shape whose deviation exceeds ``limit``."""
         self._said = None
         return (
-            f"{self._looks(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
+            f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
             "lifted, tilted or not of the object file's size and height"
         )
 
-    def _looks(self, stretch: float, strain: float) -> str:
+    def _described(self, stretch: float, strain: float) -> str:
         text = (
             f"the object's marker appears {stretch * 100:+.1f} % larger than its "
             f"{self._marker.size * 1e3:.1f} mm"

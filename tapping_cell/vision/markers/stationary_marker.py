@@ -17,7 +17,7 @@ from tapping_cell.vision.markers.detection import UNIT_CORNERS, ObjectMarker
 from tapping_cell.vision.markers.object_pose import PoseFit, object_pose
 from tapping_cell.vision.markers.photometric import (
     Alignment,
-    Look,
+    Linearisation,
     Template,
     align,
     align_again,
@@ -47,7 +47,7 @@ class RestingMarker:
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
         self._template: Template | None = None
-        self._known: tuple[View, Look] | None = None
+        self._known: tuple[View, Linearisation] | None = None
         self._window: tuple[slice, slice] | None = None
         self._last: NDArray[np.float32] | None = None
         self._pairs = 0
@@ -63,7 +63,7 @@ class RestingMarker:
             aligned = align_again(image, self._known[1], self._marker, fit.pose)
         if aligned is None or not self._as_blurred(aligned):
             aligned = self._align(image, view, fit)
-            self._known = None if aligned is None else (view, aligned.look)
+            self._known = None if aligned is None else (view, aligned.linearisation)
         if aligned is None:
             self.fixed = _FIXED_EDGES
             return object_pose(fit.pose, fit.covariance, self._marker)

@@ -9,7 +9,7 @@ import numpy as np
 from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.markers.detection import ReferenceMap
 from tapping_cell.vision.observation import Problem
-from tapping_cell.vision.outline.fit import USUAL_BLUR, Look, OutlineFit, fit_again
+from tapping_cell.vision.outline.fit import USUAL_BLUR, Linearisation, OutlineFit, fit_again
 from tapping_cell.vision.outline.search import (
     NO_DOT,
     OTHER_SIZE,
@@ -17,8 +17,8 @@ from tapping_cell.vision.outline.search import (
     Refused,
     accept,
     find_outlines,
+    fit_closely,
     fit_surely,
-    look_closely,
     stands_out,
 )
 from tapping_cell.vision.outline.shape import ObjectOutline
@@ -46,7 +46,7 @@ class OutlineFinder:
         self._search = True
         self._followed = False
         self._refused: Trouble | None = None
-        self._last_look: tuple[View, Look] | None = None
+        self._last_fit: tuple[View, Linearisation] | None = None
 
     def search(self) -> None:
         """Search the whole next frame."""
@@ -60,7 +60,7 @@ class OutlineFinder:
             arm = math.hypot(*dot.offset)
         return np.diag([RIM_BIAS**2, RIM_BIAS**2, (RIM_BIAS / arm) ** 2])
 
-    def look(
+    def measure(
         self, image: Image, view: View, expected: Array | None, step: Array
     ) -> OutlineFit | Trouble:
         """Find the outline in this frame; ``expected`` (3,) is its predicted pose, ``step`` (2,)
@@ -87,20 +87,20 @@ class OutlineFinder:
             return None
         fit = fit_surely(image, view, self.outline, expected, blur=self._blur, step=step)
         if fit is not None and isinstance(accept(fit, self.outline), OutlineFit):
-            self._last_look = view, fit.look
+            self._last_fit = view, fit.linearisation
             return fit
         if not self._followed:
             return None
-        near = look_closely(image, view, self.outline, expected, self._blur)
+        near = fit_closely(image, view, self.outline, expected, self._blur)
         return near if isinstance(near, OutlineFit) else None
 
     def _again(self, image: Image, view: View, expected: Array) -> OutlineFit | None:
         """Measure the outline at its pose in the last frame; None if it does not fit there."""
-        if self._last_look is None or self._last_look[0] is not view:
+        if self._last_fit is None or self._last_fit[0] is not view:
             return None
-        fit = fit_again(image, self._last_look[1], expected)
+        fit = fit_again(image, self._last_fit[1], expected)
         if fit is None or isinstance(accept(fit, self.outline), Refused):
-            self._last_look = None
+            self._last_fit = None
             return None
         return fit
 

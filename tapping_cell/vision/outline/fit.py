@@ -91,7 +91,7 @@ class OutlineFit:
     dot_contrast: float
     noise: float
     blur: float
-    look: Look
+    linearisation: Linearisation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +118,7 @@ class _Design:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class Linearisation:
     """A fit before its last step, used to measure a stationary object."""
 
     scene: _Scene
@@ -182,34 +182,40 @@ def fit_outline(
         if np.hypot(*(state.pose - start)[:2]) > width * pixel:
             return None
         if moved < tolerance and state.settled:
-            look = Look(scene, before, band, around, design, 0.0)
-            return state.answer(look)
+            linearisation = Linearisation(scene, before, band, around, design, 0.0)
+            return state.answer(linearisation)
     return None
 
 
-def fit_again(image: Image, look: Look, expected: Array) -> OutlineFit | None:
+def fit_again(image: Image, linearisation: Linearisation, expected: Array) -> OutlineFit | None:
     """Fit the outline in a frame in which the object has not moved according to ``expected`` (3,).
 
     It takes a fifth of the time. None means only that the object or the illumination changed, not
     that the object is absent.
     """
-    if _way(expected - look.state.pose, look.scene) > 2.0 * _SAME_PLACE:
+    if _way(expected - linearisation.state.pose, linearisation.scene) > 2.0 * _SAME_PLACE:
         return None
-    state = replace(look.state)
-    greys = look.band.grey(image), None if look.around is None else look.around.grey(image)
+    state = replace(linearisation.state)
+    greys = (
+        linearisation.band.grey(image),
+        None if linearisation.around is None else linearisation.around.grey(image),
+    )
     step: Array = np.full(GLOBALS, np.inf)
     for _ in range(_ROUNDS_AGAIN):
-        last, found = step, state.solve(look.scene, look.design, *greys, look.band)
+        last, found = (
+            step,
+            state.solve(linearisation.scene, linearisation.design, *greys, linearisation.band),
+        )
         if found is None:
             return None
         step = found
-        if _way(step - last, look.scene) < _STEADY:
+        if _way(step - last, linearisation.scene) < _STEADY:
             break
-    if _way(step, look.scene) > _SAME_PLACE:
+    if _way(step, linearisation.scene) > _SAME_PLACE:
         return None
-    state.take(step, look.scene)
-    fit = state.answer(look)
-    if look.contrast and abs(fit.contrast / look.contrast - 1.0) > _SAME_LIGHT:
+    state.take(step, linearisation.scene)
+    fit = state.answer(linearisation)
+    if linearisation.contrast and abs(fit.contrast / linearisation.contrast - 1.0) > _SAME_LIGHT:
         return None
     return fit
 
@@ -339,9 +345,9 @@ class _State:
         self.rounds += 1
         return step
 
-    def answer(self, look: Look) -> OutlineFit:
+    def answer(self, linearisation: Linearisation) -> OutlineFit:
         """Return the result after convergence."""
-        scene, dot = look.scene, look.scene.outline.dot
+        scene, dot = linearisation.scene, linearisation.scene.outline.dot
         assert self.information is not None and self.levels is not None and self.good is not None
         sign = 1.0 if scene.outline.brighter else -1.0
         contrast = sign * (self.levels[:, 0] - self.levels[:, 2])
@@ -365,7 +371,7 @@ class _State:
             dot_contrast,
             self.noise,
             self.blur,
-            look if look.contrast else replace(look, contrast=usual),
+            linearisation if linearisation.contrast else replace(linearisation, contrast=usual),
         )
 
     def take(self, step: Array, scene: _Scene) -> float:

@@ -52,10 +52,10 @@ class OutlineFollower(ObjectFollower):
         self.wants_search = False
         self._finder.search()
 
-    def look(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
         """Measure the outline at its predicted position, or search for it in the whole frame."""
         expected, step = self.expected(frame.stamp), self.step(frame.stamp)
-        answer = self._finder.look(frame.image, frame.working, expected, step)
+        answer = self._finder.measure(frame.image, frame.working, expected, step)
         if isinstance(answer, OutlineFit):
             pose = answer.pose.copy()
             pose[2] = wrap_angle(pose[2])
@@ -66,7 +66,7 @@ class OutlineFollower(ObjectFollower):
             self.forget()
         return answer
 
-    def doubt(self, frame: Frame) -> tuple[Array, str]:
+    def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
         """Return the uncertainty common to all frames, due to edges between pixels and to light
         across the rim."""
         return self._shared, ""

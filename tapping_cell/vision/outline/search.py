@@ -101,7 +101,7 @@ def find_outlines(
     found: list[OutlineFit] = []
     refused: list[Refused] = []
     for start, size in rough_places(image, view, outline, known):
-        answer = look_closely(image, view, outline, start, blur, size)
+        answer = fit_closely(image, view, outline, start, blur, size)
         if isinstance(answer, OutlineFit):
             apart = [math.hypot(*(answer.pose - other.pose)[:2]) for other in found]
             if not apart or min(apart) > 0.5 * outline.reach:
@@ -111,7 +111,7 @@ def find_outlines(
     return found, refused
 
 
-def look_closely(
+def fit_closely(
     image: Image,
     view: View,
     outline: ObjectOutline,

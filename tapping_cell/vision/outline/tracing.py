@@ -100,7 +100,7 @@ def trace_object(
     view = _view(image, camera, table)
     marker, marker_pose = _marker(image, view, table, height, dictionary or table.dictionary)
     plane = _Plane.over(view, table, height)
-    seen = plane.look(image)
+    seen = plane.rectified(image)
     excess = _excess(seen, plane.free(table))
     mask, brighter = _object(excess, plane, marker_pose)
     rim = plane.places(_rim(excess if brighter else -excess, mask))
@@ -202,7 +202,7 @@ class _Plane:
         """Convert points (N, 2) in m to pixels (N, 2)."""
         return np.asarray((places - self.origin) / self.step)
 
-    def look(self, image: Image) -> NDArray[np.float32]:
+    def rectified(self, image: Image) -> NDArray[np.float32]:
         """Rectify a camera image to the plane; NaN outside the camera image."""
         columns, rows = self.size
         # A lens is smooth, so the projection is interpolated between nodes. One row is added on

@@ -39,12 +39,12 @@ class ReferenceMarkers:
     @property
     def missed(self) -> list[int]:
         """Rows of the map whose markers were missed several times in succession."""
-        return [row for row, looks in self._misses.items() if looks >= _MISSED]
+        return [row for row, misses in self._misses.items() if misses >= _MISSED]
 
     @property
-    def doubtful(self) -> bool:
+    def suspect(self) -> bool:
         """True if a marker was missed, but not yet often enough to be reported as occluded."""
-        return any(0 < looks < _MISSED for looks in self._misses.values())
+        return any(0 < misses < _MISSED for misses in self._misses.values())
 
     def place(self, quads: Array) -> None:
         """Set the image positions of all markers: (M, 4, 2), in the order of the map."""

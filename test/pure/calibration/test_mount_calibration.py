@@ -42,8 +42,8 @@ def made_taps(entry, true: Pose, factor: float, count: int, rng: np.random.Gener
     size = np.hypot(told[:, 0], told[:, 1]) * (1.0 + 0.05 * rng.standard_normal(count))
     turn = told[:, 2] * (1.0 + 0.15 * rng.standard_normal(count))
     after = before + np.stack([size * np.cos(heading), size * np.sin(heading), turn], axis=-1)
-    look = np.array([5e-5, 5e-5, math.radians(0.05)])
-    seen = [pose + look * rng.standard_normal(pose.shape) for pose in (before, after)]
+    camera_noise = np.array([5e-5, 5e-5, math.radians(0.05)])
+    seen = [pose + camera_noise * rng.standard_normal(pose.shape) for pose in (before, after)]
     return speeds, seen[0], seen[1]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tapping_cell.calibration.camera import CalibrationRefused
-from tapping_cell.calibration.table import MarkerView, calibrate_table, look
+from tapping_cell.calibration.table import MarkerView, calibrate_table, observe_markers
 from tapping_cell.calibration.table_frame import frame_of_map, frame_of_markers, in_frame, scaled
 from tapping_cell.se2 import transform_points
 from tapping_cell.simulation.rendered_sheet import SheetCamera
@@ -67,7 +67,9 @@ def test_the_stated_noise_of_a_corner_is_its_error_in_photographs() -> None:
     for side in (0.4, 2.5):
         place = (0.35 * math.cos(side), 0.35 * math.sin(side), 0.7)
         pose = CameraPose.above(place, spin=side)
-        view = look(eye.photograph(sheet, pose, noise=8.0), "", CAMERA, references.dictionary)
+        view = observe_markers(
+            eye.photograph(sheet, pose, noise=8.0), "", CAMERA, references.dictionary
+        )
         assert isinstance(view, MarkerView)
         for i, rays, noise in zip(view.ids.tolist(), view.rays, view.noise, strict=True):
             m = truly[i]

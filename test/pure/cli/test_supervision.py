@@ -31,10 +31,10 @@ def test_a_node_that_is_killed_is_named_and_started_again(name: str) -> None:
     graph = FakeGraph()
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
     graph.end(name)
-    (incident,) = supervisor.look(10.0)
+    (incident,) = supervisor.check(10.0)
     assert incident.node == name and "SIGKILL" in incident.sentence
-    assert not supervisor.look(10.0 + DELAY_S / 2) and not graph.started
-    assert not supervisor.look(10.0 + DELAY_S) and graph.started == [name]
+    assert not supervisor.check(10.0 + DELAY_S / 2) and not graph.started
+    assert not supervisor.check(10.0 + DELAY_S) and graph.started == [name]
 
 
 @pytest.mark.parametrize(("name", "ends"), [("operator_page", False), ("tapper_trigger", True)])
@@ -43,17 +43,17 @@ def test_a_node_that_ends_again_and_again(name: str, ends: bool) -> None:
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
     for _ in range(MOST_RESTARTS):
         graph.end(name)
-        supervisor.look(now)
+        supervisor.check(now)
         now += DELAY_S
-        supervisor.look(now)
+        supervisor.check(now)
     graph.end(name)
     if ends:
         with pytest.raises(NodeDied, match=f"without {name}: 4 times"):
-            supervisor.look(now)
+            supervisor.check(now)
         return
-    (incident,) = supervisor.look(now)
+    (incident,) = supervisor.check(now)
     assert incident.given_up and "the cell works without it" in incident.sentence
-    assert not supervisor.look(now + WINDOW_S) and name in supervisor.left_alone
+    assert not supervisor.check(now + WINDOW_S) and name in supervisor.left_alone
 
 
 def test_rare_ends_are_forgotten() -> None:
@@ -61,8 +61,8 @@ def test_rare_ends_are_forgotten() -> None:
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
     for number in range(20):
         graph.end("scara_arm")
-        supervisor.look(number * WINDOW_S)
-        supervisor.look(number * WINDOW_S + DELAY_S)
+        supervisor.check(number * WINDOW_S)
+        supervisor.check(number * WINDOW_S + DELAY_S)
     assert len(graph.started) == 20
 
 
@@ -70,4 +70,4 @@ def test_a_node_that_refuses_its_parameters_is_not_started_again() -> None:
     graph = FakeGraph()
     graph.end("tap_planner", 1, "loading | error: unknown parameter 'speeed'")
     with pytest.raises(NodeDied, match="error: unknown parameter 'speeed'"):
-        Supervisor(graph).look(0.0)  # type: ignore[arg-type]
+        Supervisor(graph).check(0.0)  # type: ignore[arg-type]

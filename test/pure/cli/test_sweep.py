@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 
+from tapping_cell.cli import cluster as cluster_module
 from tapping_cell.cli import main, sweep
+from tapping_cell.cli.cluster import cluster_executor
 from tapping_cell.planning import PlanningError
 from tapping_cell.report.sweep import sweep_table
 
@@ -111,6 +114,50 @@ def test_the_points_share_the_cores(tmp_path: Path) -> None:
         return {str(kept["point"]): kept["figures"]["taps"] for kept in kept_lines(folder)}
 
     assert taps(tmp_path) == taps(alone)
+
+
+@pytest.mark.timeout(120)
+def test_a_sweep_on_a_cluster_gives_the_same_results(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="pip install distributed")
+    assert run_sweep(tmp_path / "here", "tolerance=2,1") == 0
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+        more = ("--cluster", cluster.scheduler_address)
+        assert run_sweep(tmp_path / "there", "tolerance=2,1", more=more) == 0
+        with pytest.raises(ValueError, match="broken"):
+            sweep.sweep(
+                [{"tolerance": 1.0}],
+                sweep.KeptPoints(tmp_path / "failed", {}),
+                _fail,
+                None,
+                lambda count: None,
+                cluster_executor(cluster.scheduler_address),
+            )
+    here, there = (
+        {str(kept["point"]): kept["figures"]["taps"] for kept in kept_lines(tmp_path / name)}
+        for name in ("here", "there")
+    )
+    assert here == there
+
+
+def _fail(point: sweep.Point) -> dict[str, object]:
+    raise ValueError("broken")
+
+
+def test_a_cluster_that_is_not_there_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cluster_module, "CONNECTION_DEADLINE", "1s")
+    more = ("--cluster", "tcp://127.0.0.1:1")
+    assert run_sweep(tmp_path, "tolerance=2", more=more) == 2
+    # With Dask: no scheduler answers. Without it: how to install it.
+    assert "scheduler" in (told := capsys.readouterr().err) or "pip install distributed" in told
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert run_sweep(tmp_path, "tolerance=2", more=more) == 2
+    assert "pip install distributed" in capsys.readouterr().err
+    assert main([*WORDS[:-1], *more]) == 2
+    assert "--sweep" in capsys.readouterr().err
 
 
 def test_a_swept_friction_is_the_true_one(tmp_path: Path) -> None:

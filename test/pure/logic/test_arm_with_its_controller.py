@@ -244,10 +244,10 @@ def test_an_outcome_ends_the_promise(cell: Cell) -> None:
 def test_withdrawing_in_mid_move_never_reports_in_position(cell: Cell) -> None:
     cell.command(100)
     cell.wait(cell.moving, "the arm moves")
-    heard = len(cell.states)
+    received = len(cell.states)
     cell.withdraw(100)
     cell.wait_state(ArmState.IDLE)
-    assert all(state.state != ArmState.IN_POSITION for state in cell.states[heard:])
+    assert all(state.state != ArmState.IN_POSITION for state in cell.states[received:])
 
 
 def a_trajectory(target: np.ndarray, seconds: float) -> JointTrajectory:

@@ -119,7 +119,7 @@ def test_a_moved_object_is_planned_for_anew(asked: Asked) -> None:
 
 
 def test_an_answer_that_comes_with_the_motion_does_not_fire(asked: Asked) -> None:
-    """The object moves and the person answers before the planner has heard of it twice."""
+    """The object moves and the person answers before the planner has received of it twice."""
     asked.send()
     first = asked.proposal()
     asked.pose = Pose(-0.06, 0.05, 0.1)

@@ -62,7 +62,7 @@ def test_a_tapper_charged_early_asks_when_the_arm_is_in_position() -> None:
     tapper, made = charged_while_lowered()
     assert tapper.state is tappers.State.CHARGED
     assert not [effect for effect in made if isinstance(effect, Call)]
-    assert tapper.doubt_firing(START + 0.4, at(START + 0.31)) is not None
+    assert tapper.check_firing(START + 0.4, at(START + 0.31)) is not None
     stands = arm(ArmState.IN_POSITION, STRIKE, START + 0.5)
     made = tapper.on_message("arm_state", stands, at(START + 0.5))
     (call,) = [effect for effect in made if isinstance(effect, Call)]

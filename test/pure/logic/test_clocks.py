@@ -36,17 +36,17 @@ def seen(taken: float, ahead: float) -> ObjectState:
 
 
 def monitor_with(ahead: float, delays: list[float]) -> tuple[CellMonitor, float]:
-    """A cell that is ready, heard for a while; and when it was heard last."""
+    """A cell that is ready, received for a while; and when it was received last."""
     monitor = CellMonitor(silence_limit=0.5)
-    heard = 0.0
+    received = 0.0
     for number, delay in enumerate(delays):
         taken = number / 30
-        heard = max(heard, taken + delay)
-        monitor.on_object(seen(taken, ahead), at(heard))
+        received = max(received, taken + delay)
+        monitor.on_object(seen(taken, ahead), at(received))
     arm = ArmState(state=ArmState.IDLE, clear_of_camera=True)
-    monitor.on_arm(arm, at(heard))
-    monitor.on_tapper(TapperState(state=TapperState.SAFE, interlock_closed=True), at(heard))
-    return monitor, heard
+    monitor.on_arm(arm, at(received))
+    monitor.on_tapper(TapperState(state=TapperState.SAFE, interlock_closed=True), at(received))
+    return monitor, received
 
 
 DELAYS = st.lists(st.floats(0.0, 0.1), min_size=30, max_size=60)
@@ -82,15 +82,15 @@ def test_no_observation_before_the_withdrawal_counts_as_one_after_it(
 ) -> None:
     monitor = CellMonitor(silence_limit=0.5)
     told = withdrawn + arm_delay
-    heard, least = 0.0, math.inf
+    received, least = 0.0, math.inf
     for number, delay in enumerate(delays):
         taken = number / 30
-        heard = max(heard, taken + delay)
-        least = min(least, heard - taken)
-        monitor.on_object(seen(taken, ahead), at(heard))
+        received = max(received, taken + delay)
+        least = min(least, received - taken)
+        monitor.on_object(seen(taken, ahead), at(received))
         # The stated bound: the quickest image is at most so much slower than the arm's message.
         bounded = least <= arm_delay + QUICKEST_IMAGE_S
-        if bounded and monitor.usable(told, 10, at(heard)):
+        if bounded and monitor.usable(told, 10, at(received)):
             assert taken > withdrawn - 1e-6
 
 
@@ -104,18 +104,18 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
 ) -> None:
     peers = TapperPeers(PeerLimits())
     peers.begin_tap("")
-    heard = 0.0
+    received = 0.0
     for number, delay in enumerate(delays):
         taken = number / 20
-        heard = max(heard, taken + delay)
+        received = max(received, taken + delay)
         arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
         stamp_of(arm, taken, arm_ahead)
-        peers.hear_arm(arm, at(heard))
+        peers.on_arm_state(arm, at(received))
         plan = PlanState(state=PlanState.FIRING)
         stamp_of(plan, taken, 0.0)
-        peers.hear_plan(plan, at(heard))
-        peers.hear_object(seen(taken, camera_ahead), at(heard))
-    assert peers.doubt(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(heard)) is None
+        peers.on_plan_state(plan, at(received))
+        peers.on_object_state(seen(taken, camera_ahead), at(received))
+    assert peers.check_firing(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(received)) is None
 
 
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))
@@ -126,8 +126,8 @@ def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) 
         taken = number / 20
         arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
         stamp_of(arm, taken, ahead if who == "arm" else 0.0)
-        peers.hear_arm(arm, at(taken))
-        peers.hear_object(seen(taken, ahead if who == "camera" else 0.0), at(taken))
-    doubt = peers.doubt(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(29 / 20))
-    assert doubt is not None and doubt[0] == ErrorCode.CLOCKS_DIFFER
-    assert who in doubt[1] and f"{-ahead:+.2f} s" in doubt[1]
+        peers.on_arm_state(arm, at(taken))
+        peers.on_object_state(seen(taken, ahead if who == "camera" else 0.0), at(taken))
+    reason = peers.check_firing(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(29 / 20))
+    assert reason is not None and reason[0] == ErrorCode.CLOCKS_DIFFER
+    assert who in reason[1] and f"{-ahead:+.2f} s" in reason[1]

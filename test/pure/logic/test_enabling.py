@@ -51,13 +51,13 @@ def working(steady: float = START) -> Pair:
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans(), st.floats(0, 1)), max_size=30))
 def test_held_means_heard_held_within_the_heartbeat(
-    heard: list[tuple[bool, bool, float]],
+    received: list[tuple[bool, bool, float]],
 ) -> None:
     device, now = EnablingDevice(), START
     last = {True: -1.0, False: -1.0}
-    for is_key, held, pause in heard:
+    for is_key, held, pause in received:
         now += pause
-        (device.hear_key if is_key else device.hear_switch)(held, at(now))
+        (device.on_key if is_key else device.on_switch)(held, at(now))
         last[is_key] = now if held else -1.0
         for later in (0.0, HEARTBEAT_S / 2, HEARTBEAT_S * 1.01):
             wanted = now + later - max(last.values()) <= HEARTBEAT_S
@@ -123,10 +123,10 @@ def test_the_foot_switch_enables_as_the_key_does() -> None:
 def test_the_last_check_before_fire_wants_the_key_held(late: float) -> None:
     pair = working()
     now = at(START + late)
-    doubt = pair.tapper.doubt_firing(now.steady, now)
-    assert doubt is not None
-    held = late <= HEARTBEAT_S
-    assert (doubt[0] == ErrorCode.ENABLING_RELEASED) != held
+    reason = pair.tapper.check_firing(now.steady, now)
+    assert reason is not None
+    held = now.steady - START <= HEARTBEAT_S
+    assert (reason[0] == ErrorCode.ENABLING_RELEASED) != held
 
 
 def test_a_charged_tapper_discharges_when_the_key_is_let_go() -> None:

@@ -13,30 +13,59 @@ from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import Refused
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.task import Task
-from tapping_cell.messages import ErrorCode, Header, Point, Pose, PoseStamped, Quaternion
+from tapping_cell.messages import (
+    ArrangeObjects,
+    ErrorCode,
+    Header,
+    ObjectGoal,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+)
 
 NOW = Now(100.0, 1_800_000_000_000_000_000)
 
 
-def answer(smallest_tap: float, tolerance_mm: float) -> Task | Refused:
+def answer(
+    smallest_tap: float, tolerance_mm: float, *, arranged: bool = False, x: float = 0.01
+) -> Task | Refused:
     cell = load_cell()
     cell = replace(cell, object=replace(cell.object, smallest_tap=smallest_tap))
     others = OtherObjects((), 5.0, 0.002)
     goals = GoalHandling(
         cell, "exact", others, NOW, adapt=True, probe=False, keep_for="", time_limit=600.0
     )
-    pose = Pose(position=Point(x=0.01, y=0.0, z=0.0), orientation=Quaternion(w=1.0))
+    pose = Pose(position=Point(x=x, y=0.0, z=0.0), orientation=Quaternion(w=1.0))
     message = PoseStamped(header=Header(frame_id="table"), pose=pose)
     size = 1e-3 * tolerance_mm, math.radians(tolerance_mm)
+    if arranged:
+        goal = ObjectGoal(
+            object_id=cell.object.name,
+            goal_pose=message,
+            position_tolerance=size[0],
+            angle_tolerance=size[1],
+        )
+        return goals.accept_arrangement(ArrangeObjects.Goal(goals=[goal]), None, NOW)
     return goals.accept(Request(message, position_tolerance=size[0], angle_tolerance=size[1]), NOW)
 
 
+@pytest.mark.parametrize("arranged", [False, True])
 @pytest.mark.parametrize(("smallest_tap", "tolerance_mm"), [(0.0017, 0.3), (0.0005, 0.05)])
-def test_what_the_smallest_tap_allows_is_taken(smallest_tap: float, tolerance_mm: float) -> None:
-    assert isinstance(answer(smallest_tap, tolerance_mm), Task)
+def test_what_the_smallest_tap_allows_is_taken(
+    smallest_tap: float, tolerance_mm: float, arranged: bool
+) -> None:
+    assert isinstance(answer(smallest_tap, tolerance_mm, arranged=arranged), Task)
 
 
-def test_what_it_does_not_allow_is_refused_with_its_scatter() -> None:
-    refused = answer(0.02, 0.2)
+@pytest.mark.parametrize("arranged", [False, True])
+def test_what_it_does_not_allow_is_refused_with_its_scatter(arranged: bool) -> None:
+    refused = answer(0.02, 0.2, arranged=arranged)
     assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_BAD_TOLERANCE
     assert "its 20 mm scatter by 1 mm" in refused.sentence
+
+
+@pytest.mark.parametrize("arranged", [False, True])
+def test_a_goal_beyond_the_table_is_refused_when_it_is_sent(arranged: bool) -> None:
+    refused = answer(0.0017, 1.0, arranged=arranged, x=0.5)
+    assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_OFF_TABLE

@@ -27,7 +27,7 @@ class Client:
     def __init__(self) -> None:
         self.now = 100.0
         self.watch = GoalWatch(GOAL, frozenset({OLD}), self.now)
-        self.heard = self.now
+        self.received = self.now
         self.plan: PlanState | None = None
         self.pose: Pose | None = None
 
@@ -40,9 +40,11 @@ class Client:
             self.now += PERIOD
             planners = {OLD, who}
             if state is not None:
-                self.heard, self.pose = self.now, pose
+                self.received, self.pose = self.now, pose
                 self.plan = PlanState(state=state, error_code=code, error_msg="why" if code else "")
-            found = self.watch.look(self.plan, self.pose, self.heard, frozenset(planners), self.now)
+            found = self.watch.check(
+                self.plan, self.pose, self.received, frozenset(planners), self.now
+            )
             if found is not None:
                 return found
         return None

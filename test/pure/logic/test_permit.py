@@ -146,16 +146,16 @@ def test_no_release_falls_into_a_motion_of_the_arm(
     moves = max(withdrawn, not_before(pair, withdrawn))
     if not answer.response.granted:
         return
-    heard = handled + to_tapper
-    made = pair.tapper.on_answer(call.token, answer.response, at(heard))
+    received = handled + to_tapper
+    made = pair.tapper.on_answer(call.token, answer.response, at(received))
     if not jobs(made):
         return
-    sampled = heard + to_check
-    # The arm and the planner go on speaking: only the permit is in doubt.
+    sampled = received + to_check
+    # The arm and the planner go on speaking: only the permit is in reason.
     pair.told.header.stamp = to_stamp(at(sampled).ros)
     pair.tapper.on_message("arm_state", pair.told, at(sampled))
     release_by = sampled + (WINDOW_S + LONGEST_PULSE) * 1.01
-    if pair.tapper.doubt_firing(release_by, at(sampled)) is not None:
+    if pair.tapper.check_firing(release_by, at(sampled)) is not None:
         return
     # The board releases up to its deadline, and not after it.
     over = sampled + min(to_release, WINDOW_S) + LONGEST_PULSE
@@ -171,8 +171,8 @@ def test_a_prompt_answer_lets_the_shot_go() -> None:
     assert answer.response.granted
     assert jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.004)))
     release_by = START + 0.008 + (WINDOW_S + LONGEST_PULSE) * 1.01
-    assert pair.tapper.doubt_firing(release_by, at(START + 0.008)) is None
-    assert pair.tapper.doubt_firing(release_by + 0.2, at(START + 0.008)) is not None
+    assert pair.tapper.check_firing(release_by, at(START + 0.008)) is None
+    assert pair.tapper.check_firing(release_by + 0.2, at(START + 0.008)) is not None
 
 
 @given(

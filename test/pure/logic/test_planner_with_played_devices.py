@@ -75,6 +75,7 @@ class Actors(VirtualNode):
         self.arm_error: tuple[int, str] = (0, "")
         self.taps_out_of_reach = 0
         self.tapper_answers: int | None = TapperState.FIRED
+        self.tapper_error: tuple[int, str] = (0, "")
         self.commands: list[TapCommand] = []
         self.tap: TapCommand | None = None
         self._outcome = TapperState.NONE
@@ -152,6 +153,7 @@ class Actors(VirtualNode):
             arm.header.stamp = now
             self.publish("arm_state", arm)
         if self.tapper_talks:
+            code, sentence = self.tapper_error
             self.publish(
                 "tapper_state",
                 TapperState(
@@ -159,6 +161,8 @@ class Actors(VirtualNode):
                     tap_id=tap_id,
                     outcome=self._outcome,
                     interlock_closed=True,
+                    error_code=code,
+                    error_msg=sentence,
                 ),
             )
         self.scheduler.after(0.03, self._say)
@@ -296,6 +300,38 @@ def test_taps_that_are_not_fired_end_after_three_attempts(actors: Actors) -> Non
     end = actors.end()
     assert end.state == PlanState.FAILED
     assert len(actors.taps()) == 3 and end.taps == 0
+
+
+LATE_CODES = (
+    ErrorCode.CAMERA_SILENT,
+    ErrorCode.ARM_SILENT,
+    ErrorCode.NOT_READY,
+    ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+)
+
+
+@pytest.mark.parametrize(
+    ("code", "taps"),
+    [*((code, 10) for code in LATE_CODES), (ErrorCode.OBJECT_MOVED, 3), (ErrorCode.NONE, 3)],
+)
+def test_a_tap_for_which_a_message_was_late_is_attempted_more_often(
+    actors: Actors, code: int, taps: int
+) -> None:
+    actors.tapper_answers = TapperState.NOT_FIRED
+    actors.tapper_error = (code, "refused") if code else (0, "")
+    actors.send()
+    end = actors.end()
+    assert end.state == PlanState.FAILED and end.error_code == (code or ErrorCode.NOT_READY)
+    assert len(actors.taps()) == taps and end.taps == 0
+
+
+def test_late_messages_before_a_tap_do_not_end_the_goal(actors: Actors) -> None:
+    actors.tapper_answers = TapperState.NOT_FIRED
+    actors.tapper_error = (ErrorCode.CAMERA_SILENT, "the last picture is 0.47 s old")
+    actors.send()
+    actors.wait(lambda: len(actors.taps()) == 5, "a fifth attempt")
+    actors.tapper_answers, actors.tapper_error = TapperState.FIRED, (0, "")
+    assert actors.end().state == PlanState.REACHED
 
 
 def test_taps_that_somebody_else_ended_are_told_as_such(actors: Actors) -> None:

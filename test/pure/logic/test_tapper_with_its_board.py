@@ -361,7 +361,7 @@ def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> N
         lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.say_arm(100)
     )
     assert cell.shots() == [100]
-    # And the next tap of the planner is taken although 999 was heard.
+    # And the next tap of the planner is taken although 999 was received.
     cell.fire(101)
     assert cell.shots() == [100, 101]
 

@@ -183,7 +183,7 @@ def test_a_faster_striker_goes_with_the_square_of_its_speed():
 
 def test_the_launch_velocity_slides_to_the_outcome():
     held, strike = (0.1, -0.05, 0.7), (-0.2, -0.04, 0.02)
-    twist = PAPER.launch_velocity(held, strike, 0.4)
+    twist = PAPER.strike(held, strike, 0.4).twist
     rest = PAPER.sliding.rest(math.hypot(twist[0], twist[1]), float(twist[2]))
     moved = PAPER.outcome(held, strike, 0.4)
     assert math.hypot(moved[0], moved[1]) == pytest.approx(rest.distance)

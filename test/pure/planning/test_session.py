@@ -21,6 +21,7 @@ from tapping_cell.planning import (
     check_goal,
     make_planner,
 )
+from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import Pose, wrap_angle
 
 FINE = np.diag([1e-10, 1e-10, 1e-10])
@@ -216,8 +217,8 @@ def test_gains_of_an_earlier_run_are_used_at_once(planner, space, free, known):
 def test_plans_are_made_for_the_box_in_which_a_long_look_stops(tap, space, free):
     settings = PlannerSettings.for_tap(tap, camera=CameraNoise(1e-4, math.radians(0.1)))
     session = PositioningSession((0.0, 0.0, 0.0), make_planner("exact", settings), space, free)
-    assert session.stopping(settings.camera.covariance / 4) == settings.stopping
-    assert settings.stopping.distance == pytest.approx(0.00087, abs=1e-5)
+    assert session.stopping(settings.camera.covariance / LONG_OBSERVATION) == settings.stopping
+    assert settings.stopping.distance == pytest.approx(0.00091, abs=1e-5)
 
 
 def with_friction(strike, pose, friction, rng):

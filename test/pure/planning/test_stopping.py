@@ -8,7 +8,7 @@ from scipy.special import ive
 
 from tapping_cell.planning import (
     Done,
-    LookAgain,
+    ObserveAgain,
     PlannerSettings,
     PositioningSession,
     make_planner,
@@ -69,10 +69,10 @@ def test_a_nearly_perfect_camera_at_the_edge_of_the_box_claims_nothing_that_is_n
 def test_a_doubtful_look_is_taken_again_before_another_tap(space, free):
     session = PositioningSession((0, 0, 0), make_planner("exact", PlannerSettings()), space, free)
     spread = covariance(1e-4, 1e-4, 1e-3)
-    doubtful = session.decide((0.0009, 0, 0), spread, look_again=True)
-    assert isinstance(doubtful, LookAgain) and 0.5 < doubtful.probability < CONFIDENCE
-    assert not isinstance(session.decide((0.0009, 0, 0), spread), LookAgain | Done)
-    assert not isinstance(session.decide((0.01, 0, 0), spread, look_again=True), LookAgain)
+    doubtful = session.decide((0.0009, 0, 0), spread, observe_again=True)
+    assert isinstance(doubtful, ObserveAgain) and 0.5 < doubtful.probability < CONFIDENCE
+    assert not isinstance(session.decide((0.0009, 0, 0), spread), ObserveAgain | Done)
+    assert not isinstance(session.decide((0.01, 0, 0), spread, observe_again=True), ObserveAgain)
 
 
 @given(st.floats(0.001, 0.3), st.floats(0.001, 0.3))

@@ -73,16 +73,18 @@ def test_a_marker_that_stays_is_aligned_in_one_step_as_by_a_whole_alignment():
         start = fit_marker(VIEW, refine(image, quad[None], 8), 0, MARKER).pose
         known = align(first, VIEW, template, MARKER, pose)
         whole = align(image, VIEW, template, MARKER, start)
-        again = align_again(image, known.look, MARKER, start)
+        again = align_again(image, known.linearisation, MARKER, start)
         deviation = np.sqrt(np.diag(whole.covariance))
         assert np.all(np.abs(again.pose - whole.pose) < 0.3 * deviation)
         assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.15)
         # Elsewhere, or in other light, it must be aligned anew.
         elsewhere = start + np.array([PIXEL, 0.0, 0.0])
-        assert align_again(image, known.look, MARKER, elsewhere) is None
-        assert align_again((image * 0.8).astype(np.uint8), known.look, MARKER, start) is None
+        assert align_again(image, known.linearisation, MARKER, elsewhere) is None
+        assert (
+            align_again((image * 0.8).astype(np.uint8), known.linearisation, MARKER, start) is None
+        )
         beside = np.roll(image, 1, axis=1)
-        assert align_again(beside, known.look, MARKER, start) is None
+        assert align_again(beside, known.linearisation, MARKER, start) is None
 
 
 def test_alignment_refuses_what_the_pattern_does_not_explain():

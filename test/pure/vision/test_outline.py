@@ -158,15 +158,15 @@ def test_an_object_that_stays_is_measured_as_by_a_whole_fit(outline):
     for _ in range(3):
         image = shown.render(HOME)
         whole = fit_outline(image, shown.view, outline, HOME)
-        again = fit_again(image, known.look, HOME)
+        again = fit_again(image, known.linearisation, HOME)
         deviation = np.sqrt(np.diag(whole.covariance))
         # Pixels at the band's rim differ, and which sectors agree.
         assert np.all(np.abs(again.pose - whole.pose) < 0.7 * deviation)
         assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.3)
     moved = HOME + np.array([3e-4, 0.0, 0.0])
-    assert fit_again(shown.render(moved), known.look, HOME) is None
-    assert fit_again(image, known.look, moved) is None
-    assert fit_again((image * 0.8).astype(np.uint8), known.look, HOME) is None
+    assert fit_again(shown.render(moved), known.linearisation, HOME) is None
+    assert fit_again(image, known.linearisation, moved) is None
+    assert fit_again((image * 0.8).astype(np.uint8), known.linearisation, HOME) is None
 
 
 def test_a_tall_triangle_is_not_explained_by_a_wall_that_is_not_there():

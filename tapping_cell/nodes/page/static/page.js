@@ -69,7 +69,7 @@ function connect() {
   made.onmessage = (event) => {
     if (socket !== made) return;
     heardAt = performance.now();
-    if (typeof event.data === "string") hear(JSON.parse(event.data));
+    if (typeof event.data === "string") receive(JSON.parse(event.data));
     else showPicture(made, event.data);
   };
   made.onclose = (event) => { if (socket === made) lose(event.code, event.reason); };
@@ -103,7 +103,7 @@ function request(name, content = {}, to = name) {
   else show(to, "not sent: there is no connection", "bad");
 }
 
-function hear(message) {
+function receive(message) {
   if (message.type === "welcome") {
     cell = message;
     connected = true;
@@ -532,7 +532,7 @@ setInterval(() => {
   for (const [name, since] of waiting) {
     if (now - since < ANSWER_MS) continue;
     waiting.delete(name);
-    show(name, "no answer so far; look at the list of nodes", "bad");
+    show(name, "no answer so far; check at the list of nodes", "bad");
   }
   renderBanner();
   renderPicture();

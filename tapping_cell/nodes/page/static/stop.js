@@ -1,8 +1,8 @@
 "use strict";
-// STOP. It has a port of its own, which is heard whatever else the page's node has to do; the page's
+// STOP. It has a port of its own, which is received whatever else the page's node has to do; the page's
 // own connection is the second way.
 
-const STOP_CHECK_MS = 2000;     // between checks that a stop would be heard
+const STOP_CHECK_MS = 2000;     // between checks that a stop would be received
 const STOP_PATIENCE_MS = 3000;
 
 class Stop {
