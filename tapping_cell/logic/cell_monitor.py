@@ -119,7 +119,7 @@ class CellMonitor:
         if board:
             # Before it has read its cell file, a board does not name its tappers.
             self._boards.pop((), None)
-            self._boards_heard.pop((), None)
+            self._boards_received.pop((), None)
         self._spoke = board
         self._boards[self._spoke] = message
         self._boards_received[self._spoke] = now.steady
