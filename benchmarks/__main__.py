@@ -30,6 +30,7 @@ SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 LONG_SECTIONS = (
     "arrangements",
     "calibration",
+    "composition",
     "cycle",
     "demos",
     "disarm",
@@ -79,7 +80,8 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="scenes of arrangements, experiments of calibration and lack-of-fit, demos a truth, "
-        "goals of cycle and fixed-cycle, losses of disarm, freezes of a node of lost-nodes, "
+        "callbacks of composition, goals of cycle and fixed-cycle, losses of disarm, freezes of a "
+        "node of lost-nodes, "
         "trials of precision, scenes of outline, scenes or frames of vision*, seconds of node and "
         "idle",
     )

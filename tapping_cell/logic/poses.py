@@ -28,7 +28,7 @@ def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
 def from_message(message: PoseMessage) -> Pose:
     """Return the planar part of a pose."""
     q = message.orientation
-    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
     return Pose(message.position.x, message.position.y, theta)
 
 
@@ -57,14 +57,14 @@ def is_finite(message: PoseMessage) -> bool:
 def quaternion_norm(message: PoseMessage) -> float:
     """Return the norm of the orientation quaternion; 1 for a rotation."""
     q = message.orientation
-    return math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
+    return math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
 
 
 def tilt(message: PoseMessage) -> float:
     """Return the angle in rad between the z axes of the pose and of its frame; the quaternion must
     be normalised."""
     q = message.orientation
-    return math.acos(max(-1.0, min(1.0, 1 - 2 * (q.x**2 + q.y**2))))
+    return math.acos(max(-1.0, min(1.0, 1 - 2 * (q.x * q.x + q.y * q.y))))
 
 
 def covariance_from_message(values: Sequence[float]) -> NDArray[np.float64]:
@@ -75,6 +75,8 @@ def covariance_from_message(values: Sequence[float]) -> NDArray[np.float64]:
 
 def covariance_to_message(covariance: NDArray[np.float64]) -> list[float]:
     """Convert a 3 x 3 covariance of (x, y, theta) to the 36 numbers of a pose covariance."""
-    full = np.zeros((6, 6))
-    full[np.ix_(_PLANAR, _PLANAR)] = covariance
-    return [float(value) for value in full.reshape(-1)]
+    full = [0.0] * 36
+    for row, values in zip(_PLANAR, covariance.tolist(), strict=True):
+        for column, value in zip(_PLANAR, values, strict=True):
+            full[6 * row + column] = value
+    return full

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 QUILL_RADIUS = 0.010
 _LINK_LEVEL, _TOOL_LEVEL, _STRIKER_LEVEL = 70.0, 55.0, 120.0
 _ROUND = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)
+_UNIT_CIRCLE = np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=-1)
 
 
 def arm_solids(
@@ -80,9 +81,12 @@ def _link(start: Array, end: Array, low: float, arm: ArmSection) -> Occluder:
 
 
 def _circle(middle: Array, radius: float) -> Array:
-    return np.asarray(middle + radius * np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=-1))
+    return np.asarray(middle + radius * _UNIT_CIRCLE)
 
 
 def _solid(outline: Array, low: float, high: float, level: float) -> Occluder:
-    points = [np.column_stack([outline, np.full(len(outline), z)]) for z in (low, high)]
-    return Occluder(np.concatenate(points), level, convex=True)
+    count = len(outline)
+    points = np.empty((2 * count, 3))
+    points[:count, :2] = points[count:, :2] = outline
+    points[:count, 2], points[count:, 2] = low, high
+    return Occluder(points, level, convex=True)

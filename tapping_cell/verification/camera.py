@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tapping_cell.logic.clock import to_stamp
-from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.poses import covariance_to_message, to_message
 from tapping_cell.messages import ObjectState, PoseWithCovariance
-from tapping_cell.se2 import Array, Pose
+from tapping_cell.se2 import Pose
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
@@ -132,16 +132,9 @@ class Camera:
             state.at_rest_since = to_stamp(stamp - round(1e9 * (now - motion.rest_since)))
         state.pose = PoseWithCovariance(
             pose=to_message(Pose(*map(float, motion.pose))),
-            covariance=_planar_covariance(motion.covariance),
+            covariance=covariance_to_message(motion.covariance),
         )
         vx, vy, omega = map(float, motion.velocity)
         state.velocity.linear.x, state.velocity.linear.y = vx, vy
         state.velocity.angular.z = omega
         return state
-
-
-def _planar_covariance(planar: Array) -> list[float]:
-    """Convert a covariance (3, 3) of x, y, theta to the 36 numbers of PoseWithCovariance."""
-    whole = np.zeros((6, 6))
-    whole[np.ix_((0, 1, 5), (0, 1, 5))] = planar
-    return [float(value) for value in whole.ravel()]

@@ -1,7 +1,7 @@
 """Mapping from the error code of a goal to the injected faults that explain it.
 
-The error code must name a true cause. If none of the faults that explain the code was injected
-recently, the cell has reported a wrong cause, which is a violation.
+The error code must name a true cause. If none of the faults that explain the code can still act,
+the cell has reported a wrong cause, which is a violation.
 """
 
 from __future__ import annotations
@@ -10,9 +10,38 @@ from collections.abc import Iterable
 
 from tapping_cell.messages import ErrorCode
 
-LASTING_S = 45.0
-"""Time after a fault within which it explains the end of a goal. The longest fault lasts 30 s, and
-the cell needs time to recover from it."""
+AT_ONCE_S = 10.0
+"""Maximum time from the end of a fault to the end of a goal that the fault ends at once: a planner
+that is frozen for 5 s and a late message included."""
+LASTING_S = {
+    "freeze": 5.0,
+    "freeze before a write": 8.0,
+    "freeze at a write": 3.0,
+    "freeze after the last check": 3.0,
+    "kill": 30.0,
+    "restart": 10.0,
+    "deactivate": 5.0,
+    "slow topic": 8.0,
+    "slow answer": 6.0,
+    "duplicates": 8.0,
+    "foreign command": 30.0,
+    "foreign trajectory": 10.0,
+    "second node": 20.0,
+    "clock step": 40.0,
+    "serial line": 20.0,
+    "line at a shot": 8.0,
+    "cable at a shot": 3.0,
+    "loss of power": 4.0,
+    "power at a shot": 2.0,
+    "motors off": 4.0,
+    "camera": 8.0,
+    "object moved": 2.0,
+    "object turned": 2.0,
+    "emergency stop": 5.0,
+    "guard": 4.0,
+}
+"""Maximum time for which the faults of a kind act, with the restart of a process, the expiry of a
+foreign command, and the wait for the byte at which a line fails; 0 for all others."""
 
 FREEZES = frozenset(
     {
@@ -61,7 +90,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.ARM_REPLY_GARBLED: LINES,
     ErrorCode.ARM_TIMEOUT: DELAYS | POWER,
     ErrorCode.ARM_POSITION_MISMATCH: LINES | POWER | FREEZES,
-    ErrorCode.ARM_SILENT: DELAYS,
+    ErrorCode.ARM_SILENT: FREEZES | ENDS | LINKS,
     ErrorCode.ARM_BUSY: DELAYS | FOREIGN | {"foreign trajectory"},
     ErrorCode.ARM_COMMAND_EXPIRED: DELAYS | FOREIGN | {"clock step"},
     ErrorCode.TAPPER_NOT_CONNECTED: LINES | POWER | ENDS | {"second node"},
@@ -73,7 +102,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     # automatically.
     ErrorCode.TAPPER_FAULT: LINES | POWER | FREEZES | {"guard"},
     ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
-    ErrorCode.TAPPER_SILENT: DELAYS,
+    ErrorCode.TAPPER_SILENT: FREEZES | ENDS | LINKS,
     ErrorCode.TAPPER_SPENT: FOREIGN | ENDS | {"clock step"},
     ErrorCode.TAPPER_COMMAND_EXPIRED: DELAYS | FOREIGN | {"clock step"},
     ErrorCode.TAPPER_ARM_NOT_IN_POSITION: DELAYS | FOREIGN | POWER,
@@ -85,7 +114,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.OBJECT_MOVED: CAMERA,
     ErrorCode.OBJECT_NOT_AT_REST: CAMERA,
     ErrorCode.TOO_FEW_FRAMES: CAMERA | FREEZES | LINKS | ENDS,
-    ErrorCode.CAMERA_SILENT: DELAYS | {"camera", "clock step"},
+    ErrorCode.CAMERA_SILENT: FREEZES | ENDS | LINKS | {"camera", "clock step"},
     ErrorCode.NOT_READY: DELAYS | FOREIGN,
     ErrorCode.DEADLINE_EXCEEDED: DELAYS | FOREIGN | POWER | CAMERA | {"clock step", "guard", HASTE},
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
@@ -104,6 +133,39 @@ CONDITIONS = frozenset(
     }
 )
 """Codes caused by the poses of object and goal, not by a fault."""
+
+
+WAITS_S = {
+    ErrorCode.ARM_TIMEOUT: 20.0,
+    ErrorCode.OBJECT_NOT_SEEN: 10.0,
+    ErrorCode.OBJECT_NOT_AT_REST: 10.0,
+    ErrorCode.TOO_FEW_FRAMES: 10.0,
+    ErrorCode.TAP_LIMIT_REACHED: 60.0,
+    ErrorCode.TAP_WITHOUT_EFFECT: 20.0,
+    ErrorCode.DEADLINE_EXCEEDED: 120.0,
+    **dict.fromkeys(
+        (
+            ErrorCode.ARM_NOT_HOMED,
+            ErrorCode.ARM_NOT_CONNECTED,
+            ErrorCode.ARM_FIRMWARE_UNKNOWN,
+            ErrorCode.ARM_SILENT,
+            ErrorCode.ARM_BUSY,
+            ErrorCode.TAPPER_NOT_CONNECTED,
+            ErrorCode.TAPPER_FIRMWARE_UNKNOWN,
+            ErrorCode.TAPPER_SILENT,
+            ErrorCode.TAPPER_BUSY,
+            ErrorCode.CAMERA_SILENT,
+            ErrorCode.CLOCKS_DIFFER,
+        ),
+        30.0,
+    ),
+}
+"""Deadlines of the planner after which a goal ends with these codes."""
+
+
+def longest_effect(kind: str, code: int) -> float:
+    """Return the maximum time from a fault to the end of a goal with this code, s."""
+    return LASTING_S.get(kind, 0.0) + WAITS_S.get(code, 0.0) + AT_ONCE_S
 
 
 def explains(code: int, struck: Iterable[str]) -> bool:

@@ -44,6 +44,8 @@ HOMED_S = 3.0
 last report of a new reading of a homed arm; bytes on the line may be that late."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner exceeds the deadline of a wait."""
+ROUNDING_S = 1e-6
+"""Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
 """Maximum time from a stop command to the arm's rest, with delivery and braking."""
 
@@ -345,7 +347,7 @@ class Witness:
                     " can be through its stroke",
                 )
             for tap_id, end in self.promises.items():
-                if now < end and tap_id not in self.outcomes:
+                if now < end - ROUNDING_S and tap_id not in self.outcomes:
                     self.violate(
                         "broken promise",
                         f"the arm began to move {end - now:.3f} s before the end of its promise for"

@@ -114,10 +114,13 @@ class PhysicalCell:
     def _silhouette_meets(self, pose: Pose, joints: Joints) -> bool:
         file = self.cell.file
         lens = np.array(self.truth.camera.position)
-        radius = self.cell.object.body().bounding_radius
+        radius, place = self.cell.object.body().bounding_radius, np.array([pose.x, pose.y])
         for solid in arm_solids(self.cell.arm, file.tapper, self._base, joints):
             scale = (lens[2] - self.cell.object.height) / (lens[2] - solid.points[:, 2])
             shadow = lens[:2] + (solid.points[:, :2] - lens[:2]) * scale[:, None]
+            away = np.maximum(shadow.min(axis=0) - place, place - shadow.max(axis=0))
+            if away.max() > radius:
+                continue
             hull = cv2.convexHull(shadow.astype(np.float32))
             if cv2.pointPolygonTest(hull, (pose.x, pose.y), True) > -radius:
                 return True

@@ -45,7 +45,7 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
-from tapping_cell.verification.causes import COVERED, HASTE, LASTING_S, explains
+from tapping_cell.verification.causes import COVERED, HASTE, explains, longest_effect
 from tapping_cell.verification.faults import (
     ALL,
     ARM_ASKED,
@@ -377,7 +377,7 @@ class Trial:
         """Start every node and wait until the cell is ready for a goal."""
         for process in self.processes.values():
             process.start()
-        self._recover()
+        self.recover()
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
         """Draw a goal in the central area of the table."""
@@ -424,6 +424,7 @@ class Trial:
                 )
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
         in_time = self.scheduler.now < began + self.settings.goal_time_limit
+        struck = self._causes(self._result.error_code)
         self._waiting_faults = []
         last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
@@ -432,7 +433,6 @@ class Trial:
         quiet = not (faults or self._struck_before)
         self._struck_before = bool(faults)
         quiet = quiet and began > self.disturbed_until
-        struck = {kind for at, kind in self._struck if at > began - LASTING_S}
         if self._observe(self.scheduler.now) is None:
             struck.add(COVERED)
         if self.in_haste and not in_time:
@@ -457,7 +457,7 @@ class Trial:
                 tuple(fault.kind for fault in faults),
             )
         )
-        self._recover()
+        self.recover()
 
     def _work_on_a_tap(self) -> None:
         """Let a program command one tap without a planner."""
@@ -496,7 +496,7 @@ class Trial:
         self.scheduler.run(self.scheduler.now + 0.5)
         self._waiting_faults = []
         self._struck_before = bool(faults)
-        self._recover()
+        self.recover()
 
     def _program_tap(self) -> TapCommand | None:
         """Return the last tap, transferred to the observed pose of the object; None if unseen."""
@@ -526,6 +526,11 @@ class Trial:
     def note_kind(self, kind: str) -> None:
         """Record that a fault of this kind strikes now."""
         self._struck.append((self.scheduler.now, kind))
+
+    def _causes(self, code: int) -> set[str]:
+        """Return the kinds of faults that may still be the cause of a code."""
+        now = self.scheduler.now
+        return {kind for at, kind in self._struck if now - at <= longest_effect(kind, code)}
 
     def _strike(self, fault: Fault) -> None:
         self._note(f"FAULT {fault.words}")
@@ -686,7 +691,7 @@ class Trial:
     def _be_impatient(self) -> None:
         """Call clear_fault and home while the emergency stop is held, which must have no effect."""
         for node in ("tapper_trigger", "scara_arm"):
-            self._call(node, "~/clear_fault")
+            self.call_service(node, "~/clear_fault")
         self.scheduler.after(1.0, self._home_impatiently)
 
     def _home_impatiently(self) -> None:
@@ -695,7 +700,7 @@ class Trial:
             for node in ("tapper_trigger", "scara_arm"):
                 self._give_word(node)
             self.witness.word_given = True
-        self._call("scara_arm", "~/home")
+        self.call_service("scara_arm", "~/home")
 
     def interrupt_tapper_power(self) -> None:
         """Interrupt the power of the tapper's board, which also loses its latched stop."""
@@ -740,9 +745,10 @@ class Trial:
             self.witness.stopped_at.setdefault(node, self.scheduler.now)
             if node == "scara_arm":
                 self.witness.word_given = False
-        self._call(node, "~/stop")
+        self.call_service(node, "~/stop")
 
-    def _call(self, node: str, service: str) -> None:
+    def call_service(self, node: str, service: str) -> None:
+        """Call a node's service without arguments, as a person does."""
         process = self.processes[node]
         if service == "~/home":
             self.witness.ask_to_move()
@@ -750,7 +756,7 @@ class Trial:
             self._token += 1
             process.request(service, Trigger.Request(), ("person", self._token), lambda _: None)
 
-    def _recover(self) -> None:
+    def recover(self) -> None:
         """Recover the cell as a person would, until it is ready for a goal: inspect it, press the
         clear button, clear faults and home."""
         until = self.scheduler.now + RECOVERY_S
@@ -771,13 +777,13 @@ class Trial:
             if tapper.state in (tapper_states.STOPPED, tapper_states.FAULT):
                 self.physical.press_clear_button()
                 self._give_word("tapper_trigger")
-                self._call("tapper_trigger", "~/clear_fault")
+                self.call_service("tapper_trigger", "~/clear_fault")
             if arm.state in (arm_states.STOPPED, arm_states.FAULT):
                 self._give_word("scara_arm")
-                self._call("scara_arm", "~/clear_fault")
+                self.call_service("scara_arm", "~/clear_fault")
             elif arm.state == arm_states.NOT_HOMED:
                 self.witness.word_given = True
-                self._call("scara_arm", "~/home")
+                self.call_service("scara_arm", "~/home")
         arm, tapper = self._last("arm_state"), self._last("tapper_state")
         self.witness.violate("no way back", f"arm {arm}, tapper {tapper}")
 
@@ -817,7 +823,7 @@ class Trial:
         if not blamed or message.outcome != TapperState.NOT_FIRED or message.tap_id == self._blamed:
             return
         self._blamed = message.tap_id
-        struck = {kind for at, kind in self._struck if at > self.scheduler.now - LASTING_S}
+        struck = self._causes(message.error_code)
         if not explains(message.error_code, struck):
             self.witness.violate(
                 "untrue cause",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import importlib
 import importlib.util
 import os
@@ -188,3 +189,42 @@ def test_a_middleware_without_security_is_refused_in_a_sentence(tmp_path: Path) 
         assert ended.returncode == 1
         assert "Traceback" not in ended.stderr
         assert all(word in ended.stderr for word in words), ended.stderr
+
+
+def test_the_permissions_that_sros2_makes_forbid_what_the_policy_does_not_grant(
+    tmp_path: Path,
+) -> None:
+    """The permissions are evaluated as DDS Security demands: what no rule allows is denied."""
+    generation = pytest.importorskip("sros2.api._artifact_generation")
+    generation.generate_artifacts(tmp_path, [], [FOLDER / "cell.policy.xml"])
+    folder = tmp_path / "enclaves" / "tapping_cell"
+    rules = granted()
+    assert {path.name for path in folder.iterdir()} == {
+        security.enclave_of("operator" if node == "goal" else node).rpartition("/")[2]
+        for node in rules
+    }
+    topics = {topic for each in rules.values() for topic in each["publish"] | each["subscribe"]}
+    for enclave in folder.iterdir():
+        grant = ElementTree.parse(enclave / "permissions.xml").getroot().find("permissions/grant")
+        assert grant is not None
+        assert grant.findtext("default") == "DENY"
+        assert grant.findtext("subject_name") == f"CN={security.enclave_of(enclave.name)}"
+        node = "goal" if enclave.name == "operator" else enclave.name
+        for kind in ("publish", "subscribe"):
+            allowed = [
+                entry.text or "" for entry in grant.iterfind(f"allow_rule/{kind}/topics/topic")
+            ]
+            passed = {
+                topic
+                for topic in topics
+                if any(fnmatch.fnmatchcase(f"rt{topic}", pattern) for pattern in allowed)
+            }
+            assert passed == rules[node][kind], f"{enclave.name}, {kind}"
+    governance = ElementTree.parse(tmp_path / "enclaves" / "governance.xml").getroot()
+    for key, value in (
+        ("allow_unauthenticated_participants", "false"),
+        ("enable_join_access_control", "true"),
+        ("enable_read_access_control", "true"),
+        ("enable_write_access_control", "true"),
+    ):
+        assert {entry.text for entry in governance.iter(key)} == {value}

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import pytest
 
-from tapping_cell.messages import ArmState, ErrorCode, PlanState, TapCommand, TapperState
+from tapping_cell.messages import (
+    ArmState,
+    Bool,
+    ErrorCode,
+    PlanState,
+    TapCommand,
+    TapperState,
+)
 from tapping_cell.se2 import Pose
 from tapping_cell.verification.trial import Trial
 
@@ -118,3 +126,30 @@ def test_nothing_is_drawn_while_a_node_hangs_and_the_tap_goes_on_after_it(
     assert cell.tapper.tap_id != tap or cell.tapper.outcome == TapperState.NONE
     assert cell.run(120.0, lambda: bool(cell.ends()))
     assert cell.ends() == [0] and cell.at(GOAL)
+
+
+def test_nothing_moves_while_the_emergency_stop_flaps_and_impatient_people_clear_and_home(
+    cell: Told,
+) -> None:
+    """A loose contact at 100 Hz, and every service called 50 times a second meanwhile."""
+    cell.begin()
+    trial = cell.trial
+    for step in range(200):
+        level = Bool(data=step % 2 == 0)
+        later = 0.005 * step
+        press = partial(trial.network.publish, "panel", "emergency_stop", level)
+        trial.scheduler.after(later, press)
+        if step % 4 == 0:
+            for node in ("scara_arm", "tapper_trigger"):
+                trial.scheduler.after(
+                    later, lambda node=node: trial.call_service(node, "~/clear_fault")
+                )
+            trial.scheduler.after(later, lambda: trial.call_service("scara_arm", "~/home"))
+    assert cell.run(0.5, lambda: cell.arm.state == ArmState.STOPPED)
+    cell.run(0.2)
+    assert not cell.run(2.0, lambda: trial.physical.moving(trial.scheduler.now))
+    assert cell.tapper.state == TapperState.STOPPED and cell.ends() == [ErrorCode.EMERGENCY_STOP]
+    trial.recover()
+    trial.send_goal(GOAL)
+    assert cell.run(120.0, lambda: cell.at(GOAL) and cell.plans[-1].state == PlanState.REACHED)
+    assert trial.witness.violations == []
