@@ -135,37 +135,34 @@ CONDITIONS = frozenset(
 """Codes caused by the poses of object and goal, not by a fault."""
 
 
+READY_S = 30.0
+"""Time for which the planner waits for the cell, after which a goal ends with the code of the part
+that is missing."""
 WAITS_S = {
-    ErrorCode.ARM_TIMEOUT: 20.0,
+    **dict.fromkeys(
+        (
+            ErrorCode.GOAL_REPLACED,
+            ErrorCode.GOAL_CANCELED,
+            ErrorCode.EMERGENCY_STOP,
+            ErrorCode.ARM_STOPPED,
+            ErrorCode.TAPPER_STOPPED,
+            ErrorCode.STAMP_INVALID,
+            ErrorCode.OBJECT_MOVED,
+        ),
+        0.0,
+    ),
     ErrorCode.OBJECT_NOT_SEEN: 10.0,
     ErrorCode.OBJECT_NOT_AT_REST: 10.0,
     ErrorCode.TOO_FEW_FRAMES: 10.0,
     ErrorCode.TAP_LIMIT_REACHED: 60.0,
-    ErrorCode.TAP_WITHOUT_EFFECT: 20.0,
     ErrorCode.DEADLINE_EXCEEDED: 120.0,
-    **dict.fromkeys(
-        (
-            ErrorCode.ARM_NOT_HOMED,
-            ErrorCode.ARM_NOT_CONNECTED,
-            ErrorCode.ARM_FIRMWARE_UNKNOWN,
-            ErrorCode.ARM_SILENT,
-            ErrorCode.ARM_BUSY,
-            ErrorCode.TAPPER_NOT_CONNECTED,
-            ErrorCode.TAPPER_FIRMWARE_UNKNOWN,
-            ErrorCode.TAPPER_SILENT,
-            ErrorCode.TAPPER_BUSY,
-            ErrorCode.CAMERA_SILENT,
-            ErrorCode.CLOCKS_DIFFER,
-        ),
-        30.0,
-    ),
 }
-"""Deadlines of the planner after which a goal ends with these codes."""
+"""Deadlines of the planner after which a goal ends with these codes; ``READY_S`` for all others."""
 
 
 def longest_effect(kind: str, code: int) -> float:
     """Return the maximum time from a fault to the end of a goal with this code, s."""
-    return LASTING_S.get(kind, 0.0) + WAITS_S.get(code, 0.0) + AT_ONCE_S
+    return LASTING_S.get(kind, 0.0) + WAITS_S.get(code, READY_S) + AT_ONCE_S
 
 
 def explains(code: int, struck: Iterable[str]) -> bool:

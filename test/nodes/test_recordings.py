@@ -207,6 +207,6 @@ def test_taps_are_recorded_with_their_travel_and_lost_ones_made_again(tmp_path: 
 
 
 def test_an_object_that_is_lost_again_and_again_stops_it(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationRefused, match="4 taps in a row cannot be used"):
+    with pytest.raises(CalibrationRefused, match="4 consecutive taps are unusable"):
         recorded(["ok", *(["lost"] * 5)], tmp_path / "taps.csv")
     assert len(read_csv(tmp_path / "taps.csv", tapper.RECORD_COLUMNS).rows) == 1
