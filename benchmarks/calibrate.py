@@ -31,7 +31,8 @@ from tapping_cell.vision import CameraModel, CameraPose
 VIEWS = 20
 CORNER_SETS, PHOTO_SETS, TABLES, ARMS, TAPPERS = 12, 4, 4, 100, 300
 CORNER_NOISE = 0.05
-"""Noise of the corners in pixels; corner detection in rendered photographs has 0.02 to 0.04."""
+"""Standard deviation of the corners in pixels; detection in rendered photographs achieves 0.02
+to 0.04."""
 TARGETS = (
     Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250"),
     Target("chessboard", 9, 7, 0.025),

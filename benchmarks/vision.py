@@ -45,7 +45,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
     object."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
-    keep_memory()  # as the node does
+    keep_memory()  # the memory settings of the nodes that process images
     try:
         return _measure(count)
     finally:

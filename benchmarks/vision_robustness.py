@@ -33,7 +33,8 @@ WRONG_MM, WRONG_DEG, WRONG_SIGMAS = 0.3, 0.3, 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """An image, the true pose (3,) at the middle of its exposure, and a stamp if it is unusual."""
+    """An image, the true pose (3,) at the middle of its exposure, and the error of its stamp in s
+    (None: no error)."""
 
     image: np.ndarray
     true: np.ndarray

@@ -136,7 +136,9 @@ def find_target(image: Image, target: Target, name: str) -> TargetView | str:
         )
     grid = np.stack([ids % target.inner[0], ids // target.inner[0]], axis=-1)
     if np.linalg.matrix_rank(grid - grid[0]) < 2:
-        return "too few corners: the visible corners lie on one line"
+        return (
+            "the visible corners lie on one line; at least two rows and two columns must be visible"
+        )
     side = _side(grid, pixels)
     half = int(np.clip(0.9 * target.clear * side - 1.0, 2, 15))
     start = np.array(pixels, dtype=np.float32, order="C").reshape(-1, 1, 2)

@@ -38,7 +38,7 @@ class Person:
             KeyboardInterrupt: the person cancels the goal, or the input has ended.
         """
         if isinstance(event, PhaseChanged):
-            self._asked = 0  # confirmed elsewhere, or planned again
+            self._asked = 0  # obsolete: answered by another client, or planned again
         elif isinstance(event, TapProposed):
             self._asked = event.tap.tap_id
             if os.isatty(self._answers):

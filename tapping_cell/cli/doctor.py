@@ -232,7 +232,8 @@ def _store(
     confirm: Callable[[Finding], bool],
     connection: Connection,
 ) -> bool:
-    """Store the settings that may be stored and are confirmed. Return whether any was stored."""
+    """Write settings to the controller that are safe to store and that the user confirms. Return
+    whether any was stored."""
     wanted = [f for f in findings if not f.met and f.storable and confirm(f)]
     for finding in wanted:
         dialect.store(finding, connection.now() + PATIENCE)

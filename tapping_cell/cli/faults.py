@@ -1,4 +1,4 @@
-"""Test taps over faulty serial lines for unsafe actions, hangs and false reports of the drivers.
+"""Run taps over faulty serial lines; check the drivers for unsafe actions, hangs, false reports.
 
 Runs the real drivers of the arm and the tapper against the emulated devices in simulated time, with
 seeded faults on the lines (bytes lost, late, doubled, flipped, split, merged; stalls; ports that

@@ -1,4 +1,4 @@
-"""Supervision of a running graph: which nodes are restarted, and when the graph is ended."""
+"""Supervision of a running graph: which nodes are restarted, and when the graph is shut down."""
 
 from __future__ import annotations
 

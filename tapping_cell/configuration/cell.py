@@ -439,7 +439,7 @@ striker's flight must end before the arm is allowed to move again."""
 
 @dataclass(frozen=True, slots=True)
 class OutputSection:
-    """A digital output that fires the tapper, for the dialect io."""
+    """Digital output that fires the tapper (dialect `io`)."""
 
     interface: str = choice(
         "interface that switches the output: service (std_srvs/SetBool), topic (std_msgs/Bool), "

@@ -34,7 +34,7 @@ def fixed_conflicts(cell: Cell) -> Iterator[str]:
         if place in wired:
             yield (
                 f"{path}: the tappers '{wired[place]}' and '{entry.name}' are both channel "
-                f"{entry.channel} of {place[0]}; give each its own"
+                f"{entry.channel} of {place[0]}; assign a different channel to each"
             )
         wired.setdefault(place, entry.name)
     space = make_fixed_space(cell)

@@ -165,7 +165,8 @@ class SerialTransport:
     def _write_some(self, port: serial.Serial, data: memoryview) -> int:
         """Write without blocking; return the number of bytes written, 0 if the port is full."""
         try:
-            # pyserial busy-waits on a full port, so it is called only if the port is writable.
+            # pyserial busy-waits while the output buffer is full, so it is called only if the port
+            # is writable.
             _, writable, _ = select.select([], [port], [], 0)
             return int(port.write(data) or 0) if writable else 0
         except (OSError, ValueError, TypeError) as error:

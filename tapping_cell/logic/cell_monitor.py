@@ -146,7 +146,7 @@ class CellMonitor:
         )
 
     def observed_at(self, now: Now) -> float:
-        """Return the time of the last image on the own steady clock, s."""
+        """Return the time of the last image on this computer's steady clock, s."""
         if self.object is None:
             return -math.inf
         return self.camera_clock.to_steady(self.object.header.stamp, now)

@@ -37,7 +37,7 @@ class PeerClock:
             self._delays.popleft()
 
     def to_steady(self, stamp: Time, now: Now) -> float:
-        """Convert a stamp of that node to the own steady clock; ``now`` for a stamp of zero."""
+        """Convert a stamp of that node to our steady clock; ``now`` for a stamp of zero."""
         if not (stamp.sec or stamp.nanosec) or not self._delays:
             return now.steady
         return to_seconds(stamp) + self._delays[0][1]

@@ -10,7 +10,7 @@ RELEASE_S = 0.1
 """Part of that time that must remain when the arm's answer arrives: request to the board, firing
 window and pulse."""
 RELEASED_S = 0.035
-"""Maximum time from the report of a release to the end of its pulse."""
+"""Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
 """Factor by which the flight may be longer than by the curve, due to friction and its errors."""
 

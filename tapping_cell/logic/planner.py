@@ -905,7 +905,7 @@ class PlannerLogic:
         self._parked_tap_id = tap_id
         self._publish_withdrawal(tap_id, now)
 
-    # States and their ends
+    # State transitions, deadlines and the end of a goal
 
     def _enter(self, event: Event, state: State, now: Now, patience: float = math.inf) -> None:
         self._machine.move(event, state)

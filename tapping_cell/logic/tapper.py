@@ -189,7 +189,7 @@ class Tap:
 
 @dataclass(frozen=True, slots=True)
 class Permit:
-    """The arm's promise to stand still for a tap until ``until``, s on the own steady clock."""
+    """The arm's promise to stand still for a tap until ``until``, s on our steady clock."""
 
     tap_id: int
     until: float
@@ -345,7 +345,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._charge_when_ready(now)
 
     def _give_way(self, command: TapCommand, now: Now) -> None:
-        """Give up the tap of this board, because a tap of another board was commanded."""
+        """Give up this board's tap if a tap of another board was commanded."""
         if self.state in SERVING and command.tap_id != self._told.tap_id:
             self._give_up(
                 (
@@ -560,7 +560,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Handle the end of a tap without a release, with the tapper at rest."""
         self._machine.move(Event.ENDED, S.SAFE)
         self._tap = None
-        # A shot that the board has already used may have been fired before this node restarted.
+        # If the board has already used the shot's number, the shot may have been fired before this
+        # node restarted.
         spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT
         self._told.outcome = TapperState.UNKNOWN if spent else TapperState.NOT_FIRED
         self._let_arm_go(0.0)

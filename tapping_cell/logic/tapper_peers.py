@@ -69,7 +69,7 @@ out."""
 
 @dataclass(slots=True)
 class Mounts:
-    """State of the strikers as reported by the own board.
+    """State of the strikers as reported by this node's board.
 
     ``proven``: since the board's start each striker was detected at its mount and, if it was
     released, detected to leave it and return. ``away``: names of the strikers that are not at
@@ -104,7 +104,7 @@ class Mounts:
 
 
 class TapperPeers:
-    """Last messages of arm, planner and camera, with their times on the own steady clock.
+    """Last messages of arm, planner and camera, with their times on this computer's steady clock.
 
     A planner or camera without any message yet does not count as lost, because a person or a
     program may command single taps without it. If its messages end, for example because its process
@@ -127,7 +127,7 @@ class TapperPeers:
         self._other_boards: frozenset[tuple[str, ...]] = frozenset()
 
     def use_mounts(self, mounts: Mounts, other_boards: Sequence[Sequence[str]]) -> None:
-        """Set up the checks of a cell without an arm. ``mounts``: of the own board;
+        """Set up the checks of a cell without an arm. ``mounts``: of this node's board;
         ``other_boards``: the tappers' names of each other board."""
         self._mounts = mounts
         self._other_boards = frozenset(tuple(names) for names in other_boards)
@@ -245,7 +245,7 @@ class TapperPeers:
         return None
 
     def _check_mounts(self, now: Now) -> Trouble | None:
-        """Return an error if the own mounts are not proven or another board is not at rest."""
+        """Return an error if this board's mounts are not proven or another board is not at rest."""
         assert self._mounts is not None
         reason = self._mounts.check()
         if reason is not None:

@@ -138,7 +138,7 @@ class OptimalPlanner:
         return self.ready
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
-        """The optimal tap, or the fallback's while the plan is being solved."""
+        """Return the optimal tap, or the fallback method's while the policy is being solved."""
         return (self._policy or self._fallback).choose(distance, rotation)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:

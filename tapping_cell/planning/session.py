@@ -525,9 +525,9 @@ class PositioningSession(GoalSession):
             )
         return Refusal(
             RefusalReason.NO_STRIKE,
-            f"no tap is possible with the object at {place}: every one would leave the "
-            "table, enter a keep-out or a place where the object cannot be tapped back, or is out "
-            f"of the arm's reach (first: {first}); move the object by hand towards the middle"
+            f"no tap is possible with the object at {place}: each would push it off the table, "
+            "into a keep-out or to a place from which it cannot be tapped back, or is out of the "
+            f"arm's reach (the preferred tap: {first}); move the object by hand towards the middle"
             + others_text(self._space),
         )
 
@@ -564,7 +564,11 @@ class PositioningSession(GoalSession):
         if found is None:
             return None
         return self._made(
-            pose, left, safe[found[0]], found[1], "a probe of what is not known of the object"
+            pose,
+            left,
+            safe[found[0]],
+            found[1],
+            "a probe tap, to measure how far the object slides and how much it turns",
         )
 
     def _ends_well(self, pose: Array, commanded: Array, *, trusting: bool = False) -> BoolArray:
@@ -576,7 +580,8 @@ class PositioningSession(GoalSession):
         workable = np.all(self._free.contains(end), axis=-1)
         nominal = self._free.contains(pose[:2] + expected[..., :2])
         if not self._free.contains(pose[:2]):
-            workable = nominal  # leaving an unworkable place: require only the expected end
+            # The object lies where it cannot be tapped on: only the expected end must be better.
+            workable = nominal
         spread = None if trusting else self._spread(commanded)
         safe = self._space.slide_is_safe(pose, expected, spread)
         return np.asarray(workable & nominal & safe)

@@ -118,7 +118,7 @@ def draw_success(rows: dict[str, dict[str, Any]], path: Path) -> None:
     axis.set_xlim(0, 10)
     axis.set_ylim(0, 101)
     axis.set_xlabel("taps")
-    axis.set_ylabel("runs done (%)")
+    axis.set_ylabel("completed runs (%)")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
     figure.savefig(path)

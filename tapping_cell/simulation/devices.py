@@ -75,7 +75,7 @@ class SimulatedDevices:
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
         """Handle a release: the striker starts at the arm's true position."""
         tip, height = self.tip(now)
-        # The spring stores whole steps, so the energy may lie slightly outside the table.
+        # The carriage stops at whole motor steps, so the energy may lie slightly outside the curve.
         least, most = self._curve.table[0][0], self._curve.table[-1][0]
         speed = self._curve.speed_for(min(max(energy, least), most))
         return self._on_strike(tip, height, speed, now)

@@ -36,7 +36,7 @@ class Pace:
         played, self._next = now, -math.inf
         if math.isfinite(self._taken) and (not at_rest or self._taken < self._moved + STEADY_S):
             played = max(self._taken, min(now, self._taken + self.period))
-            # At most half a period early, because the caller's timer is not exact.
+            # The next image may come up to half a period early: the caller's timer is not exact.
             self._next = now + self.period * (self.slow_motion - 0.5)
         if not at_rest:
             self._moved = played

@@ -170,7 +170,7 @@ class Tabletop:
         raise ValueError(
             f"there is no free place for '{name}' on a table of {1000 * self._size[0]:.0f} x "
             f"{1000 * self._size[1]:.0f} mm with {len(names)} objects; use fewer or smaller "
-            "objects, or give their poses in the truth file (key 'further_starts')"
+            "objects, or give their poses in the simulation parameters (key 'further_starts')"
         )
 
     def take_contacts(self) -> list[TrueContact]:

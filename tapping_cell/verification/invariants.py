@@ -196,7 +196,8 @@ class Witness:
         if blind > HEARTBEAT_S + WINDOW_S:
             self.violate(
                 "camera silent",
-                f"shot {shot} was released {blind:.2f} s after the tapper last heard the camera",
+                f"shot {shot} was released {blind:.2f} s after the last camera message that the"
+                " tapper received",
             )
         self._check_scene(release, command)
 

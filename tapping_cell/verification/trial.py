@@ -441,7 +441,7 @@ class Trial:
             self.witness.violate(
                 "untrue cause",
                 f"goal {number} ended with code {result.error_code} ({result.error_msg}), which"
-                f" none of {', '.join(sorted(struck)) or 'no fault'} explains",
+                f" is explained by none of the injected faults: {', '.join(sorted(struck)) or '-'}",
             )
         if quiet and result.error_code and HASTE not in struck:
             self.witness.violate(
@@ -827,8 +827,8 @@ class Trial:
         if not explains(message.error_code, struck):
             self.witness.violate(
                 "untrue cause",
-                f"tap {message.tap_id} was not fired for '{message.error_msg}', which none of"
-                f" {', '.join(sorted(struck)) or 'no fault'} explains",
+                f"tap {message.tap_id} was not fired ('{message.error_msg}'), which is explained by"
+                f" none of the injected faults: {', '.join(sorted(struck)) or '-'}",
             )
 
     def _reached(self, name: str) -> None:

@@ -213,7 +213,7 @@ def test_a_calibration_of_another_resolution_is_refused(cell: Cell) -> None:
     assert "640 x 512" in last.error_msg
 
 
-@pytest.mark.parametrize("trouble", ["binning", "part"])
+@pytest.mark.parametrize("trouble", ["binning", "region of interest"])
 def test_a_calibration_of_other_pixels_is_refused(cell: Cell, trouble: str) -> None:
     if trouble == "binning":
         cell.info.binning_x = cell.info.binning_y = 2

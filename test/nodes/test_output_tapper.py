@@ -147,8 +147,9 @@ def test_a_tap_is_one_pulse_and_read_back(tmp_path: Path, interface: str) -> Non
         cell.tap(tap_id)
         assert cell.states[-1].outcome == Told.FIRED, cell.states[-1].error_msg
         (pulse,) = cell.robot.pulses()
-        # The curve gives 20 mJ for 0.6 m/s, and the table 12 ms for 20 mJ.
-        assert 0.009 < pulse < 0.05
+        # The curve gives 20 mJ for 0.6 m/s, and the table 12 ms for 20 mJ. The stand-in notes when
+        # each command arrives, some milliseconds late on a busy machine.
+        assert 0.006 < pulse < 0.05
         cell.tap(tap_id)
         assert len(cell.robot.pulses()) == 1, "a repeated id was fired"
 

@@ -167,7 +167,7 @@ class PageServer:
         """Send a response in the server's thread, from any thread."""
         self._call(give, answer)
 
-    # In the server's thread
+    # Executed in the server's thread; ``_call`` schedules work there from any thread
 
     def _call(self, function: Callable[..., object], *arguments: object) -> None:
         loop = self._loop

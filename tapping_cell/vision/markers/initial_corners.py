@@ -14,7 +14,7 @@ import numpy as np
 from tapping_cell.vision.camera import Array, Image
 
 _ACROSS = 25
-"""Number of samples along each line across a side."""
+"""Number of samples on each search line perpendicular to a side of the marker."""
 _REACH, _FURTHEST = 0.9, 7.0
 """Search range to either side of the edge: in modules, and at most in pixels."""
 _ALONG = 24

@@ -36,7 +36,7 @@ def signed_area(corners: Array) -> float:
 
 
 def centroid(corners: Array) -> Array:
-    """Centre (2,) of the area of the polygon with these corners (N, 2)."""
+    """Return the centroid (2,) of the polygon with corners (N, 2)."""
     following = np.roll(corners, -1, axis=0)
     cross = corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]
     return np.asarray(((corners + following) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))

@@ -80,9 +80,9 @@ class ReferenceMarkers:
     ) -> tuple[MarkerEdges, Rows, list[MarkerEdges | None]]:
         """Measure the markers near ``quads``, and the object markers in ``others``.
 
-        Returns the edges of the markers found, their rows of the map, and the edges of each of the
-        ``others``, None if it is not found. ``searched`` states that the quads come from a search,
-        whose corners may be some pixels off.
+        Return the edges of the detected markers, their row indices in the marker map, and for each
+        of the ``others`` its edges, or None if it was not found. ``searched`` states that the
+        quads come from a search, whose corners may be some pixels off.
         """
         rows = np.array(list(quads), dtype=np.intp)
         corners = list(quads.values())
