@@ -72,18 +72,18 @@ def make_parser() -> argparse.ArgumentParser:
         "--section",
         action="append",
         choices=sorted(SECTIONS + LONG_SECTIONS),
-        help=f"what to measure, may be repeated (default: {', '.join(SECTIONS)})",
+        help=f"section to run; may be given several times (default: {', '.join(SECTIONS)})",
     )
     parser.add_argument(
         "--count",
         "--experiments",
         type=int,
         metavar="N",
-        help="scenes of arrangements, experiments of calibration and lack-of-fit, demos a truth, "
-        "callbacks of composition, goals of cycle and fixed-cycle, losses of disarm, freezes of a "
-        "node of lost-nodes, "
-        "trials of precision, scenes of outline, scenes or frames of vision*, seconds of node and "
-        "idle",
+        help="number of scenes (arrangements, outline), scenes or frames (vision*), experiments "
+        "(calibration, lack-of-fit), demos per truth file (demos), callbacks (composition), "
+        "goals (cycle, fixed-cycle, two-computers, unknown-worlds), losses (disarm), freezes"
+        " of a node (lost-nodes), trials (precision, unknown-objects), or seconds (node, "
+        "idle) (default: set by each section)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

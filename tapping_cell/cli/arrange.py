@@ -36,15 +36,20 @@ from tapping_cell.report.error_codes import hint
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("layout", type=Path, help="layout file")
     parser.add_argument(
-        "--namespace", type=argument_types.namespace, default="", help="namespace of the nodes"
+        "layout", type=Path, help="layout file with the names of the objects and their goal poses"
+    )
+    parser.add_argument(
+        "--namespace",
+        type=argument_types.namespace,
+        default="",
+        help="namespace of the cell's nodes (default: none)",
     )
     parser.add_argument(
         "--wait",
         type=argument_types.within(0, 3600),
         default=20.0,
-        help="longest wait for the cell, in seconds",
+        help="longest wait for the cell, in seconds (default: 20)",
     )
     session.add_output_arguments(parser)
 

@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--namespace",
         type=argument_types.namespace,
         default="",
-        help="namespace of the cell's nodes; the ROS domain is that of ROS_DOMAIN_ID",
+        help="namespace of the cell's nodes (default: none); the ROS domain is set by "
+        "ROS_DOMAIN_ID",
     )
 
 

@@ -62,7 +62,9 @@ class Findings:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="file to check")
+    parser.add_argument(
+        "files", nargs="+", type=Path, metavar="FILE", help="configuration file to check"
+    )
     parser.add_argument(
         "--kind", choices=KINDS, help="kind of the files (default: inferred from the keys)"
     )
@@ -70,9 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--drawing",
         type=Path,
         metavar="FILE",
-        help="draw the layout of the cell's fixed tappers (png, svg or pdf)",
+        help="image file (png, svg or pdf) for a drawing of the cell's fixed tappers",
     )
-    parser.add_argument("--json", action="store_true", help="print the findings for a program")
+    parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--press-button",
         action="store_true",
-        help="simulated cell: press the clear button at the tapper first",
+        help="first press the clear button at the tapper (only in a simulated cell)",
     )
 
 

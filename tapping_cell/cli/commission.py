@@ -35,35 +35,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         default=Path("commissioning"),
-        help="folder of files and measurements (default: commissioning)",
+        help="folder for the cell's files and measurements (default: commissioning)",
     )
     parser.add_argument(
-        "--hardware", action="store_true", help="real camera, arm and tapper (default: simulated)"
+        "--hardware",
+        action="store_true",
+        help="use the real camera, arm and tapper (default: simulated)",
     )
     parser.add_argument(
         "--camera",
         default="/dev/video0",
-        help="with --hardware: device of the camera (default: /dev/video0)",
+        help="camera device (only with --hardware; default: /dev/video0)",
     )
     parser.add_argument(
         "--yes",
         action="store_true",
-        help="simulated: run every step without asking for confirmation",
+        help="run every step without asking for confirmation (only in simulation)",
     )
     parser.add_argument(
         "--again",
         action="append",
         default=[],
         choices=[step.name for step in STEPS],
-        help="repeat this finished step; may be given several times",
+        help="finished step to repeat; may be given several times",
     )
     parser.add_argument(
         "--until",
         choices=[step.name for step in STEPS],
-        help="end after this step (default: the last)",
+        help="last step to run (default: the last of all steps)",
     )
     parser.add_argument(
-        "--seed", type=argument_types.seed, default=1, help="simulated: random seed of the noise"
+        "--seed",
+        type=argument_types.seed,
+        default=1,
+        help="random seed of the noise (only in simulation; default: 1)",
     )
 
 

@@ -26,7 +26,10 @@ NAME = "cell"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "--shell", choices=("bash", "zsh", "fish"), default="bash", help="kind of shell"
+        "--shell",
+        choices=("bash", "zsh", "fish"),
+        default="bash",
+        help="shell to print the code for (default: bash)",
     )
 
 

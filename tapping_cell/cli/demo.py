@@ -70,33 +70,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("DX", "DY", "DTHETA"),
-        help="goal from where the object starts, in mm, mm and degrees (default: 10 0 10)",
+        help="goal relative to the object's start pose, in mm, mm and degrees (default: 10 0 10)",
     )
     task.add_argument(
         "--goal",
         nargs=3,
         type=float,
         metavar=("X", "Y", "THETA"),
-        help="goal in the table frame, in mm, mm and degrees",
+        help="goal pose in the table frame, in mm, mm and degrees",
     )
     task.add_argument(
         "--objects",
         type=int,
         choices=range(1, MOST_OBJECTS + 1),
         metavar="N",
-        help=f"bring N objects (1 to {MOST_OBJECTS}), each to a random goal",
+        help=f"number of objects (1 to {MOST_OBJECTS}), each brought to a random goal",
     )
     parser.add_argument(
         "--seed",
         type=argument_types.seed,
         default=1,
-        help="random seed of the world's noise and scatter",
+        help="random seed of the simulated world's noise and scatter (default: 1)",
     )
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     add_truth_arguments(parser)
     parser.add_argument("--planner", help="planning method (default: the cell's)")
-    parser.add_argument("--out", type=Path, help="run folder (default: a new one under runs/)")
+    parser.add_argument("--out", type=Path, help="run folder (default: a new folder in runs)")
     session.add_output_arguments(parser)
 
 

@@ -61,25 +61,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--planner",
         default="optimal",
         metavar="P",
-        help="planning method",
+        help="planning method (default: optimal)",
     )
-    parser.add_argument("--all", action="store_true", help="compare all methods")
-    numbers("--trials", type=int, default=2000, metavar="N", help="number of trials (2000)")
+    parser.add_argument("--all", action="store_true", help="compare all planning methods")
+    numbers(
+        "--trials", type=int, default=2000, metavar="N", help="number of trials (default: 2000)"
+    )
     numbers(
         "--goal",
         type=float,
         nargs=3,
         default=(10.0, 0.0, 10.0),
         metavar=("X", "Y", "THETA"),
-        help="from start to goal: mm, mm, degrees (10 0 10)",
+        help="goal relative to the start, in mm, mm and degrees (default: 10 0 10)",
     )
     numbers(
         "--random-tasks",
         type=float,
         nargs="*",
         metavar="MAX",
-        help="draw each trial's goal: largest distance in mm and rotation in degrees "
-        "(40 20; with --table 300 180)",
+        help="draw a random goal for each trial, up to this distance in mm and rotation in "
+        "degrees (without values: 40 20, or 300 180 with --table)",
     )
     numbers(
         "--tolerance",
@@ -87,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(1.0, 1.0),
         metavar=("MM", "DEG"),
-        help="where the object must end (1 1)",
+        help="position and angle tolerance of the goal, in mm and degrees (default: 1 1)",
     )
     numbers(
         "--scatter",
@@ -95,8 +97,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         default=(5.0, 15.0, 1.0),
         metavar=("D", "R", "A"),
-        help="standard deviation of a tap: percent of distance, percent of rotation, degrees of "
-        "direction (5 15 1)",
+        help="standard deviations of a tap: distance in percent, rotation in percent, direction "
+        "in degrees (default: 5 15 1)",
     )
     numbers(
         "--camera-noise",
@@ -104,7 +106,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
-        help="standard deviation of a measured pose (0 0)",
+        help="standard deviations of a measured pose, in mm and degrees (default: 0 0)",
     )
     numbers(
         "--gain-bias",
@@ -112,7 +114,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("D", "R"),
-        help="steady errors of distance and rotation in percent, signs random in each trial (0 0)",
+        help="constant errors of distance and rotation in percent, with random signs in each "
+        "trial (default: 0 0)",
     )
     numbers(
         "--unknown",
@@ -120,97 +123,127 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(1.0, 1.0),
         metavar=("D", "R"),
-        help="largest factors by which distance and rotation per distance are too large or too "
-        "small, drawn for each trial (1 1)",
+        help="largest factors by which the distance, and the rotation per distance, are too large"
+        " or too small, drawn for each trial (default: 1 1)",
     )
     numbers(
         "--off-centre",
         type=float,
         default=0.0,
         metavar="DEG_PER_MM",
-        help="standard deviation of the rotation per distance of an object that is not centred (0)",
+        help="standard deviation of the rotation per distance, in degrees per mm, of an object "
+        "that is not centred (default: 0)",
     )
     parser.add_argument(
         "--probe",
         action="store_true",
-        help="begin with the smallest taps, which measure the object's friction (--table)",
+        help="begin with the smallest taps, which measure the object's friction (only with "
+        "--table)",
     )
-    parser.add_argument("--adapt", action="store_true", help="learn the gains tap by tap")
+    parser.add_argument("--adapt", action="store_true", help="learn the gains from tap to tap")
     numbers(
         "--box",
         type=float,
         metavar="SHARE",
-        help="fraction of the tolerance in which to stop; default: the largest that the camera "
-        "noise allows",
+        help="fraction of the tolerance within which to stop (default: the largest that the "
+        "camera noise allows)",
     )
     numbers(
         "--variant",
         choices=("overshoot", "retreat"),
         default="overshoot",
-        help="two-tap plans of exact and conservative: first past the goal, or away from it",
+        help="first tap of a two-tap plan, for the methods exact and conservative: past the goal,"
+        " or away from it (default: overshoot)",
     )
     numbers(
         "--error-line",
         type=float,
         metavar="PERCENT",
-        help="half length of the error lines of conservative (30) and multi (60)",
+        help="assumed rotation error, +- percent of the tap's rotation, for the methods "
+        "conservative (default: 30) and multi (default: 60)",
     )
     numbers(
         "--model",
         choices=("abstract", "physics", "world"),
         default="abstract",
-        help="model of a tap: displacements with scatter, the closed forms of impact and slide, "
-        "or the simulated world with every effect and the scatter of its truth file",
+        help="model of a tap: displacements with scatter (abstract), closed-form impact and slide"
+        " (physics), or the simulated world with every effect and the scatter of its "
+        "simulation parameters (world) (default: abstract)",
     )
     numbers(
         "--round-position",
         type=float,
         default=0.0,
         metavar="MM",
-        help="the arm rounds the striker's position to multiples of this (physics)",
+        help="step to which the arm rounds the striker's position, in mm (only with --model "
+        "physics or world; default: 0, no rounding)",
     )
     numbers(
         "--round-angle",
         type=float,
         default=0.0,
         metavar="DEG",
-        help="the arm rounds the striker's angle to multiples of this (physics)",
+        help="step to which the arm rounds the striker's angle, in degrees (only with --model "
+        "physics or world; default: 0, no rounding)",
     )
     parser.add_argument(
         "--objective",
         choices=("taps", "time"),
-        help="minimise the number of taps, or the time of taps and arm (--table; default: the "
-        "cell file's)",
+        help="minimise the number of taps, or the total time of taps and arm motion (only with "
+        "--table; default: the cell file's)",
     )
-    numbers("--table", action="store_true", help="on the cell's table, within the arm's reach")
-    numbers("--cell", type=Path, metavar="FILE", help="cell file (physics and --table)")
-    numbers("--object", type=Path, metavar="FILE", help="object file (physics and --table)")
-    numbers("--truth", type=Path, metavar="FILE", help="true parameters (physics, world)")
+    numbers(
+        "--table",
+        action="store_true",
+        help="run the trials on the cell's table, within the arm's reach",
+    )
+    numbers(
+        "--cell",
+        type=Path,
+        metavar="FILE",
+        help="cell file (used with --model physics or world, with --table, and for a cell with "
+        "fixed tappers; default: the package's cell.yaml)",
+    )
+    numbers(
+        "--object",
+        type=Path,
+        metavar="FILE",
+        help="object file (used wherever --cell is used; default: the cell's)",
+    )
+    numbers(
+        "--truth",
+        type=Path,
+        metavar="FILE",
+        help="file with the simulation parameters (used with --model physics or world, and with "
+        "--table; default: the package's truth/default.yaml)",
+    )
     numbers(
         "--truth-object",
         type=Path,
         metavar="FILE",
-        help="object file for the true parameters, if it differs from the planner's (physics; "
-        "--object)",
+        help="object file with the true parameters, if it differs from the planner's (used with "
+        "--model physics or world; default: the planner's)",
     )
     numbers(
         "--true-friction",
         type=float,
         metavar="MU",
-        help="true coefficient of friction, instead of that of --truth (physics)",
+        help="true coefficient of friction (only with --model physics; default: from the object "
+        "file and --truth)",
     )
     numbers(
         "--sweep",
         nargs="+",
         metavar="NAME=VALUES",
-        help="evaluate over a grid: friction=0.1:0.4:7 (first, last, number) tolerance=1,0.3 "
-        "(values); with --report, an interrupted sweep continues",
+        help="parameter grid to evaluate, as first:last:number or a list of values, for example "
+        "friction=0.1:0.4:7 tolerance=1,0.3; an interrupted sweep is continued (requires "
+        "--report)",
     )
     parser.add_argument(
         "--cluster",
         metavar="ADDRESS",
-        help="run the points of --sweep on the workers of a Dask scheduler, for example "
-        "tcp://192.168.1.5:8786 (pip install distributed)",
+        help="address of a Dask scheduler whose workers run the points, for example "
+        "tcp://192.168.1.5:8786; needs the package distributed (only with --sweep)",
     )
     add_fixed_arguments(parser)
     several = parser.add_argument_group(
@@ -218,26 +251,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "options for several objects, each with its own goal; --trials is the number of scenes",
     )
     several.add_argument(
-        "--arrange", type=int, metavar="N", help="arrange N objects of mixed shape (1 to 20)"
+        "--arrange",
+        type=int,
+        metavar="N",
+        help="number of objects of mixed shape to arrange (1 to 20)",
     )
     several.add_argument(
         "--goals",
         choices=("random", "swap", "grid"),
         default="random",
-        help="random goals, goals exchanged in pairs, or a compact grid of disks (random)",
+        help="goals of the objects: random, exchanged in pairs (swap), or a compact grid of disks"
+        " (only with --arrange; default: random)",
     )
     several.add_argument(
         "--gap",
         type=float,
         default=40.0,
         metavar="MM",
-        help="minimum gap between objects at starts and goals (40)",
+        help="minimum gap between objects at starts and goals, in mm (only with --arrange; "
+        "default: 40)",
     )
     several.add_argument(
         "--method",
         choices=("sequence", "file order", "nearest first"),
         default="sequence",
-        help="choice of the next object: the built-in planner, or a baseline (sequence)",
+        help="method that chooses the next object: the built-in planner (sequence) or a baseline "
+        "(only with --arrange; default: sequence)",
     )
     several.add_argument(
         "--radius",
@@ -245,22 +284,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=(20.0, 30.0, 40.0),
         metavar="MM",
-        help="radii of the disks; besides them squares of these half diagonals (20 30 40; a grid "
-        "has disks of the first radius only)",
+        help="radii of the disks and half diagonals of the squares, in mm; a grid has disks of "
+        "the first radius only (only with --arrange; default: 20 30 40)",
     )
     numbers(
         "--most-taps",
         type=int,
         default=100,
         metavar="N",
-        help="number of taps after which a trial counts as endless (100)",
+        help="number of taps after which a trial counts as endless (default: 100)",
     )
-    numbers("--seed", type=argument_types.seed, default=0, help="random seed (0)")
+    numbers("--seed", type=argument_types.seed, default=0, help="random seed (default: 0)")
     numbers(
         "--processes", type=int, metavar="N", help="number of processes (default: one per core)"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    numbers("--report", type=Path, metavar="DIR", help="write a table and plots (--all, --sweep)")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
+    numbers(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="folder for a table and plots (only with --all or --sweep)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -42,7 +42,8 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=(10.0, 30.0, 90.0),
         metavar="DEG",
-        help="cell with fixed tappers: starts turned by up to this much from the goal (10 30 90)",
+        help="largest rotation of the start from the goal, in degrees, one table row for each "
+        "value (only for a cell with fixed tappers; default: 10 30 90)",
     )
     numbers(
         "--goal-pose",
@@ -50,7 +51,8 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         default=(0.0, 0.0, 0.0),
         metavar=("X", "Y", "THETA"),
-        help="cell with fixed tappers: the goal on the table: mm, mm, degrees (0 0 0)",
+        help="goal pose on the table, in mm, mm and degrees (only for a cell with fixed tappers; "
+        "default: 0 0 0)",
     )
     numbers(
         "--mount-error",
@@ -58,8 +60,9 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
-        help="cell with fixed tappers: standard deviation of each line's true place and direction, "
-        "drawn anew for each trial (0 0)",
+        help="standard deviations of the true position and direction of each tapper's line, in mm"
+        " and degrees, drawn for each trial (only for a cell with fixed tappers; default: 0 "
+        "0)",
     )
 
 

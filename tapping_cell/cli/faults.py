@@ -58,54 +58,64 @@ processes."""
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's options."""
     parser.add_argument(
-        "--taps", type=int, metavar="N", help="default: 1000, with --pty 20 (about 5 s each)"
+        "--taps",
+        type=int,
+        metavar="N",
+        help="number of taps (default: 1000; with --pty: 20, about 5 s each)",
     )
     parser.add_argument(
         "--dialect",
         choices=[dialect.value for dialect in Dialect],
-        help="controller of the arm; if left out, all in turn",
+        help="controller of the arm (default: all, one after the other)",
     )
-    parser.add_argument("--seed", type=argument_types.seed, default=0, help="default: %(default)s")
+    parser.add_argument(
+        "--seed", type=argument_types.seed, default=0, help="random seed of the faults (default: 0)"
+    )
     parser.add_argument(
         "--jobs",
         type=int,
         default=os.cpu_count() or 1,
-        help="number of processes; default: the number of cores",
+        help="number of processes (default: the number of cores)",
     )
     parser.add_argument(
         "--pty",
         action="store_true",
-        help="use real pseudo-terminals in real time, one process per dialect",
+        help="use pseudo-terminals in real time, with one process per dialect",
     )
     parser.add_argument(
         "--goals",
         type=int,
         metavar="N",
-        help="simulate this number of goals of the whole cell: logic, drivers, boards, camera and "
-        "people, with random faults; with --mutants the maximum number of goals (default "
-        "1000)",
+        help="number of goals to simulate in the whole cell (logic, drivers, boards, camera and "
+        "people) with random faults; with --mutants, the maximum number of goals (default: "
+        "1000 with --mutants, 10 with --replay)",
     )
     parser.add_argument(
         "--only",
         metavar="KINDS",
         default="",
-        help="with --goals and --replay: only faults of these kinds, separated by commas, such as"
-        " 'freeze, kill'",
+        help="kinds of faults to use, separated by commas, such as 'freeze, kill' (only with "
+        "--goals or --replay; default: all)",
     )
     parser.add_argument(
         "--mean-faults",
         type=float,
         metavar="N",
         default=ALL.mean,
-        help="with --goals and --replay: mean number of faults per goal, at least 1 (default: "
-        "%(default)g)",
+        help="mean number of faults per goal, from 1 to 50 (only with --goals or --replay; "
+        f"default: {ALL.mean:g})",
     )
     parser.add_argument(
-        "--mutant", action="append", help="with --mutants: only this one, may be repeated"
+        "--mutant",
+        action="append",
+        help="defect to test; may be given several times (only with --mutants; default: all)",
     )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument(
-        "--replay", type=int, metavar="SEED", help="repeat a run of --goals and print its trace"
+        "--replay",
+        type=int,
+        metavar="SEED",
+        help="seed of a run of --goals to repeat, printing its trace",
     )
     instead.add_argument(
         "--mutants",
@@ -115,24 +125,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead.add_argument(
         "--every-byte",
         action="store_true",
-        help="instead of random faults, a restart and an unplug at every byte of one tap",
+        help="restart and unplug a board at every byte of one tap, instead of random faults",
     )
     instead.add_argument(
         "--soak",
         type=float,
         metavar="HOURS",
-        help="tap for this time of the devices and report memory, threads and file descriptors",
+        help="run taps for this many hours of device time, and report memory, threads and file "
+        "descriptors",
     )
     instead.add_argument(
         "--crashes",
         action="store_true",
-        help="instead, kill every node of a running simulated cell in every phase of a tap",
+        help="kill every node of a running simulated cell in every phase of a tap",
     )
     parser.add_argument(
-        "--node", action="append", help="with --crashes: only this node, may be repeated"
+        "--node",
+        action="append",
+        help="node to kill; may be given several times (only with --crashes; default: all)",
     )
     parser.add_argument(
-        "--phase", action="append", help="with --crashes: only this phase, may be repeated"
+        "--phase",
+        action="append",
+        help="phase in which to kill; may be given several times (only with --crashes; default: "
+        "all)",
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 

@@ -38,14 +38,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from tapping_cell.cli.output_arguments import add_output_arguments
 
     parser.add_argument(
-        "records", nargs="+", type=Path, metavar="RECORDS", help="folders of records, or CSV files"
+        "records", nargs="+", type=Path, metavar="RECORDS", help="folder of records, or CSV file"
     )
     parser.add_argument(
-        "--object", type=Path, metavar="FILE", help="object file: shape, mass and the old values"
+        "--object",
+        type=Path,
+        metavar="FILE",
+        help="object file with the shape, the mass and the previous values (default: the object "
+        "in the records)",
     )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write figures and report.html")
     parser.add_argument(
-        "--seed", type=argument_types.seed, default=0, help="random seed of the bootstrap (0)"
+        "--report", type=Path, metavar="DIR", help="folder for figures and report.html"
+    )
+    parser.add_argument(
+        "--seed",
+        type=argument_types.seed,
+        default=0,
+        help="random seed of the bootstrap (default: 0)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)

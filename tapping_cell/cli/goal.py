@@ -36,11 +36,24 @@ AGAIN_S = 1.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("x", type=argument_types.within(-10000, 10000), help="goal in table, mm")
-    parser.add_argument("y", type=argument_types.within(-10000, 10000), help="goal in table, mm")
-    parser.add_argument("theta", type=float, help="goal in table, degrees")
     parser.add_argument(
-        "--namespace", type=argument_types.namespace, default="", help="namespace of the nodes"
+        "x",
+        type=argument_types.within(-10000, 10000),
+        help="x of the goal in the table frame, in mm",
+    )
+    parser.add_argument(
+        "y",
+        type=argument_types.within(-10000, 10000),
+        help="y of the goal in the table frame, in mm",
+    )
+    parser.add_argument(
+        "theta", type=float, help="angle of the goal in the table frame, in degrees"
+    )
+    parser.add_argument(
+        "--namespace",
+        type=argument_types.namespace,
+        default="",
+        help="namespace of the cell's nodes (default: none)",
     )
     parser.add_argument(
         "--tolerance",
@@ -48,23 +61,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=argument_types.within(0, 1000),
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
-        help="tolerance in mm and degrees (default: the cell's own)",
+        help="position and angle tolerance, in mm and degrees (default: the cell's)",
     )
     parser.add_argument(
         "--probe",
         action="store_true",
-        help="begin with a few of the smallest taps, to measure an unknown object's friction",
+        help="begin with a few of the smallest taps, to measure the friction of an unknown object",
     )
     parser.add_argument(
         "--ask",
         action="store_true",
-        help="show every planned tap and make it only when it is confirmed, here or on the page",
+        help="show every planned tap, and make it only after confirmation here or on the "
+        "operator's page",
     )
     parser.add_argument(
         "--wait",
         type=argument_types.within(0, 3600),
         default=20.0,
-        help="longest wait for the cell, in seconds",
+        help="longest wait for the cell, in seconds (default: 20)",
     )
     session.add_output_arguments(parser)
 

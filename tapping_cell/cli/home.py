@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--wait",
         type=argument_types.within(1, 3600),
         default=120.0,
-        help="longest time for homing, in seconds (120)",
+        help="longest time for homing, in seconds (default: 120)",
     )
 
 

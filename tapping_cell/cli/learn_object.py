@@ -45,25 +45,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     from tapping_cell.cli.measuring_graph import add_graph_arguments
     from tapping_cell.cli.output_arguments import add_output_arguments
 
-    parser.add_argument("runs", nargs="*", type=Path, metavar="RUNS", help="run folders")
     parser.add_argument(
-        "--object", type=Path, required=True, metavar="FILE", help="the object file in use"
+        "runs",
+        nargs="*",
+        type=Path,
+        metavar="RUNS",
+        help="run folder of earlier goals to learn from (default: make new goals)",
+    )
+    parser.add_argument(
+        "--object", type=Path, required=True, metavar="FILE", help="object file in use"
     )
     parser.add_argument(
         "--goals",
         type=argument_types.whole(1, 200),
         default=MOST_GOALS,
-        help=f"most goals to send ({MOST_GOALS})",
+        help=f"maximum number of goals to send (default: {MOST_GOALS})",
     )
     add_graph_arguments(parser)
     parser.add_argument(
         "--seed",
         type=argument_types.seed,
         default=1,
-        help="simulated: random seed of noise and scatter (1)",
+        help="random seed of noise and scatter (only in simulation; default: 1)",
     )
     parser.add_argument(
-        "--runs-folder", type=Path, default=Path("runs"), help="folder of the recorded runs (runs)"
+        "--runs-folder",
+        type=Path,
+        default=Path("runs"),
+        help="folder in which the new runs are recorded (default: runs)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)

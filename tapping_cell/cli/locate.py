@@ -85,25 +85,36 @@ class SeenObject:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE", help="image files")
-    parser.add_argument("--camera", type=Path, help="ROS camera_info file (default: the package's)")
+    parser.add_argument("images", nargs="+", type=Path, metavar="IMAGE", help="image file")
     parser.add_argument(
-        "--table", type=Path, help="reference markers (default: the package's table.yaml)"
+        "--camera", type=Path, help="ROS camera_info file (default: the package's camera_info.yaml)"
+    )
+    parser.add_argument(
+        "--table",
+        type=Path,
+        help="table file with the reference markers (default: the package's table.yaml)",
     )
     parser.add_argument(
         "--object",
         type=Path,
         action="append",
-        help="shape, height and marker (or outline) of an object; may be given several times "
-        "(default: the aluminium disk)",
+        help="object file with shape, height and marker or outline; may be given several times "
+        "(default: the package's aluminium_disk.yaml)",
     )
     parser.add_argument(
-        "--sequence", action="store_true", help="the images are frames of one stationary camera"
+        "--sequence",
+        action="store_true",
+        help="treat the images as consecutive frames of one stationary camera",
     )
     parser.add_argument(
-        "--annotate", type=Path, metavar="DIR", help="write pictures with the result drawn in"
+        "--annotate",
+        type=Path,
+        metavar="DIR",
+        help="folder for copies of the images with the results drawn in",
     )
-    parser.add_argument("--json", action="store_true", help="a list of results, one per image")
+    parser.add_argument(
+        "--json", action="store_true", help="print a JSON list with one result per image"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -19,15 +19,20 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument(
         "--hardware", action="store_true", help="start the nodes of the real camera, arm and tapper"
     )
-    how.add_argument("--attach", action="store_true", help="use a running graph")
+    how.add_argument(
+        "--attach", action="store_true", help="use a running cell instead of starting the nodes"
+    )
     parser.add_argument(
         "--namespace",
         type=argument_types.namespace,
         default="",
-        help="with --attach: namespace of the nodes",
+        help="namespace of the running cell's nodes (only with --attach; default: none)",
     )
     parser.add_argument(
-        "--camera", default="/dev/video0", help="with --hardware: device, video file or folder"
+        "--camera",
+        default="/dev/video0",
+        help="camera device, video file or image folder (only with --hardware; default: "
+        "/dev/video0)",
     )
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     add_truth_arguments(parser)

@@ -27,31 +27,41 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("image", type=Path, metavar="IMAGE", help="image of the object")
+    parser.add_argument(
+        "image", type=Path, metavar="IMAGE", help="image file that shows the object"
+    )
     parser.add_argument("--name", required=True, help="display name of the object")
     parser.add_argument(
         "--height",
         type=argument_types.within(0.5, 500.0),
         required=True,
         metavar="MM",
-        help="height of the top above the table",
+        help="height of the object's top above the table in mm",
     )
     parser.add_argument(
         "--mass",
         type=argument_types.within(1.0, 100_000.0),
         metavar="G",
-        help="mass in g (default: from the volume, assuming plastic)",
+        help="mass in g (default: estimated from the volume, assuming plastic)",
     )
-    parser.add_argument("--ring", action="store_true", help="the object is a ring, not a disk")
+    parser.add_argument(
+        "--ring", action="store_true", help="treat the object as a ring, not a disk"
+    )
     parser.add_argument(
         "--dictionary",
         help="dictionary of the object's marker (default: that of the table's markers)",
     )
-    parser.add_argument("--camera", type=Path, help="ROS camera_info file (default: the package's)")
     parser.add_argument(
-        "--table", type=Path, help="reference markers (default: the package's table.yaml)"
+        "--camera", type=Path, help="ROS camera_info file (default: the package's camera_info.yaml)"
     )
-    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="file to write")
+    parser.add_argument(
+        "--table",
+        type=Path,
+        help="table file with the reference markers (default: the package's table.yaml)",
+    )
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="FILE", help="object file to write"
+    )
     parser.add_argument("--force", action="store_true", help="replace an existing file")
 
 

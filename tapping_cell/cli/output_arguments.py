@@ -19,13 +19,13 @@ def add_output_arguments(
         required=required and default is None,
         default=default and Path(default),
         metavar="FILE",
-        help="the file to write" + (f" ({default})" if default else ""),
+        help="file to write" + (f" (default: {default})" if default else ""),
     )
     parser.add_argument("--force", action="store_true", help="replace an existing file")
     parser.add_argument(
         "--accept-worse",
         action="store_true",
-        help="with --force: replace it even if its residual or uncertainty is smaller",
+        help="replace the file even if its residual or uncertainty is smaller (only with --force)",
     )
 
 

@@ -43,14 +43,17 @@ COMPARISON = "comparison.html"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="run folder, or bag")
+    parser.add_argument(
+        "runs", nargs="+", type=Path, metavar="RUN", help="run folder, or bag of a run"
+    )
     parser.add_argument(
         "--output",
         type=Path,
-        help="output folder: a bag's report, the comparison of several runs (default: beside the "
-        "bag; the folder that holds the first run)",
+        help="folder for the report of one run (default: the run folder, or the folder of the "
+        "bag) or for the comparison of several runs (default: the folder that contains the "
+        "first run)",
     )
-    parser.add_argument("--json", action="store_true", help="print the figures for a program")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -39,9 +39,11 @@ _SWEEP_ROTATIONS = 41
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the tap, the striker's error and the sweep."""
-    parser.add_argument("--distance", type=float, default=10.0, help="distance of the tap, mm (10)")
     parser.add_argument(
-        "--rotation", type=float, default=3.0, help="rotation of the tap, degrees (3)"
+        "--distance", type=float, default=10.0, help="distance of the tap in mm (default: 10)"
+    )
+    parser.add_argument(
+        "--rotation", type=float, default=3.0, help="rotation of the tap in degrees (default: 3)"
     )
     parser.add_argument(
         "--error",
@@ -49,16 +51,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         default=PAPER_STRIKER_ERROR,
         metavar=("I", "J", "BETA"),
-        help="error of the striker's pose, mm mm degrees (7.5 7.5 5, the paper's)",
+        help="error of the striker's pose along i and j in mm, and of its angle beta in degrees "
+        "(default: 7.5 7.5 5, as in the paper)",
     )
     parser.add_argument(
-        "--farthest", type=float, default=50.0, help="largest distance of the sweep, mm (50)"
+        "--farthest",
+        type=float,
+        default=50.0,
+        help="largest distance in the sweep in mm (default: 50)",
     )
     parser.add_argument(
         "--figures",
         type=Path,
         metavar="DIR",
-        help="also draw the reachable cone and the velocities of a slide",
+        help="folder for figures of the reachable cone and of the velocities during a slide",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

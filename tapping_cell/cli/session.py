@@ -36,7 +36,7 @@ class NotRecorded(RuntimeError):
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the output options of a verb that follows a goal."""
-    parser.add_argument("--json", action="store_true", help="print the result for a program")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="print only errors")
 
 

@@ -102,38 +102,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="angles from the contact normal to the striker's axis in degrees (default: "
         f"{_listed(math.degrees(v) for v in INCIDENCES)})",
     )
-    parser.add_argument("--trials", type=int, help=f"trials of each run (default: {TRIALS})")
+    parser.add_argument("--trials", type=int, help=f"number of trials per run (default: {TRIALS})")
     place = parser.add_mutually_exclusive_group()
     place.add_argument(
         "--runs-folder",
         type=Path,
         default=Path("runs"),
-        help="parent folder of the folder of records (default: runs)",
+        help="folder in which the new records folder is created (default: runs)",
     )
-    place.add_argument("--resume", type=Path, metavar="FOLDER", help="continue an experiment")
+    place.add_argument(
+        "--resume", type=Path, metavar="FOLDER", help="records folder of an experiment to continue"
+    )
     add_graph_arguments(parser)
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     parser.add_argument(
         "--seed",
         type=argument_types.seed,
-        help="simulated: random seed of noise and scatter (default: 1)",
+        help="random seed of noise and scatter (only in simulation; default: 1)",
     )
     parser.add_argument(
-        "--camera-rate", type=float, default=30.0, help="simulated: frames per second (default: 30)"
+        "--camera-rate",
+        type=float,
+        default=30.0,
+        help="frame rate of the camera in frames per second (only in simulation; default: 30)",
     )
     parser.add_argument(
         "--slow-motion",
         type=float,
         default=SLOW_MOTION,
         metavar="TIMES",
-        help="simulated: slow-motion factor of slides, with correct time stamps, so that a busy "
-        f"machine drops no frames (default: {SLOW_MOTION:g})",
+        help="factor by which slides are slowed down, with correct time stamps, so that a busy "
+        f"machine drops no frames (only in simulation; default: {SLOW_MOTION:g})",
     )
     parser.add_argument(
         "--exposure",
         type=float,
         metavar="MS",
-        help="exposure time of the camera in ms, if known (default: simulated, that of the world)",
+        help="exposure time of the camera in ms, if known (default: in simulation, that of the "
+        "simulated camera)",
     )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
 

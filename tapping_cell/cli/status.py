@@ -19,7 +19,7 @@ from tapping_cell.nodes.clients.cell_client import CellClient
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     cell_arguments.add_arguments(parser)
-    parser.add_argument("--json", action="store_true", help="print the state for a program")
+    parser.add_argument("--json", action="store_true", help="print the state as JSON")
 
 
 def run(arguments: argparse.Namespace) -> int:

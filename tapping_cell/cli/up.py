@@ -64,54 +64,64 @@ class NotReadyInTime(GraphError):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "--hardware", action="store_true", help="real camera, arm and tapper (default: simulated)"
+        "--hardware",
+        action="store_true",
+        help="use the real camera, arm and tapper (default: simulated)",
     )
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     parser.add_argument("--planner", help="planning method (default: the cell's)")
     parser.add_argument(
-        "--namespace", type=argument_types.namespace, default="", help="namespace of the nodes"
+        "--namespace",
+        type=argument_types.namespace,
+        default="",
+        help="namespace of the nodes (default: none)",
     )
     parser.add_argument(
-        "--camera", help="with --hardware: device, video file or folder (default: /dev/video0)"
+        "--camera",
+        help="camera device, video file or image folder (only with --hardware; default: "
+        "/dev/video0)",
     )
     add_truth_arguments(parser)
     parser.add_argument(
         "--seed",
         type=argument_types.seed,
-        help="simulated: random seed of noise and scatter (default: 1)",
+        help="random seed of noise and scatter (only in simulation; default: 1)",
     )
     parser.add_argument(
         "--set-up",
         action="store_true",
-        help="set-up mode: slowly, with little energy, and only while an enabling device is held",
+        help="use set-up mode: the cell moves slowly, with little energy, and only while an "
+        "enabling device is held",
     )
     parser.add_argument(
         "--wait",
         type=argument_types.within(1, 3600),
         default=READY_PATIENCE_S,
-        help="longest time for the nodes to get ready, in seconds (60)",
+        help="longest time for the nodes to get ready, in seconds (default: 60)",
     )
     parser.add_argument(
         "--params",
         type=Path,
-        help="file of ROS parameters for every node; options of this command override it",
+        help="file with ROS parameters for every node; options of this command override it",
     )
-    parser.add_argument("--runs", type=Path, help="folder of the recorded runs (default: runs)")
-    parser.add_argument("--no-record", action="store_true", help="record no runs")
+    parser.add_argument(
+        "--runs", type=Path, help="folder in which runs are recorded (default: runs)"
+    )
+    parser.add_argument("--no-record", action="store_true", help="do not record runs")
     parser.add_argument(
         "--page",
         nargs="?",
         type=page_place,
         const=("localhost", 8010),
         metavar="[ADDRESS:]PORT",
-        help="serve the operator's page, by default at localhost:8010; 0.0.0.0:PORT serves it to "
-        "the whole network and requires a token",
+        help="serve the operator's page (default address: localhost:8010); 0.0.0.0:PORT serves it"
+        " to the whole network and requires a token",
     )
     parser.add_argument(
         "--logs",
         type=Path,
-        help="folder of the nodes' logs (default: one for each cell under runs/up)",
+        help="folder for the nodes' log files (default: a folder for each cell in runs/up)",
     )
 
 
@@ -298,13 +308,18 @@ def page_place(text: str) -> tuple[str, int]:
 
 def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that set the simulation parameters."""
-    parser.add_argument("--truth", type=Path, help="simulated: truth file of the world")
+    parser.add_argument(
+        "--truth",
+        type=Path,
+        help="file with the simulation parameters (only in simulation; default: the package's "
+        "truth/default.yaml)",
+    )
     parser.add_argument(
         "--truth-object",
         type=Path,
         metavar="FILE",
-        help="simulated: object file for the true parameters, if it differs from the planner's, "
-        "such as a fitted one",
+        help="object file with the true parameters, if it differs from the planner's, such as a "
+        "fitted one (only in simulation; default: the planner's)",
     )
 
 

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds",
         type=argument_types.within(0, 1e6),
-        help="end after this time (default: watch until Ctrl-C)",
+        help="duration in seconds after which to end (default: watch until Ctrl-C)",
     )
 
 

@@ -49,25 +49,31 @@ from tapping_cell.se2 import Pose
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("record", type=Path, metavar="RECORD.csv", help="the poses")
+    parser.add_argument(
+        "record", type=Path, metavar="RECORD.csv", help="CSV file with the recorded poses"
+    )
     parser.add_argument(
         "--cell",
         type=Path,
         metavar="FILE",
-        help="cell file to start from (default: the package's cell.yaml)",
+        help="cell file to copy and update (default: the package's cell.yaml)",
     )
-    parser.add_argument("--links", action="store_true", help="fit the links' lengths as well")
+    parser.add_argument("--links", action="store_true", help="also fit the lengths of the links")
     parser.add_argument(
         "--marker-on-tip",
         nargs=3,
         type=float,
         metavar=("X", "Y", "THETA"),
-        help="pose of the held marker in the frame striker (mm, mm, deg), if known; the position "
-        "of the tip on the tool is then calibrated too",
+        help="pose of the held marker in the frame striker, if known, in mm, mm and degrees; the "
+        "position of the tip on the tool is then also calibrated",
     )
     add_recording_arguments(parser)
     parser.add_argument(
-        "--poses", type=int, default=20, metavar="N", help="with --record: number of poses (20)"
+        "--poses",
+        type=int,
+        default=20,
+        metavar="N",
+        help="number of poses to record (only with --record; default: 20)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)

@@ -46,42 +46,62 @@ IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "images", nargs="+", type=Path, metavar="IMAGE", help="image files, or folders of them"
+        "images", nargs="+", type=Path, metavar="IMAGE", help="image file, or folder of images"
     )
     parser.add_argument(
         "--target",
         choices=("charuco", "chessboard"),
         default="charuco",
-        help="kind of the calibration target in the images",
+        help="kind of calibration target in the images (default: charuco)",
     )
     group = parser.add_mutually_exclusive_group(required=True)
     group.add_argument(
-        "--squares", type=counts, metavar="CxR", help="squares in a row and in a column, e.g. 8x6"
+        "--squares",
+        type=counts,
+        metavar="CxR",
+        help="number of squares per row and per column, for example 8x6",
     )
     group.add_argument(
         "--corners",
         type=counts,
         metavar="CxR",
-        help="inner corners instead, as OpenCV and ROS count chessboards, e.g. 7x5",
+        help="number of inner corners per row and per column, as OpenCV and ROS count "
+        "chessboards, for example 7x5",
     )
     parser.add_argument(
-        "--square-size", type=float, required=True, metavar="MM", help="side of a square in mm"
+        "--square-size",
+        type=float,
+        required=True,
+        metavar="MM",
+        help="side length of a square in mm",
     )
     parser.add_argument(
-        "--marker-size", type=float, metavar="MM", help="side of a ChArUco marker in mm"
+        "--marker-size",
+        type=float,
+        metavar="MM",
+        help="side length of a ChArUco marker in mm (required with --target charuco)",
     )
     parser.add_argument(
-        "--dictionary", default="4X4_250", help="marker dictionary of a ChArUco board (4X4_250)"
+        "--dictionary",
+        default="4X4_250",
+        help="marker dictionary of the board (only with --target charuco; default: 4X4_250)",
     )
     parser.add_argument(
         "--model",
         choices=("auto", "plumb_bob", "rational_polynomial"),
         default="auto",
-        help="lens model (auto: the model that predicts left-out views best)",
+        help="lens model; auto selects the model that predicts left-out views best (default: auto)",
     )
-    parser.add_argument("--name", default="overhead_camera", help="camera_name in the file")
     parser.add_argument(
-        "--annotate", type=Path, metavar="DIR", help="write plots of the errors and the coverage"
+        "--name",
+        default="overhead_camera",
+        help="value of camera_name in the written file (default: overhead_camera)",
+    )
+    parser.add_argument(
+        "--annotate",
+        type=Path,
+        metavar="DIR",
+        help="folder for plots of the errors and the image coverage",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, "camera_info.yaml")

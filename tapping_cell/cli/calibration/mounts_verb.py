@@ -48,13 +48,20 @@ from tapping_cell.se2 import Pose
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "record", type=Path, nargs="+", metavar="RECORD", help="one CSV file, or run folders"
+        "record",
+        type=Path,
+        nargs="+",
+        metavar="RECORD",
+        help="one CSV file with taps, or run folders",
     )
     parser.add_argument(
-        "--cell", type=Path, metavar="FILE", required=True, help="cell file to start from"
+        "--cell", type=Path, metavar="FILE", required=True, help="cell file to copy and update"
     )
     parser.add_argument(
-        "--object", type=Path, metavar="FILE", help="object that was tapped (the cell's)"
+        "--object",
+        type=Path,
+        metavar="FILE",
+        help="file of the object that was tapped (default: the cell's)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)

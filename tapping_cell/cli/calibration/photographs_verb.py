@@ -38,19 +38,40 @@ PIXEL = 0.00025
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--output", type=Path, required=True, metavar="FOLDER", help="folder for the images"
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FOLDER",
+        help="folder for the images, empty or new",
     )
     parser.add_argument(
-        "--what", choices=("target", "table"), default="target", help="subject of the images"
+        "--what",
+        choices=("target", "table"),
+        default="target",
+        help="subject of the images: the calibration target or the table's reference markers "
+        "(default: target)",
     )
     parser.add_argument(
-        "--count", type=argument_types.whole(1, 200), default=20, help="number of images (20)"
+        "--count",
+        type=argument_types.whole(1, 200),
+        default=20,
+        help="number of images (default: 20)",
     )
     parser.add_argument(
-        "--seed", type=argument_types.seed, default=1, help="random seed of views and noise"
+        "--seed",
+        type=argument_types.seed,
+        default=1,
+        help="random seed of the views and the noise (default: 1)",
     )
-    parser.add_argument("--camera", type=Path, help="camera_info file (default: the package's)")
-    parser.add_argument("--table", type=Path, help="table file (default: the package's)")
+    parser.add_argument(
+        "--camera", type=Path, help="ROS camera_info file (default: the package's camera_info.yaml)"
+    )
+    parser.add_argument(
+        "--table",
+        type=Path,
+        help="table file with the reference markers (only with --what table; default: the "
+        "package's table.yaml)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -47,72 +47,83 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--paper",
         default="a4",
-        help="a4, a3, a2, a1, a0, letter, tabloid, or a size in mm such as 900x600 (a4)",
+        help="paper size: a4, a3, a2, a1, a0, letter, tabloid, or a size in mm such as 900x600 "
+        "(default: a4)",
     )
     parser.add_argument(
         "--what",
         nargs="+",
         choices=SHEETS,
         default=["charuco", "table", "objects"],
-        help="pages to print (charuco table objects)",
+        help="pages to print (default: charuco table objects)",
     )
     parser.add_argument(
         "--squares",
         type=counts,
         default=(10, 7),
         metavar="CxR",
-        help="numbers of squares of the target (10x7)",
+        help="number of columns and rows of squares of the calibration target (default: 10x7)",
     )
     parser.add_argument(
         "--square-size",
         type=float,
         default=25.0,
         metavar="MM",
-        help="side of the target's squares in mm (25)",
+        help="side length of the target's squares in mm (default: 25)",
     )
     parser.add_argument(
         "--target-dictionary",
         default="4X4_250",
-        help="marker dictionary of a ChArUco target (4X4_250)",
+        help="marker dictionary of a ChArUco target (default: 4X4_250)",
     )
     parser.add_argument(
         "--dictionary",
         default="APRILTAG_36h11",
-        help="dictionary of reference and object markers (APRILTAG_36h11)",
+        help="marker dictionary of the reference and object markers (default: APRILTAG_36h11)",
     )
     parser.add_argument(
         "--marker-size",
         type=float,
         default=30.0,
         metavar="MM",
-        help="side of the reference markers in mm (30)",
+        help="side length of the reference markers in mm (default: 30)",
     )
     parser.add_argument(
-        "--first-id", type=int, default=101, help="number of the first reference marker (101)"
+        "--first-id", type=int, default=101, help="id of the first reference marker (default: 101)"
     )
     parser.add_argument(
         "--object-size",
         type=float,
         default=50.0,
         metavar="MM",
-        help="side of the object markers in mm (50)",
+        help="side length of the object markers in mm (default: 50)",
     )
     parser.add_argument(
         "--object-ids",
         type=int,
         nargs="+",
         default=[1, 2, 3],
-        help="numbers of the object markers (1 2 3)",
+        help="ids of the object markers (default: 1 2 3)",
     )
     parser.add_argument(
         "--table",
         type=Path,
         metavar="FILE",
-        help="table file whose markers are printed (default: eight along the rim of the paper)",
+        help="table file with the reference markers to print (default: eight markers along the "
+        "edge of the paper)",
     )
-    parser.add_argument("--dpi", type=float, default=300.0, help="dots per inch of a PNG (300)")
     parser.add_argument(
-        "--output", type=Path, required=True, metavar="FILE", help="a .pdf, or a .png of one page"
+        "--dpi",
+        type=float,
+        default=300.0,
+        help="resolution of a PNG in dots per inch (default: 300)",
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="file to write: .pdf, or .png for a single page",
     )
     parser.add_argument("--force", action="store_true", help="replace existing files")
 

@@ -15,13 +15,15 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "--record",
         action="store_true",
         dest="record_first",
-        help="first make the record with the running cell (verb `up`)",
+        help="first make the record with the running cell (started with the verb `up`)",
     )
     parser.add_argument(
-        "--resume", action="store_true", help="with --record: continue an existing record"
+        "--resume", action="store_true", help="continue an existing record (only with --record)"
     )
     parser.add_argument(
-        "--namespace", default="", help="with --record: namespace of the running cell's nodes"
+        "--namespace",
+        default="",
+        help="namespace of the running cell's nodes (only with --record; default: none)",
     )
 
 

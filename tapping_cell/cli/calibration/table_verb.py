@@ -49,43 +49,65 @@ from tapping_cell.vision import CameraModel, MarkerError, ReferenceMap
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("images", nargs="*", type=Path, metavar="IMAGE", help="images, or folders")
+    parser.add_argument(
+        "images", nargs="*", type=Path, metavar="IMAGE", help="image file, or folder of images"
+    )
     parser.add_argument(
         "--camera",
         type=Path,
         metavar="FILE",
-        help="ROS camera_info file of the camera (default: the package's)",
+        help="ROS camera_info file of the camera (default: the package's camera_info.yaml)",
     )
     parser.add_argument(
-        "--table", type=Path, metavar="OLD", help="table file that gives sizes, ids and the frame"
+        "--table",
+        type=Path,
+        metavar="OLD",
+        help="table file with the marker ids, the marker sizes and the frame to keep",
     )
     parser.add_argument(
         "--dictionary",
         default="APRILTAG_36h11",
-        help="without --table: marker dictionary (APRILTAG_36h11)",
+        help="marker dictionary (only without --table; default: APRILTAG_36h11)",
     )
     parser.add_argument(
-        "--size", type=float, metavar="MM", help="without --table: side of every marker in mm"
+        "--size",
+        type=float,
+        metavar="MM",
+        help="side length of every marker in mm (required without --table)",
     )
     parser.add_argument(
         "--ids",
         type=int,
         nargs="+",
-        help="without --table: numbers of the reference markers (all seen)",
+        help="ids of the reference markers (only without --table; default: all detected markers)",
     )
-    parser.add_argument("--origin", type=int, metavar="ID", help="marker at the frame's origin")
-    parser.add_argument("--x-axis", type=int, metavar="ID", help="marker on the positive x axis")
+    parser.add_argument(
+        "--origin",
+        type=int,
+        metavar="ID",
+        help="id of the marker at the origin of the frame (only with --x-axis)",
+    )
+    parser.add_argument(
+        "--x-axis",
+        type=int,
+        metavar="ID",
+        help="id of a marker on the positive x axis (only with --origin)",
+    )
     parser.add_argument(
         "--distance",
         nargs=3,
         metavar=("ID", "ID", "MM"),
-        help="measured distance between the centres of two markers, which sets the scale",
+        help="ids of two markers and the measured distance between their centres in mm, which "
+        "sets the scale",
     )
     parser.add_argument(
-        "--sheet", type=Path, help="instead of images: table file of a printed sheet"
+        "--sheet", type=Path, help="table file of a printed sheet, used instead of images"
     )
     parser.add_argument(
-        "--ruler", type=float, metavar="MM", help="measured length of the sheet's 100 mm ruler"
+        "--ruler",
+        type=float,
+        metavar="MM",
+        help="measured length of the sheet's 100 mm ruler in mm (required with --sheet)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)

@@ -50,19 +50,28 @@ from tapping_cell.configuration.provenance import Provenance
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("record", type=Path, metavar="RECORD.csv", help="the taps")
+    parser.add_argument(
+        "record", type=Path, metavar="RECORD.csv", help="CSV file with the recorded taps"
+    )
     parser.add_argument(
         "--cell",
         type=Path,
         metavar="FILE",
-        help="cell file to start from (default: the package's cell.yaml)",
+        help="cell file to copy and update (default: the package's cell.yaml)",
     )
     parser.add_argument(
-        "--object", type=Path, metavar="FILE", help="object that was tapped (the cell's)"
+        "--object",
+        type=Path,
+        metavar="FILE",
+        help="file of the object that was tapped (default: the cell's)",
     )
     add_recording_arguments(parser)
     parser.add_argument(
-        "--taps", type=int, default=30, metavar="N", help="with --record: about how many taps (30)"
+        "--taps",
+        type=int,
+        default=30,
+        metavar="N",
+        help="approximate number of taps to record (only with --record; default: 30)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
