@@ -145,12 +145,14 @@ def test_a_bad_command_moves_nothing(cell: Cell, strike: Pose, frame: str) -> No
     assert cell.last.state == ArmState.IDLE
 
 
-def test_a_pose_out_of_reach_is_a_worded_fault_and_moves_nothing(cell: Cell) -> None:
+def test_a_pose_out_of_reach_ends_the_tap_in_words_and_the_next_is_served(cell: Cell) -> None:
     cell.command(100, Pose(0.0, -3.0, 0.0))
-    cell.wait_state(ArmState.FAULT)
-    assert cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH
+    cell.wait(lambda: cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH, "the refusal")
     assert "reach" in cell.last.error_msg
-    assert not cell.moves(0.3)
+    cell.wait_state(ArmState.IDLE)
+    assert cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH
+    cell.command(101)
+    cell.wait_state(ArmState.IN_POSITION)
 
 
 def test_a_tap_id_is_served_once(cell: Cell) -> None:

@@ -158,8 +158,8 @@ def test_a_foreign_name_gets_no_file(site: Site) -> None:
 @pytest.mark.parametrize(
     ("headers", "words"),
     [
-        ({"Origin": "http://evil.example"}, "http://evil.example may not speak"),
-        ({"Origin": "null"}, "null may not speak"),
+        ({"Origin": "http://evil.example"}, "http://evil.example may not connect"),
+        ({"Origin": "null"}, "null may not connect"),
         ({"Origin": ""}, "without an Origin"),
         ({"Host": "evil.example", "Origin": "http://evil.example"}, "not served under the name"),
     ],
