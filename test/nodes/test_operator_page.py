@@ -464,7 +464,8 @@ def test_the_stop_is_held_for_late_joiners_and_by_the_next_process(cell: Cell) -
     assert link._process is not None
     link._process.kill()
     cell.bench.wait(lambda: [m.data for m in late] == [True, True], "the next process holds it")
-    link.release()
+    # It publishes before it takes requests; until then a release is refused, and tried again.
+    cell.bench.wait(link.release, "the next process takes the release")
     cell.bench.wait(lambda: [m.data for m in late] == [True, True, False], "it is released")
     assert not link.held
 
