@@ -47,6 +47,7 @@ tr+tr{border-top:1px solid var(--line)}
 cursor:pointer}
 .sorts th button:hover{color:var(--ink)}
 .sorts [aria-sort] button{color:var(--ink);font-weight:600}
+.sorts button::after{content:" \\2195";opacity:.5}.sorts [aria-sort] button::after{opacity:1}
 .sorts [aria-sort=ascending] button::after{content:" \\25B2"}
 .sorts [aria-sort=descending] button::after{content:" \\25BC"}
 .trouble{border-left:5px solid var(--bad)}
