@@ -107,6 +107,11 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.calls(messages.HoldStill, "hold_still")
 
+    def role_of(self, executable: str) -> str:
+        """Return the role, which contains the number of the board, if it is not the first."""
+        board = self.settings.board
+        return f"{executable}_{board}" if board else executable
+
     def configure(self) -> None:
         """Read the cell file, open the port and start a session, which discharges the tapper."""
         cell = load_cell(self.settings.cell_file or None)
