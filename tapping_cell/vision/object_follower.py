@@ -77,7 +77,7 @@ class Search:
 
 
 class ObjectFollower(ABC):
-    """Follows one object whose visible face is at ``height`` (m) over the table.
+    """Follows one object whose visible face is at ``height`` (m) above the table.
 
     ``wants_search`` requests a search of the whole next frame.
     """
@@ -125,7 +125,7 @@ class ObjectFollower(ABC):
 
     @abstractmethod
     def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
-        """Return pose (3,) and covariance (3, 3) in the working view, or the reason for none."""
+        """Return pose (3,) and covariance (3, 3) in the working view, or why there is no pose."""
 
     @abstractmethod
     def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
@@ -183,14 +183,16 @@ class ObjectFollower(ABC):
         self._last = None
 
     def stop(self, stamp: float, pose: Array | None = None) -> None:
-        """Set the velocity to zero, so that the object is expected at this or its last pose."""
+        """Set the velocity to zero; the object is expected at ``pose`` or, if None, at its last
+        pose."""
         if pose is not None:
             self._last = (stamp, pose, np.zeros(3))
         elif self._last is not None and stamp - self._last[0] > _UNSEEN:
             self._last = (self._last[0], self._last[1], np.zeros(3))
 
     def step_from_last(self, pose: Array) -> tuple[float, float] | None:
-        """Distance (m) and rotation (rad) from the last pose to this one; None if there is none."""
+        """Distance (m) and rotation (rad) from the last pose to this pose; None if there is no last
+        pose."""
         if self._last is None:
             return None
         step = pose - self._last[1]

@@ -40,7 +40,7 @@ class TrackerSettings:
     marker's apparent and configured side. ``dark`` and ``bright`` are grey levels. ``other_ids``
     are the markers of other objects that use the object's dictionary. Once ``settled_frames`` are
     fused, an unchanged frame is measured only every ``settled_period`` (s) and otherwise gets the
-    last pose; 0 measures every frame.
+    last pose; if the period is 0, every frame is measured.
     """
 
     audit_period: float = 1.0
@@ -229,8 +229,8 @@ class PoseTracker:
         self._last_search = stamp
         self._search_next = False
         # The thorough search and its diagnosis take the time of several frames. The first frame
-        # gets all of it, because it may be the only frame; later frames only occasionally, if
-        # needed.
+        # always gets both, because it may be the only frame; later frames get them only
+        # occasionally, if needed.
         since = stamp - self._last_thorough
         slow = self._object.lost(stamp) and since >= self.settings.audit_period
         of_table = self._references.dictionary

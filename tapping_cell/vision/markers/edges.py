@@ -33,7 +33,8 @@ _WIDE, _WIDEST = 0.75, 8
 """Half width of the window for blurred edges (motion, defocus), in modules and at most in pixels.
 Wider windows would reach the modules next to the black border."""
 _OBLIQUE = 0.8
-"""Ratio of the sides' distance to their mean length, below which the distance sets the window."""
+"""Ratio of the distance of opposite sides to their mean length. Below this ratio, the distance
+determines the window."""
 _ROWS_ALIKE = 3
 """Maximum lag, in rows, of the error correlation."""
 _MOST_OBSERVATIONS = 8
@@ -50,9 +51,9 @@ class MarkerEdges:
     they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
     ``spread`` (M,) is the standard deviation of one row across the side, in pixels (divide it by
     the root of the number of rows). ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) is
-    the displacement of the worst side relative to that of its window, which occurs if the levels at
-    the ends are contaminated (1: no information). ``good`` (M,) marks markers with four complete
-    sides whose blur is not excessive.
+    the displacement of the measured side per displacement of its window, for the worst side (1: no
+    information). It is caused by contaminated levels at the window's ends. ``good`` (M,) marks
+    markers with four complete sides whose blur is not excessive.
     """
 
     points: Array
@@ -246,7 +247,7 @@ def _edges(samples: _EdgeSamples) -> MarkerEdges:
     squares = (samples.kept * samples.residual**2).sum(axis=1)
     squares /= np.maximum(samples.kept.sum(axis=1) - 2.0, 1.0) * (1.0 + samples.slope**2)
     # Noise correlated between neighbouring rows is also correlated between the pixels of a window,
-    # so the larger factor is applied instead of both.
+    # so only the larger of the two factors is applied.
     squares *= max(_level_noise(2 * samples.half_width + 1), _together(samples))
     spread = np.sqrt(squares.reshape(count, 4).mean(axis=1))
     number = np.maximum(samples.mask.sum(axis=1), 1.0)
@@ -275,7 +276,7 @@ def _together(samples: _EdgeSamples) -> float:
 
     Smoothed, demosaiced and compressed images have such correlation, and so have rounded grey
     levels without noise. It is estimated from the residuals of all sides. Fitting a line to n rows
-    reduces the mean product of residuals by 2 / n of their variance, which is added again.
+    reduces the mean product of residuals by 2 / n of their variance; this bias is corrected.
     """
     kept = samples.kept
     residual = kept * samples.residual
@@ -324,8 +325,8 @@ def _along(p: Array, levels: Array, mask: Array) -> Array:
 
 
 def _outermost(window: int) -> int:
-    """Number of pixels at each end of a window that give the levels. In a narrow window, the second
-    pixel already belongs to the edge."""
+    """Number of pixels at each end of a window from which the levels are taken. In a narrow window,
+    the second pixel already belongs to the edge."""
     return 1 if window <= 7 else 2
 
 

@@ -84,7 +84,7 @@ class MarkerFollower(ObjectFollower):
             self.forget()
             self.trouble = (
                 Problem.DUPLICATE_MARKER,
-                f"marker {self.marker.id} of the object is seen more than once; cover others",
+                f"marker {self.marker.id} of the object is seen more than once; cover the others",
             )
         elif self._detected is not None:
             self.trouble = None

@@ -33,10 +33,11 @@ _FREE, _USUAL_FREE = 4.0, 8.0
 freedom of the prior for their usual noise."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width, in pixels and as a fraction of the side. Above it, an
-object beside the marker was taken for one of its sides."""
+object beside the marker was mistaken for one of the marker's sides."""
 _MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
 """Allowed ratio of this difference to that of nearby reference markers (root mean square), for a
-poor lens, bent paper or a sharpened image; and the upper limit of the difference so allowed."""
+poor lens, bent paper or a sharpened image; and the largest difference that this ratio may allow, as
+a fraction of the side."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
@@ -93,8 +94,8 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
 
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
-    """Difference of length and width, as a fraction of the side, that the object's marker may have
-    given the reference markers in the other rows."""
+    """Allowed difference of length and width of the object's marker, as a fraction of the side. It
+    depends on this difference of the reference markers in the other rows."""
     references = np.delete(edges.corners, row, axis=0)
     if len(references) < 3:
         return 0.0

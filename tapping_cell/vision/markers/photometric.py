@@ -38,8 +38,8 @@ _LEAST_POWER = 0.1
 """Minimum power of the noise at every spatial frequency, relative to white noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. There, the second-order error is at
-most a thousandth of a pixel. For the noise of a frame, a fifth of this distance, the error is below
-5e-5 pixel."""
+most a thousandth of a pixel. The noise of a frame is a fifth of this distance and causes an error
+below 5e-5 pixel."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 
@@ -163,8 +163,8 @@ def align_again(
 ) -> Alignment | None:
     """Align the marker in a frame in which it has not moved according to the edges (``start``).
 
-    It takes one step of Gauss-Newton from the last alignment, in a tenth of the time. None means
-    only that the marker or the illumination changed, not that the marker is absent.
+    One step of Gauss-Newton from the last alignment suffices, which takes a tenth of the time. None
+    means only that the marker or the illumination changed, not that the marker is absent.
     """
     gap = start - linearisation.pose
     if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * linearisation.pixel:

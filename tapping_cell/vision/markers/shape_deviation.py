@@ -2,10 +2,10 @@
 
 A marker that is lifted, tilted or of another size than stated appears as a square of another size,
 or not as a square. One image does not show which of these is the cause, but the error of the shape
-limits the error of the pose. If a point at the horizontal distance r from the camera is higher than
-assumed by a fraction s of the camera's height, it appears larger by s and further away by s r. A
-plane tilted by a appears rotated by up to a r / (2 h), h being the camera's height. It also appears
-sheared or elongated by this amount.
+limits the error of the pose. If a marker at the horizontal distance r from the camera is higher
+than assumed by a fraction s of the camera's height, it appears larger by s and further away by s r.
+A marker tilted by a appears rotated by up to a r / (2 h), h being the camera's height, and sheared
+or elongated by the same amount.
 """
 
 from __future__ import annotations
@@ -95,15 +95,16 @@ def shape_deviation(
 
 
 class ShapeWarnings:
-    """Creates warnings about the shape, with constant values while the shape is nearly constant."""
+    """Creates warnings about the shape, whose values change only if the shape changes
+    noticeably."""
 
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
         self._said: tuple[float, float] | None = None
 
     def sentence(self, shape: ShapeDeviation, camera_height: float) -> str:
-        """Warning about the shape, for a camera ``camera_height`` (m) over the table; empty if
-        none."""
+        """Warning about the shape, for a camera ``camera_height`` (m) above the table; empty if
+        there is none."""
         worst = max(abs(shape.stretch), shape.strain) / shape.allowance
         if worst <= (1.0 if self._said is None else 0.8):
             self._said = None

@@ -20,7 +20,7 @@ from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 
 _QUIET = 0.6
-"""Width of the white margin used, in modules; a narrow margin has one module."""
+"""Width of the white margin used, in modules; a narrow margin is one module wide."""
 _BLUR, _LEAST_BLUR, _MOST_BLUR = 0.7, 0.35, 2.5
 """Sigma of the blur in pixels: initial value and bounds."""
 _ROUNDS = 15
@@ -41,8 +41,8 @@ _MODULE_OFF = 0.4
 """Maximum deviation of a module's mean from the pattern, relative to the contrast."""
 _MODULES_WRONG = 0.04
 _PRINTED = 0.02
-"""Standard deviation of such a corner, in pixels, that is independent of the noise. Sharpening and
-compression of the image do not average out (measured on photographs)."""
+"""Standard deviation of a fitted corner, in pixels, that is independent of the noise. Errors due to
+sharpening and compression of the image do not average out (measured on photographs)."""
 
 
 _TANH = 0.7978846, 0.0356774

@@ -51,7 +51,7 @@ LEAST_CONTRAST = 8.0
 SIZE_SPREAD = 0.004
 """Standard deviation of an object's size relative to its file."""
 _EVEN = 0.02
-"""Deviation of a sector from the whole rim, in pixels, that is normal for a good rim."""
+"""Usual deviation of a sector from the whole rim, in pixels, for an object with a good rim."""
 _SLOPE_SPREAD = 0.5
 """Standard deviation of the brightness gradient across the rim, in grey levels per pixel."""
 _SMEARED = 2.0
@@ -62,7 +62,7 @@ error of a step is of third order, 0.005 pixel at this distance."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 _LONG = 0.15
-"""Minimum fraction of a polygon's rim for a side to be a long side."""
+"""Minimum length of a long side of a polygon, as a fraction of the length of the rim."""
 _BRIGHTEST = 2.5
 """Maximum brightness of a sector, relative to typical sectors, for which a higher noise is
 assumed."""
@@ -190,8 +190,8 @@ def fit_outline(
 def fit_again(image: Image, linearisation: Linearisation, expected: Array) -> OutlineFit | None:
     """Fit the outline in a frame in which the object has not moved according to ``expected`` (3,).
 
-    It takes a fifth of the time. None means only that the object or the illumination changed, not
-    that the object is absent.
+    This takes a fifth of the time of :func:`fit_outline`. None means only that the object or the
+    illumination changed, not that the object is absent.
     """
     if _way(expected - linearisation.state.pose, linearisation.scene) > 2.0 * _SAME_PLACE:
         return None
@@ -444,7 +444,7 @@ class _State:
         return np.array([0.0, 0.0, 0.0, 1.0 - self.size, 0.0, -self.smear, 1.0 - self.dot_size])
 
     def _level_prior(self, sectors: int) -> Array:
-        """Precisions (S, 4, 4) of the levels: those of the wall and of the slope matter."""
+        """Precisions (S, 4, 4) of the levels' priors; very low for top and surroundings."""
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
         prior = np.zeros((sectors, LEVELS, LEVELS))
         prior[:, 0, 0] = prior[:, 2, 2] = 1e-6

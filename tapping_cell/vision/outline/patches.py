@@ -26,7 +26,7 @@ _MOST_PATCHES = 60
 def patches(small: Image, area: float, reach: float) -> Iterator[Points]:
     """Yield convex hulls (N, 1, 2) of patches and of neighbouring pairs of patches, in pixels.
 
-    ``area`` (pixels) and ``reach`` (from the centre, pixels) are the object's.
+    ``area`` is the object's area and ``reach`` its maximum distance from its centre, in pixels.
     """
     soft = cv2.GaussianBlur(small, (3, 3), 0).astype(np.float32)
     slope = np.hypot(

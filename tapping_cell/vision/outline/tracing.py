@@ -41,7 +41,8 @@ _SHADOW = 0.4
 """Minimum fraction of the object's contrast for a pixel to belong to it instead of a soft
 shadow."""
 _EVERY = 8
-"""Distance of projected pixels of the rectified image; the pixels between are interpolated."""
+"""Spacing of the pixels of the rectified image that are projected; those between are
+interpolated."""
 _APART = 0.05
 """Area of another region, relative to the object's area, above which it is a second object."""
 _LEAST_REACH = 0.006
@@ -90,7 +91,7 @@ def trace_object(
     height: float,
     dictionary: str | None = None,
 ) -> TracedObject:
-    """Trace the single object in an image; its top is ``height`` (m) over the table.
+    """Trace the single object in an image; its top is ``height`` (m) above the table.
 
     Its marker may be any of ``dictionary`` (the table's, if None) that is not a reference marker.
 
@@ -120,7 +121,7 @@ def trace_object(
 
 
 def _view(image: Image, camera: CameraModel, table: ReferenceMap) -> View:
-    """Locate the camera over the table from the reference markers."""
+    """Locate the camera relative to the table by the reference markers."""
     size = table.markers[0].size
     others = {marker.id for marker in table.markers}
     free = next(number for number in range(len(others) + 1) if number not in others)
@@ -340,8 +341,8 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     place = _ACROSS[last] + (one - 0.5) / np.maximum(one - two, 1e-9) * (_ACROSS[1] - _ACROSS[0])
     if len(place) < 0.5 * count:
         raise NotTraced(
-            "the object's rim is not sharp: improve focus and light, so that it casts no "
-            "hard shadow"
+            "the object's rim is not sharp: improve the focus, and the light so that the "
+            "object casts no hard shadow"
         )
     return np.asarray(rough[good] + place[:, None] * outward[good])
 

@@ -29,8 +29,9 @@ class TableSettings:
     half of its markers disturbed is suspect, and after ``confirm_frames`` suspect frames the camera
     counts as moved. The table is refused if it has moved by more than ``largest_move`` in total (m,
     measured at the references). A marker that disagrees with the rest of the map by more than
-    ``displaced`` pixels is excluded. The sides together may appear longer than in the map by
-    ``bloom`` pixels or ``bloom_share`` of a side; beyond that, the map is contradicted.
+    ``displaced`` pixels is excluded. All sides together may appear longer or shorter than in the
+    map by ``bloom`` pixels or by ``bloom_share`` of a side, whichever is more; a larger difference
+    contradicts the map.
     """
 
     least_references: int = 2
@@ -48,12 +49,12 @@ class TableFit:
     """Result of a table fit.
 
     ``pose`` is the camera's pose and ``covariance`` (6, 6) is for steps of ``CameraPose.moved``.
-    ``used`` (M,) marks the inlier markers, and ``residuals`` (U, 4, 2) are those of their corners,
-    as directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to the pose,
-    and ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom`` is the
-    common displacement of all markers' sides outwards (a direction). ``error`` is the largest error
-    of a marker's corners (pixels, root mean square). ``unsquare`` is the standard deviation (a
-    direction) of deviations of the sides from squares, in excess of the noise.
+    ``used`` (M,) marks the inlier markers, and ``residuals`` (U, 4, 2) are the residuals of their
+    corners, as directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to
+    the pose, and ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom``
+    is the common displacement of all markers' sides outwards (a direction). ``error`` is the
+    largest error of a marker's corners (pixels, root mean square). ``unsquare`` is the standard
+    deviation (a direction) of deviations of the sides from squares, in excess of the noise.
     """
 
     pose: CameraPose
@@ -195,7 +196,7 @@ def fit_table(
 
 def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
     """Index of the marker that explains most of the residuals (M, 8) if it is an outlier; None if
-    that is less than half of them.
+    no marker explains half of them.
 
     This need not be the marker with the largest residual, because a marker far from the others
     pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white`` is (M, 8, 8) and
@@ -212,7 +213,7 @@ def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
 def consensus(
     camera: CameraModel, points: Array, rays: Array, settings: TableSettings
 ) -> tuple[CameraPose, NDArray[np.bool_]] | None:
-    """Compute a pose, and which markers (M,) agree with the map, if there are gross outliers.
+    """Compute a pose in the presence of gross outliers, and which markers (M,) are inliers.
 
     The camera's pose is computed from every pair of markers (Fischler and Bolles 1981, all pairs),
     and the pose with the most inliers is chosen. Returns None unless the inliers are a majority and

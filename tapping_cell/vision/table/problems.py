@@ -50,7 +50,7 @@ def table_notice(table: TableTracker, doubled: list[int], missed: list[int]) -> 
     """
     if table.displaced:
         names = ", ".join(map(str, table.displaced))
-        return f"reference marker {names} is not where the table file puts it; left out"
+        return f"reference marker {names} is not at its position in the table file; it is ignored"
     if doubled:
         names = ", ".join(map(str, doubled))
         return f"reference marker {names} is seen more than once; cover the others"
