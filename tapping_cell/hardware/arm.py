@@ -34,7 +34,7 @@ from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.transport import Connection
 
 MOVE_ATTEMPTS = 3
-"""Maximum number of times a move is sent. It is repeated only while the arm has not moved."""
+"""Maximum number of times a move is sent. A move is repeated only while the arm has not moved."""
 
 FRESHNESS = 0.05
 """Maximum age of a reading that is reused at the start of a move, s."""
@@ -96,17 +96,17 @@ class ArmDriver:
 
     @property
     def firmware(self) -> Firmware | None:
-        """Firmware that answered at the last connect; None before the first one."""
+        """Firmware that answered at the last connect; None before the first connect."""
         return self._firmware
 
     @property
     def connected(self) -> bool:
-        """Whether the line is open and the controller was identified."""
+        """True if the line is open and the controller was identified."""
         return self._connected and self._transport.is_open
 
     @property
     def homed(self) -> bool:
-        """Whether the joint values can be trusted."""
+        """True if the joint values can be trusted."""
         return self._homed and not self._stopped.is_set()
 
     @property
@@ -205,10 +205,10 @@ class ArmDriver:
 
         ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: time of the
         transport's clock; None computes it from the move's duration. ``via``: intermediate joints.
-        Their arrival is not verified, so it must be harmless if they are skipped. ``via_speed``:
-        speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED, POSITION_LOST,
-        POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED, BOARD_RESET, REJECTED,
-        DISCONNECTED.
+        The arrival there is not verified, so the move must be harmless even if they are skipped.
+        ``via_speed``: speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED,
+        POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED,
+        BOARD_RESET, REJECTED, DISCONNECTED.
         """
         goal = Joints(*joints)
         first_speed = speed if via_speed is None else via_speed
@@ -331,13 +331,13 @@ class ArmDriver:
         if self._confirmed is None:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the arm's last move was not confirmed; it stands at {in_words(start.joints)}:"
-                " clear the fault and home again",
+                "the arm's last move was not confirmed; the arm is now at"
+                f" {in_words(start.joints)}: clear the fault and home again",
             )
         if not self._agrees(self._confirmed, start.joints):
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the arm stands at {in_words(start.joints)}, last confirmed at"
+                f"the arm is at {in_words(start.joints)}, but its last confirmed position is"
                 f" {in_words(self._confirmed)}: it was moved or its controller restarted; clear"
                 " the fault and home again",
             )
@@ -424,8 +424,8 @@ class ArmDriver:
         if reading.moving:
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                f"the arm moves at {in_words(reading.joints)}: wait until it stops, then home "
-                "again",
+                f"the arm is moving, now at {in_words(reading.joints)}: wait until it stops, then "
+                "home again",
             )
         home = self.settings.home_joints
         if strategy is HomingStrategy.NONE or home is None:
@@ -453,7 +453,7 @@ class ArmDriver:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
                 f"the arm's controller is {reading.alarm}: its motors may have been without "
-                "power, so that its position is unknown: clear the fault and home again",
+                "power, so the arm's position is unknown: clear the fault and home again",
             )
         return self._converted(reading)
 
@@ -489,7 +489,7 @@ class ArmDriver:
     def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(
             FaultReason.POSITION_MISMATCH,
-            f"the arm stands at {in_words(found)}, but was sent to {in_words(goal)}: more "
+            f"the arm is at {in_words(found)}, but was sent to {in_words(goal)}, more "
             f"than {math.degrees(self.settings.tolerance_angle):.3f} deg or "
             f"{self.settings.tolerance_quill * 1e3:.2f} mm apart: check for an obstacle or a "
             "noisy line, then move again",
@@ -514,8 +514,8 @@ class ArmDriver:
     def _noted(self, fault: HardwareFault) -> HardwareFault:
         """Apply the consequences of a fault and return the fault to raise.
 
-        A latched fault takes precedence, because later ones are often its consequence: an alarm can
-        be followed by a restart, and a stop causes an alarm.
+        A latched fault takes precedence, because later faults are often its consequence: an alarm
+        can be followed by a restart, and a stop causes an alarm.
         """
         if self._stopped.is_set() and fault.reason in OF_A_STOP:
             # The alarm or reset that a stop causes in the controller is not a separate fault.
@@ -547,7 +547,7 @@ class ArmDriver:
         quill = (
             ""
             if self.settings.quill_brake
-            else "; a stop can cut the motors' power, and a quill without a brake sinks then"
+            else "; a stop can cut the motors' power, and a quill without a brake then sinks"
         )
         return HardwareFault(
             FaultReason.STOPPED,

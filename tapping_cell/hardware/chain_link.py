@@ -81,7 +81,7 @@ class ChainLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether the controller was available at the last ``open``."""
+        """True if the controller was available at the last ``open``."""
         return self._link.is_open
 
     @property
@@ -160,8 +160,8 @@ class ChainLink:
         if stretch * times[-1] > LONGEST_STRETCH * times[-1] + LONGEST_DELAY:
             raise HardwareFault(
                 FaultReason.UNREACHABLE,
-                f"a move would take a joint of {self.name} to {stretch:.1f} times its maximum "
-                "speed: the path leads past a singular pose, or arm.max_speed is too high "
+                f"a joint of {self.name} would have to move at {stretch:.1f} times its maximum "
+                "speed: the path passes near a singular pose, or arm.max_speed is too high "
                 "for this arm",
             )
         times = times * stretch

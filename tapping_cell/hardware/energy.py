@@ -35,9 +35,8 @@ class EnergyCurve:
             if energy <= before[0] or speed <= before[1]:
                 raise ValueError(
                     f"row {row} of the energy table ({energy:g} J, {speed:g} m/s) does not rise"
-                    " above"
-                    f" ({before[0]:g} J, {before[1]:g} m/s): sort it and measure again where it"
-                    " falls"
+                    f" above ({before[0]:g} J, {before[1]:g} m/s): sort the rows by energy, and"
+                    " measure again where the speed falls"
                 )
             before = (energy, speed)
 

@@ -48,10 +48,10 @@ def straight_points(
 ) -> tuple[TrajectoryPoint, ...]:
     """Return the points, without the start, of straight moves that begin and end at rest.
 
-    Between two moves in the same direction the arm does not stop. It passes at the lower of their
-    speeds, or at the speed that the lengths of the adjacent moves allow. ``moves``: targets in rad
-    and m; the feed along the line is in the same unit per minute. ``max_acceleration``: of each
-    joint, in rad/s^2 or m/s^2. Moves of zero length are left out.
+    Between two moves in the same direction the arm does not stop. Its speed there is the lower
+    speed of the two moves, or less if the lengths of the adjacent moves require it. ``moves``:
+    targets in rad and m; the feed along the line is in the same unit per minute.
+    ``max_acceleration``: of each joint, in rad/s^2 or m/s^2. Moves of zero length are left out.
     """
     legs = _legs(start, moves, max_acceleration)
     points: list[TrajectoryPoint] = []

@@ -72,7 +72,7 @@ class Position:
     commanded: Mapping[str, float]
     counts: Mapping[str, int]
     with_ok: bool = False
-    """Whether the firmware sent its ``ok`` on the same line."""
+    """True if the firmware sent its ``ok`` on the same line."""
 
 
 @dataclass(frozen=True, slots=True)

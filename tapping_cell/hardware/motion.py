@@ -93,8 +93,8 @@ def strike_path(
 def strike_durations(
     geometry: ScaraGeometry, current: ArrayLike, tips: ArrayLike, settings: MotionSettings
 ) -> Array:
-    """``path_duration`` of many ``strike_path``: joints (..., 4) to tip poses (..., 4), which
-    broadcast; infinite where the arm cannot reach."""
+    """Return ``path_duration`` of many strike paths from joints (..., 4) to tip poses (..., 4),
+    which broadcast; infinite for unreachable poses."""
     start, tip = np.broadcast_arrays(
         np.asarray(current, dtype=float), np.asarray(tips, dtype=float)
     )
@@ -147,8 +147,8 @@ def raise_step(
 ) -> Waypoint:
     """Return the waypoint from joints ``current`` backwards, then up to travel height.
 
-    Backing off along the line of travel keeps an extended rod from rubbing along the object. It is
-    left out if the tip is already above travel height or the pose behind is out of reach.
+    Backing off along the line of travel keeps an extended rod from rubbing along the object. This
+    step is left out if the tip is already above travel height or the pose behind is out of reach.
     """
     start = Joints(*current)
     here = geometry.forward(start)

@@ -94,8 +94,9 @@ class Ros2ControlDialect:
             Finding(
                 "clock of the joint states' stamps",
                 f"{ahead:.3f} s ahead" if ahead > age else f"{age:.3f} s behind",
-                f"must be at most {CLOCK_LIMIT:g} s ahead and {self._settings.state_timeout:g} s"
-                " behind of this computer's: synchronise the clocks (chrony, PTP)",
+                f"must be at most {CLOCK_LIMIT:g} s ahead of this computer's clock and at most"
+                f" {self._settings.state_timeout:g} s behind it: synchronise the clocks (chrony,"
+                " PTP)",
                 ahead <= CLOCK_LIMIT and age <= self._settings.state_timeout,
             ),
         ]

@@ -101,12 +101,12 @@ def _wrap(angle: Array) -> Array:
 
 
 def _into_range(angle: Array, low: float, high: float, near: Array) -> tuple[Array, Array]:
-    """The turn of ``angle`` inside [low, high] nearest to ``near``, and how far out it is if none
-    is."""
+    """Return ``angle`` plus the full turns that bring it inside [low, high] and nearest to
+    ``near``, and its excess over the range (0 inside)."""
     turns = _wrap(angle)[..., None] + 2 * math.pi * np.arange(-2, 3)
     excess = np.maximum(np.maximum(low - turns, turns - high), 0.0)
     excess = np.where(excess <= LIMIT_SLACK, 0.0, excess)
-    # Excess decides first, the distance to `near` only between turns inside.
+    # The excess decides first; the distance to `near` decides only between angles inside the range.
     order = np.where(excess > 0, 1e3 + excess, np.abs(turns - near[..., None]) * 1e-3)
     best = np.argmin(order, axis=-1)[..., None]
     return (

@@ -25,7 +25,8 @@ STOP = b"!"
 SILENCE_LIMIT = 0.5
 """A charged tapper discharges after this time without a valid frame, s."""
 LONGEST_WINDOW = 0.1
-"""Maximum time from the board's time to the deadline of FIRE, s; the board refuses a later one."""
+"""Maximum time from the board's time to the deadline of FIRE, s; the board refuses a later
+deadline."""
 LONGEST_PULSE = 0.033
 """A hardware timer switches the release output off at most this long after it was switched on, s
 (16 bits of 0.5 us)."""
@@ -116,7 +117,7 @@ class Reply:
     """Board time when the request was processed, ms, modulo ``TIME_MODULUS``."""
     mode: Mode
     enabled: bool
-    """Whether the enabling switch is held."""
+    """True if the enabling switch is held."""
     version: str = ""
     channel: int = 0
     """Channel of ``shot``."""

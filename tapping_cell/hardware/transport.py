@@ -18,7 +18,7 @@ class Connection(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection is open, as far as is known."""
+        """True if the connection is open, as far as is known."""
 
     def now(self) -> float:
         """Return the time of the steady clock, s."""
