@@ -214,7 +214,7 @@ def _find(path: Path, header: Sequence[str], column: Column) -> _Place | None:
     found = [(index, name) for index, name in enumerate(header) if name in known]
     if len(found) > 1:
         raise RecordError(
-            f"{path}: the column {column.name} is there {len(found)} times"
+            f"{path}: the column {column.name} appears {len(found)} times"
             f" ({', '.join(name for _, name in found)}); keep one of them"
         )
     if not found:

@@ -23,7 +23,8 @@ from tapping_cell.configuration.provenance import Provenance, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
 
 _SLACK = 1.01
-"""Maximum ratio of new to old value that is not worse: files hold six digits, and fits vary."""
+"""Maximum ratio of the new to the old value at which the new file does not count as worse, because
+files hold six digits and fits vary."""
 
 
 class KeptFile(ValueError):
@@ -75,7 +76,7 @@ def refuse_better(output: Output, new: Provenance) -> None:
     if old is None or old.by != new.by:
         return
     worse = [
-        f"its {what} is {before:.4g} and the new one {after:.4g}"
+        f"its {what} is {before:.4g} (new: {after:.4g})"
         for what, same, before, after in (
             (old.residual_of, old.residual_of == new.residual_of, old.residual, new.residual),
             (
@@ -96,7 +97,7 @@ def refuse_better(output: Output, new: Provenance) -> None:
 
 
 def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path], object]) -> None:
-    """Write ``text``, which contains ``new``, by the rules of this module.
+    """Write ``text``, which includes the calibration record ``new``, by the rules of this module.
 
     ``read`` is the nodes' reader of such files. It reads a draft in the folder of the output.
 

@@ -9,10 +9,10 @@ causes no error, and a small displacement is weighted by its noise.
 The fit minimises the squared residuals divided by their variances (``shared_least_squares.py``).
 This module defines the residuals and their derivatives.
 
-No object has an exactly uniform pressure distribution. If the centre of pressure is beside the
-centre of mass, friction rotates the object depending on its direction of travel: half a millimetre
-changes the rotation of the paper's disk by a fifth. So the centre of pressure is also fitted, to
-first order, if the direction of travel is known in the object frame.
+No object has an exactly uniform pressure distribution. If the centre of pressure is away from the
+centre of mass, friction rotates the object by an amount that depends on the direction of travel. A
+distance of half a millimetre changes the rotation of the paper's disk by a fifth. So the centre of
+pressure is also fitted, to first order, if the direction of travel is known in the object frame.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def slide_of(
     moved = end - start
     distance = float(np.hypot(*moved))
     if distance < max(_LEAST_MOTION, floor):
-        return TrackProblem("missed", f"the object moved by {1e3 * distance:.3g} mm only")
+        return TrackProblem("missed", f"the object moved by only {1e3 * distance:.3g} mm")
     direction = moved / distance
     along = (places - start) @ direction
     across = (places - start) @ np.array([-direction[1], direction[0]])
