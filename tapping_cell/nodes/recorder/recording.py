@@ -50,7 +50,7 @@ class RecordedTopic:
 def new_folder(
     parent: Path, name: str, most_runs: int, least_free: float, prepared: bool = False
 ) -> Path:
-    """Create a folder for a run. It must not exist yet. ``least_free`` is in bytes.
+    """Create a folder for a run, which must not exist yet. ``least_free`` is in bytes.
 
     ``prepared``: a folder of this name without a run was created for this run, as the verb demo
     does for the nodes' logs. Otherwise, an existing folder belongs to another cell whose run
@@ -58,8 +58,7 @@ def new_folder(
 
     Raises:
         CannotRecord: there are too many runs, the free disk space is too small, or the folder
-            cannot
-            be created.
+            cannot be created.
     """
     try:
         parent.mkdir(parents=True, exist_ok=True)
@@ -83,7 +82,7 @@ def new_folder(
             f"no run folder can be made in {parent} ({error.strerror}); set the parameter "
             "folder to a writable folder"
         ) from error
-    raise CannotRecord(f"every name like {name} in {parent} is taken; choose another name")
+    raise CannotRecord(f"{parent} has a folder for every name like {name}; choose another name")
 
 
 def check_disk_space(folder: Path, least_free: float) -> None:
