@@ -440,8 +440,8 @@ def _notes(
     elbow = record.joints[used, 1] + values["elbow_zero"]
     if not (elbow.min() < -0.1 and elbow.max() > 0.1):
         said.append(
-            "all poses bend the elbow to one side; poses on both sides separate its zero "
-            "offset from the base better"
+            "all poses bend the elbow to one side; poses on both sides separate the elbow's "
+            "zero offset from the base pose better"
         )
     if int(used.sum()) < 15:
         said.append(f"{int(used.sum())} poses are few: 20 over the whole table are better")

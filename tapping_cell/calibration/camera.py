@@ -91,7 +91,7 @@ class CameraCalibration:
 
     @property
     def focal_deviation(self) -> float:
-        """Relative standard deviation of the focal length, the larger of x and y."""
+        """Relative standard deviation of fx or fy, whichever is larger."""
         d, m = self.deviations, self.model
         return max(d["fx"] / m.fx, d["fy"] / m.fy)
 

@@ -2,8 +2,8 @@
 
 1. If there is no file, the new file is written.
 2. If there is a file, writing is refused unless ``force`` is given.
-3. With ``force``, the old file's record of the same verb is compared. If its residual or its
-   uncertainty is smaller than the new one, writing is refused unless ``accept_worse`` is given. A
+3. With ``force``, the old file's record of the same verb is compared with the new record. If the
+   old residual or uncertainty is smaller, writing is refused unless ``accept_worse`` is given. A
    file without such a record (written by hand) cannot be compared, and ``force`` replaces it.
 
 Before the new text replaces the old file, the nodes' reader checks it. A text that this reader

@@ -41,8 +41,8 @@ LEAST_MOVE = 0.003
 """Minimum displacement of a usable tap, m; in shorter taps the camera's noise dominates."""
 
 WIDEST = np.array([0.003, math.radians(2.0), 0.5])
-"""Prior standard deviations of the three unknowns (m, rad, relative): mounts that were set up with
-ruler and protractor."""
+"""Prior standard deviations of the three unknowns (m, rad, relative), for mounts set up with ruler
+and protractor."""
 
 WANTED = 0.0003
 """Maximum standard deviation of the line at the object, m, for planning."""

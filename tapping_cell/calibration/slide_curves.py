@@ -24,7 +24,8 @@ TORQUE_FACTORS = (0.1, 15.0)
 """Range of torque factors that a fit considers."""
 FINE, COARSE = 0.02, 0.12
 """Spacing of the tables in ln(torque factor). The interpolation errors are 3e-5 and 1e-3 of the
-rotation. A table takes a tenth of a second to compute, so a search starts with the coarse ones."""
+rotation. A table takes a tenth of a second to compute, so a search starts with the coarse
+tables."""
 _FARTHEST = 14.0  # ln of the largest ratio of spin and speed; beyond it, the motion is pure
 _NEAREST = -20.0  # ln of the smallest distance from the terminal ratio
 _KNOTS = 1000

@@ -320,7 +320,7 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
 def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquations:
     """Linearise the problem.
 
-    ``prior`` is the standard deviation of a trial's ln friction from the shared one.
+    ``prior`` is the standard deviation of a trial's ln friction from the shared value.
     """
     misses, rows, local = _misses(problem, at), problem.samples.rows, at.local
     count = local.shape[0]

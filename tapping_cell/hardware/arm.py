@@ -72,7 +72,8 @@ class _Path:
 
 
 class ArmDriver:
-    """Driver of one arm on one line. All calls but ``stop`` block and belong to one thread."""
+    """Driver of one arm on one line. All calls except ``stop`` block and must come from one
+    thread."""
 
     def __init__(
         self,

@@ -29,8 +29,9 @@ LEAST_STEP = 0.005
 """Minimum time between an intermediate point and a corner, s; closer points are left out."""
 LONGEST_STRETCH = 1.4
 LONGEST_DELAY = 1.5
-"""Limits on slowing a trajectory down to respect the joint speeds: it may take this factor times
-its duration, plus this delay in s. The driver's deadline allows 1.5 times and 2 s."""
+"""Limits on slowing a trajectory down to respect the joint speeds: a trajectory may take this
+factor times its planned duration, plus this delay in s. The driver's deadline allows 1.5 times plus
+2 s."""
 SPEED_STEP = 1e-3
 """Time step of the finite difference that converts joint speeds, s."""
 TURNS = 12.6

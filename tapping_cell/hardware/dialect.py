@@ -32,7 +32,7 @@ class Firmware:
     continued: bool
     """True if the controller proved that it was not reset since this driver last set it up."""
     remarks: tuple[str, ...] = ()
-    """Sentences about this firmware build that a person should know."""
+    """Remarks about this firmware build for the user."""
 
 
 @dataclass(frozen=True, slots=True)

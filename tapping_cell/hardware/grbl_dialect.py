@@ -362,8 +362,8 @@ class GrblDialect:
     def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
         """Send one line, wait for its ``ok``, and return the frames received before it.
 
-        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, it
-        is awaited first, so that it is not taken for the answer to this line.
+        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, it is
+        awaited first, so that it is not mistaken for the answer to this line.
         """
         if self._unanswered:
             self._resynchronise(deadline)
@@ -458,7 +458,7 @@ class GrblDialect:
         return False
 
     def _drain(self) -> grbl.Banner | None:
-        """Read until the line is silent, so that old answers are not taken for new ones."""
+        """Read until the line is silent, so that old answers are not mistaken for new answers."""
         banner: grbl.Banner | None = None
         for _ in range(DRAIN_ROUNDS):
             frames = self._pump(DRAIN_SILENCE)

@@ -24,7 +24,7 @@ LEAST_TIME = 0.02
 """Minimum duration of a move, s; controllers reject two points with the same time."""
 
 LEAST_PIECE = 1e-3
-"""Minimum duration of a segment of a move, s; shorter ones are merged with their neighbours."""
+"""Minimum duration of a segment of a move, s; shorter segments are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
 """Minimum cosine of the angle between two moves that are passed without a stop."""
 
@@ -116,7 +116,8 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
 
 
 class Course:
-    """A sent trajectory, to estimate the arm's position between joint state messages."""
+    """A trajectory that was sent, for estimating the arm's position between joint state
+    messages."""
 
     def __init__(self, start: Sequence[float], points: Sequence[TrajectoryPoint]) -> None:
         still = (0.0,) * len(start)

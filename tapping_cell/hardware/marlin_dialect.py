@@ -297,7 +297,8 @@ class MarlinDialect:
     def _await(
         self, number: int, patience: float, deadline: float, frames: list[marlin.Frame]
     ) -> int | None:
-        """Return None after ``ok``, the line number the board requests, or -1 after silence."""
+        """Return the line number if the board requested a line, None if it only answered ``ok``, or
+        -1 if it was silent."""
         wanted: int | None = None
         busy = False
         while True:

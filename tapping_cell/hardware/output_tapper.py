@@ -73,7 +73,8 @@ class OutputTapperSettings:
 
 
 class OutputTapperDriver:
-    """Driver of one tapper on one output. All calls but ``stop`` block and belong to one thread."""
+    """Driver of one tapper on one output. All calls except ``stop`` block and must come from one
+    thread."""
 
     def __init__(
         self, link: OutputLink, settings: OutputTapperSettings, memory: ShotMemory

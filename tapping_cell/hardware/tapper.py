@@ -111,7 +111,8 @@ class TapperCounters:
 
 
 class TapperDriver:
-    """Driver of one tapper on one line. All calls but ``stop`` block and belong to one thread."""
+    """Driver of one tapper on one line. All calls except ``stop`` block and must come from one
+    thread."""
 
     def __init__(
         self,
@@ -217,7 +218,7 @@ class TapperDriver:
     def _other_firmware(self, version: str) -> HardwareFault:
         return self._noted(
             FaultReason.UNKNOWN_FIRMWARE,
-            f"tapper firmware {version} speaks another protocol than this driver (version"
+            f"tapper firmware {version} uses another protocol than this driver (version"
             f" {PROTOCOL_VERSION}): flash the firmware of this repository (make -C firmware/tapper"
             " flash PORT=...)",
         )

@@ -24,7 +24,7 @@ _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
 # Newton's method handles the rays that do not converge.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
 _FOUND = 1e-6
-"""Maximum reprojection error of a ray, in pixels."""
+"""Maximum reprojection error, in pixels, of a ray that counts as found."""
 _NEWTON_STEPS = 40
 _LARGEST = 30_000
 """Maximum width or height of an image in pixels, more than any camera has."""
@@ -235,7 +235,7 @@ class CameraModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraPose:
-    """X_CT, the pose of the table in the camera: p_C = rotation p_T + translation, in m."""
+    """X_CT, the pose of the table in the camera's frame: p_C = rotation p_T + translation, in m."""
 
     rotation: Array
     translation: Array

@@ -163,7 +163,7 @@ class PoseTracker:
             self._resting_since = since
             regions = [*view.project(self.table.points)]
             for follower, seen in lying:
-                assert seen.pose is not None, "what is seen at rest has a pose"
+                assert seen.pose is not None, "an object seen at rest has a pose"
                 outline = follower.outline(np.array(seen.pose))
                 regions.append(view.project(outline, follower.height))
             self._change.watch(image, regions)
@@ -217,7 +217,8 @@ class PoseTracker:
 
     def _search_due(self, stamp: float, others: Collection[int]) -> bool:
         lost = not self._object.found or self.view is None or self._wants_search
-        # Search immediately for an object that disappeared; one that was never found can wait.
+        # Search immediately for an object that disappeared; an object that was never found can
+        # wait.
         lost |= any(self._others[n].found and self._others[n].wants_search for n in others)
         period = self.settings.lost_period if lost else self.settings.audit_period
         return stamp - self._last_search >= period

@@ -406,7 +406,7 @@ def straight_corners(points: Array, weights: Array) -> Array:
 
 
 def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
-    """Select these markers, in this order."""
+    """Return the markers with the indices ``rows``, in this order."""
     return MarkerEdges(
         edges.points[rows],
         edges.weights[rows],
@@ -420,7 +420,7 @@ def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
 
 
 def join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
-    """Concatenate the markers of both."""
+    """Concatenate the markers of two sets."""
     return MarkerEdges(
         np.concatenate([first.points, second.points]),
         np.concatenate([first.weights, second.weights]),

@@ -3,7 +3,7 @@
 The grey values are modelled by the blurred printed pattern, projected by the known camera at the
 known height. The pose has three unknowns. Illumination and ink enter linearly (a gain and an
 offset, each with a gradient across the marker), and so does, to first order, the deviation of the
-blur from the assumed one. Gauss-Newton starts from the pose given by the edges (Lucas and Kanade
+blur from the assumed blur. Gauss-Newton starts from the pose given by the edges (Lucas and Kanade
 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so it
 causes no bias.
 

@@ -28,8 +28,8 @@ _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 
 In this order: a constant fraction (print, lens); pixels of the side (position of edges between
 pixels, nonlinear grey levels); pixels, times p / (1 - p), for edges with ``MarkerEdges.pull`` p;
-standard deviations of the noise. None of 140 images exceeded the sum. Their sides measured 28 to
-149 pixels, and they included gamma, Bayer patterns and blur.
+standard deviations of the noise. None of 140 images exceeded the sum. The markers' sides measured
+28 to 149 pixels, and the images included gamma, Bayer patterns and blur.
 """
 
 

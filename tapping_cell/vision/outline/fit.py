@@ -157,7 +157,7 @@ def fit_outline(
     dot = outline.dot if with_dot else None
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
     smeared = float(np.hypot(*moving)) > _SMEARED
-    # A fit without the dot only prepares one with the dot.
+    # A fit without the dot only prepares a fit with the dot.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
     most = ROUGH_PIXELS if rough else MOST_PIXELS
     state = _State(start.copy(), blur, size)

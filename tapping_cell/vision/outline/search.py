@@ -416,7 +416,7 @@ def turn_by_dot(
         )
     away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius
     if away.any() and contrast[away].max() > 0.6 * contrast[best]:
-        return Refused(TWO_DOTS, "two dots are seen where one should be, so its angle is not known")
+        return Refused(TWO_DOTS, "two dots are seen instead of one, so its angle is unknown")
     return np.asarray(poses[best])
 
 

@@ -314,8 +314,8 @@ def _encloses(outline: NDArray[np.int32], pixel: Array) -> bool:
 def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     """Points (N, 2) of the rim in pixels, with sub-pixel accuracy.
 
-    The brightness is sampled across each point of the coarse rim. The rim is where it crosses half
-    of the brightness inside.
+    The brightness is sampled across each point of the coarse rim. The rim is the position at which
+    it is halfway between the brightness inside and outside.
     """
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     rough = max(contours, key=cv2.contourArea)[:, 0].astype(float)

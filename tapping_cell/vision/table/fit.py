@@ -139,8 +139,9 @@ def fit_table(
     ``noise`` (M,) is :func:`side_noise`, ``focal`` the number of pixels per unit of direction. Ink
     bleeding, nonlinear grey levels and stray light displace the sides of all markers outwards or
     inwards by the same unknown amount, which is fitted with the pose. Markers (those in ``used``
-    (M,), if given) are excluded one by one while one disagrees with the rest by more than
-    ``settings.displaced`` pixels. Returns None if fewer than ``settings.least_references`` remain.
+    (M,), if given) are excluded one at a time as long as a marker disagrees with the rest by more
+    than ``settings.displaced`` pixels. Returns None if fewer than ``settings.least_references``
+    remain.
     """
     count = points.shape[0]
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)

@@ -118,7 +118,7 @@ def condition(
     to the table, with respect to the lens parameters and to the camera's pose. ``gain`` (6, 8 M) is
     the derivative of the fitted pose with respect to the corners. Rows are x and y of successive
     corners. ``stated`` is True if ``lens`` is scaled by the deviations that the calibration states,
-    and False if it is scaled by typical ones.
+    and False if it is scaled by typical deviations.
     """
     # Use only the position and rotation of each marker. Ink, bloom and blur make it appear larger,
     # smaller or stretched, and a lens error that explains this would be wrong.
