@@ -1,8 +1,8 @@
 """Calibration of the arm's base pose and joint offsets from measured poses of a marker on the tool,
 or from touched points.
 
-Points of the table are complex numbers. With the base position b, the base rotation c = exp(i yaw)
-and a point m in the tool frame, the predicted position is
+Points of the table are written as complex numbers. With the base position b, the base rotation c =
+exp(i yaw) and a point m in the tool frame, the predicted position is
 
     p = b + c (L1 exp(i q1) + L2 exp(i (q1 + q2)) + m exp(i (q1 + q2 + q4)))
 
@@ -177,7 +177,7 @@ def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
 
 
 def wrist(joints: Array, values: dict[str, float]) -> Complex:
-    """Compute the quill axis (N,) in the arm's base frame for controller joints (N, 3)."""
+    """Compute the position (N,) of the quill axis in the arm's base frame for joints (N, 3)."""
     reach = joints[:, 0] + joints[:, 1] + values["elbow_zero"]
     return np.asarray(
         values["upper_arm"] * np.exp(1j * joints[:, 0]) + values["forearm"] * np.exp(1j * reach)

@@ -48,8 +48,8 @@ class RecordError(ValueError):
 class Column:
     """A column of numbers with its SI ``unit`` (a key of ``UNITS``) and its closed range.
 
-    ``least_largest`` is the minimum of the largest magnitude in the column. Smaller columns are
-    assumed to have the wrong unit (metres in a column of millimetres).
+    ``least_largest`` is the lowest plausible value of the largest magnitude in the column. A column
+    below it is assumed to have the wrong unit (metres in a column of millimetres).
     """
 
     name: str

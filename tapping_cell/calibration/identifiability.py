@@ -56,7 +56,7 @@ def identifiability(
 ) -> Identifiability:
     """Analyse how well the trials determine all parameters of the impact.
 
-    ``speed_known`` is the relative standard deviation of the common factor of the striker speeds;
+    ``speed_known`` is the relative standard deviation of the factor common to all striker speeds;
     it is inf if only the commanded speeds are known.
     """
     information = _information(model, values, scatter, speed_known)

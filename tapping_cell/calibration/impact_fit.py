@@ -1,7 +1,7 @@
 """Fit of restitution, contact friction and the scales of B1, B2 and B3 to measured launches.
 
 A trial gives the striker's speed, contact point, incidence and launch: speed, spin over speed, and
-direction relative to the contact normal. The residuals to the impact model (``mechanics.impact``)
+direction relative to the contact normal. The residuals of the impact model (``mechanics.impact``)
 are divided by the scatter of a tap. This scatter is estimated together with the parameters.
 
 The data decide which parameters are free. Restitution is free, and contact friction is free if the
@@ -283,7 +283,7 @@ def _scatter(
 
 
 def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
-    """Fix the contact friction, because contacts that stick explain the launches as well.
+    """Fix the contact friction, because contacts that stick explain the launches equally well.
 
     The file's friction is kept unless it explains the launches worse. This gives no bound on the
     friction, because an error elsewhere in the model can make sliding contacts appear to stick.
@@ -361,8 +361,8 @@ def _result(model: ImpactModel, fit: _Fit, notes: tuple[str, ...]) -> ImpactFit:
 def contact_frame(body: Body, contact_angle: Array) -> tuple[Array, Array]:
     """Compute (c_n, c_t) of contacts (n, 2) and the directions (n,) of their normals, body frame.
 
-    For a NaN contact angle, the contact is that at angle 0 (exact for round bodies), and the
-    direction is NaN.
+    For a NaN contact angle, the contact at angle 0 is returned (exact for round bodies), with a NaN
+    direction.
     """
     angle = np.nan_to_num(contact_angle)
     point, outward = body.boundary(angle), body.normal(angle)

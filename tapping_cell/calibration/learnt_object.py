@@ -37,7 +37,7 @@ _OUTLIER = 5.0
 """Number of standard deviations above which a tap is an outlier, such as a collision or a miss."""
 _BOUNDS = (np.log([0.01, 0.05]), np.log([2.0, 20.0]))
 _UNKNOWN = 0.5
-"""Relative standard deviation from which the torque factor counts as not determined."""
+"""Relative standard deviation at or above which the torque factor counts as not determined."""
 _LEAST_SCATTER = 0.002
 
 
@@ -53,10 +53,10 @@ class LearntObject:
 
 
 def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike) -> LearntObject:
-    """Fit an object to taps that were commanded by the mechanics of ``content``.
+    """Fit an object to taps that were planned with the mechanics of ``content``.
 
     Args:
-        content: object file with which the taps were commanded.
+        content: object file with which the taps were planned.
         commanded, measured: displacements (n, 3) in the object frame before the tap, m and rad.
 
     Raises:

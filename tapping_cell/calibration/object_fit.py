@@ -361,7 +361,7 @@ def _strikes(
 
 
 def _speed_known(used: Sequence[Used]) -> float:
-    """Return the relative standard deviation of the common factor of the striker speeds."""
+    """Return the relative standard deviation of the factor common to all striker speeds."""
     measured = [not math.isnan(entry.trial.striker_speed_measured) for entry in used]
     if not all(measured):
         return math.inf
@@ -419,7 +419,7 @@ def _taps(
 def _inflation(misfits: Sequence[Misfit]) -> float:
     """Return the factor by which intervals widen if the runs do not fit the model (Birge 1932).
 
-    In that case the runs are the independent samples, not the taps.
+    In that case the runs, not the taps, are the independent samples.
     """
     ratios = [misfit.inflation for misfit in misfits if misfit.cause == "setting"]
     return math.sqrt(max([1.0, *ratios]))

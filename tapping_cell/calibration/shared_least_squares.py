@@ -123,7 +123,7 @@ def _step(equations: NormalEquations, damping: float, local_only: bool) -> tuple
 
 
 def _solved(equations: NormalEquations, h_local: Array) -> tuple[Array, Array]:
-    """Solve for the changes of the local parameters with the shared ones (n, p, s) and with their
+    """Compute how the local parameters change with the shared parameters (n, p, s) and with their
     own gradient (n, p)."""
     right = np.concatenate([equations.h_mixed, equations.g_local[:, :, None]], axis=2)
     solved = np.linalg.solve(h_local, right)

@@ -257,7 +257,8 @@ def _spread(values: Array) -> float:
 
 
 def _between(values: Array, deviations: Array) -> float:
-    """Estimate robustly the standard deviation between trials in excess of the measurement's."""
+    """Estimate robustly the standard deviation between trials in excess of that of the
+    measurement."""
     known = np.isfinite(deviations) & (deviations < 0.5 * _FREE)
     if known.sum() < 4:
         return 0.0
@@ -395,7 +396,7 @@ def _fitted(
 
 
 def _own_friction(problem: _Problem, at: Estimate) -> tuple[Array, Array]:
-    """Estimate ln of each trial's friction over the shared one, with standard deviations."""
+    """Estimate ln of each trial's friction over the shared friction, with standard deviations."""
     covariance = np.linalg.inv(_linearised(problem, at, _FREE).h_local)
     return at.local[:, _FRICTION], np.sqrt(covariance[:, _FRICTION, _FRICTION])
 

@@ -83,7 +83,8 @@ def observe_markers(
     dictionary: str,
     known: Sequence[int] | None = None,
 ) -> MarkerView | str:
-    """Detect the markers of an image (those in ``known``, or all); a text gives the failure."""
+    """Detect the markers of an image (those in ``known``, or all); a string is the reason for a
+    failure."""
     problem = camera.check_image(image)
     if problem:
         return problem
@@ -383,7 +384,8 @@ class _Problem:
         return matrix, right, float((residual**2).sum())
 
     def solve(self, poses: Sequence[CameraPose], markers: Array) -> tuple[list[CameraPose], Array]:
-        """Minimise by Levenberg-Marquardt; the frame is not fixed, but it hardly moves."""
+        """Minimise by Levenberg-Marquardt; the frame is not fixed, but hardly moves in the
+        process."""
         poses, damping = list(poses), 1e-6
         matrix, right, cost = self._normal(poses, markers)
         for _ in range(_STEPS):

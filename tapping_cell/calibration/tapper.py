@@ -68,7 +68,7 @@ _ALIKE = 0.02
 class TapRecord:
     """Taps (N,): ``energies`` in J, ``distances`` in m, ``rotations`` in rad, ``incidences`` from
     the contact normal to the striker's axis in rad, and row numbers ``rows`` in the file.
-    ``deviations`` are the standard deviations of the distances by the camera's noise, in m.
+    ``deviations`` are the standard deviations of the distances due to the camera's noise, in m.
     """
 
     energies: Array
@@ -285,11 +285,11 @@ class _Curve:
     """The smooth curve of ln speed over ln energy, with mean and standard deviation.
 
     Deviations of all amplitudes and length scales are averaged, weighted by their likelihood. So
-    the standard deviation includes the uncertainty about the form of the curve.
+    the standard deviation includes the uncertainty about the shape of the curve.
     """
 
     def __init__(self, x: Array, y: Array, seen: Array) -> None:
-        """Fit taps (N,) with ln energies, ln speeds and standard deviations by the camera."""
+        """Fit taps (N,) with ln energies, ln speeds and standard deviations due to the camera."""
         self._x = x
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x

@@ -124,7 +124,7 @@ class TargetView:
 
 
 def find_target(image: Image, target: Target, name: str) -> TargetView | str:
-    """Detect the target's corners in a grey image; a text gives the reason of a failure."""
+    """Detect the target's corners in a grey image; a string is the reason for a failure."""
     found = _chessboard(image, target) if target.kind == "chessboard" else _charuco(image, target)
     if isinstance(found, str):
         return found

@@ -118,7 +118,7 @@ class ArmDriver:
         return self._fault
 
     def now(self) -> float:
-        """Return the current time of the clock of ``ArmReading.stamp``, s."""
+        """Return the current time on the clock that ``ArmReading.stamp`` uses, s."""
         return self._transport.now()
 
     @property
@@ -202,7 +202,8 @@ class ArmDriver:
         via: Iterable[float] | None = None,
         via_speed: float | None = None,
     ) -> ArmReading:
-        """Move straight in joint space; return when idle and read back within tolerance.
+        """Move straight in joint space; return when the arm is idle and its read-back within
+        tolerance.
 
         ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: time of the
         transport's clock; None computes it from the move's duration. ``via``: intermediate joints.

@@ -87,7 +87,7 @@ def exactly(
 
 
 def refuse(findings: Sequence[Finding]) -> None:
-    """Raise HardwareFault (SETTINGS_MISMATCH) if a finding is not met."""
+    """Raise HardwareFault (SETTINGS_MISMATCH) if a setting is not as required."""
     differences = [finding.sentence for finding in findings if not finding.met]
     if differences:
         raise HardwareFault(

@@ -62,7 +62,8 @@ class LineCounters:
 
 
 class ArmDialect(Protocol):
-    """A controller's command language over one transport. Deadlines are times of its clock.
+    """A controller's command language over one transport. Deadlines are times on the transport's
+    clock.
 
     Every call raises HardwareFault: TIMEOUT, DISCONNECTED, STOPPED, ALARM, BOARD_RESET, REJECTED.
     """

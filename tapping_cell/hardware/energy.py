@@ -2,7 +2,7 @@
 
 An ideal spring or coil gives v = sqrt(2 E / m), so speed is proportional to the square root of the
 energy. The curve is therefore interpolated linearly in sqrt(E), which is exact for the ideal drive.
-It is monotonic because the pairs must be strictly increasing.
+The curve is monotonic because the pairs must be strictly increasing.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Comparison of a controller's setting with what the arm needs."""
+"""Comparison of a controller's setting with the value that the arm requires."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ LOCKED = {
     "Sleep": "asleep",
     "Check": "in check mode",
 }
-"""States in which the controller accepts no motion until it is cleared."""
+"""States in which the controller accepts no motion until the state is cleared."""
 POWERLESS = ("Alarm", "Sleep")
 """States in which the motors are or may have been without power."""
 DEFAULT_LETTERS = "XYZABCUVW"
@@ -179,8 +179,8 @@ class GrblDialect:
         except HardwareFault as fault:
             if fault.reason is not FaultReason.TIMEOUT:
                 raise
-            # Its `ok` is late or lost. Until the controller has processed all earlier lines, a
-            # report "Idle" may come from an arm that has not started to move yet.
+            # The move's `ok` is late or lost. Until the controller has processed all earlier lines,
+            # a report "Idle" may come from an arm that has not started to move yet.
             self.counters.retries += 1
             self._resynchronise(deadline)
 
@@ -484,7 +484,8 @@ class GrblDialect:
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
         """Identify the controller and count its axes; return its version."""
-        # Answers have no checksum, and a lost line could make one controller look like another.
+        # Answers have no checksum, and a lost line could make a controller appear to be another
+        # one.
         messages = self._information(deadline)
         for _ in range(IDENTIFICATIONS):
             again = self._information(deadline)
@@ -546,7 +547,8 @@ class GrblDialect:
             before = count
 
     def _compared(self, deadline: float) -> list[Finding]:
-        """Return the findings; if one is not met, repeat the query in case of a garbled line."""
+        """Return the findings; if a setting is not as required, query again in case a line was
+        garbled."""
         findings = self._compare(deadline)
         if self._homed_unknown or not all(finding.met for finding in findings):
             self.counters.retries += 1
@@ -665,7 +667,7 @@ class GrblDialect:
     def _learn_homed_place(self, found: Mapping[int, float]) -> None:
         """Compute the machine position after homing from ``$$``.
 
-        It is $27 away from the end that $23 selects, or zero in some builds.
+        The position is $27 away from the end that $23 selects; in some builds it is zero.
         """
         self._homed_unknown = ""
         self._homed_place = list(self._settings.home_place or ())

@@ -105,7 +105,8 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
         short = min(leg.length / leg.speed for leg in (before, after)) < LEAST_TIME
         if along > STRAIGHT and not short:
             corners[index] = min(before.speed, after.speed)
-    # Forward pass: limit each corner to what is reachable; backward pass: to what can be braked.
+    # Forward pass: limit each corner to a speed that can be reached; backward pass: to a speed from
+    # which the arm can brake.
     for index, leg in enumerate(legs, start=1):
         reached = math.sqrt(corners[index - 1] ** 2 + 2 * leg.acceleration * leg.length)
         corners[index] = min(corners[index], reached)

@@ -47,7 +47,7 @@ SET = "{name}{value}, then M500"
 """Command that sets and stores a value."""
 PREPARATION = ("G21", "G90", "M220 S100", "M84 S0", "M17")
 """Codes sent at every connect: mm, absolute positions, no speed override, no idle timeout of the
-motors' torque, motors on."""
+motors, motors on."""
 RECOVERIES = 8
 """Maximum number of attempts to resend a line before the connection counts as lost."""
 IDENTIFICATIONS = 6
@@ -148,7 +148,8 @@ class MarlinDialect:
             for frame in self._command("M114", deadline):
                 if isinstance(frame, marlin.Position):
                     return self._reading(frame, asked)
-            # The answer was garbled, or a stray `ok` was taken for this line's: drain and repeat.
+            # The answer was garbled, or a stray `ok` was mistaken for that of this line, so drain
+            # and repeat.
             self._settle(deadline)
             self.counters.retries += 1
 
@@ -504,7 +505,8 @@ class MarlinDialect:
         if not self._steps or not set(letters) <= set(frame.counts):
             return AxisReading(commanded, False, "", False, asked)
         actual = tuple(frame.counts[a] / self._steps[a] for a in letters)
-        # Commanded values are rounded to 0.01; a difference beyond that and one step is motion.
+        # Commanded values are rounded to 0.01; a difference larger than that plus one step is
+        # motion.
         moving = any(
             abs(a - c) > 0.006 + 1 / self._steps[letter]
             for a, c, letter in zip(actual, commanded, letters, strict=True)

@@ -3,8 +3,8 @@
 Every move is straight in joint space, so a move between two waypoints on the same elbow side never
 passes the singular pose with a straight elbow. If a pose is reachable only with the other elbow
 side, the side changes during the raised travel, above everything on the table. Below travel height
-the quill moves alone, straight up or down. Above it all joints move together, on one straight line
-between two points at travel height or higher.
+the quill moves alone, straight up or down. Above travel height all joints move together, on one
+straight line between two points at travel height or higher.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ was faster than planned."""
 
 
 class ShotMemory(Protocol):
-    """Storage of the greatest shot number beyond the life of the process."""
+    """Storage of the greatest shot number that outlives the process."""
 
     def recall(self) -> int:
         """Return the greatest shot number that may have been sent, 0 for none.

@@ -114,7 +114,7 @@ class Ros2ControlDialect:
         return firmware, findings
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """Raise ValueError: settings of the arm's own driver are not changed from here."""
+        """Raise ValueError: the settings of the arm's own driver cannot be changed here."""
         raise ValueError(f"{finding.setting} must be set in the configuration of the arm's driver")
 
     def read(self, deadline: float) -> AxisReading:

@@ -232,7 +232,8 @@ class ScaraGeometry:
     ) -> ManySolutions:
         """Return joints for tip poses (..., 4) = x, y, z, yaw in ``arm_base`` on one elbow side.
 
-        ``near``: joints (..., 4) whose turns of shoulder and tool are preferred; zero when None.
+        ``near``: joints (..., 4). Of the possible full turns of shoulder and tool, those nearest to
+        ``near`` are chosen; None means zero.
         """
         p = np.asarray(poses, dtype=float)
         close = np.zeros(4) if near is None else np.asarray(near, dtype=float)
@@ -278,7 +279,8 @@ class ScaraGeometry:
         return ManySolutions(np.where((code == 0)[..., None], joints, math.nan), code, excess)
 
     def reachable(self, poses: ArrayLike, branch: Branch | None = None) -> NDArray[np.bool_]:
-        """Return a mask (...) of the reachable tip poses (..., 4); None allows both branches."""
+        """Return a mask (...) of the reachable tip poses (..., 4); ``branch`` None allows both
+        sides."""
         branches = tuple(Branch) if branch is None else (branch,)
         masks = [self.inverse_many(poses, side).code == 0 for side in branches]
         return np.asarray(np.any(masks, axis=0), dtype=np.bool_)

@@ -40,7 +40,7 @@ CLOCK_TOLERANCE = 0.01
 """Largest relative difference in rate between the board's clock and this computer's. A ceramic
 resonator is accurate to 0.5 %."""
 RETURNING = frozenset({State.RELEASING, State.DISCHARGING, State.HOMING})
-"""Transient states from which the board reaches a state that can charge."""
+"""Transient states that lead to a state in which the board can charge."""
 
 
 class FireOutcome(Enum):
@@ -249,8 +249,8 @@ class TapperDriver:
         """Verify the striker's position: the spring's carriage moves to its front switch, and
         strikers at fixed mounts must close their switches.
 
-        ``go_on`` is called every few milliseconds. When it returns False, the carriage stops and
-        the reply to that request is returned, whose state is UNHOMED. Raises HardwareFault:
+        ``go_on`` is called every few milliseconds. When it returns False, DISCHARGE is sent, which
+        stops the carriage, and the reply is returned with the state UNHOMED. Raises HardwareFault:
         HOMING_FAILED, STRIKER_AWAY, INTERLOCK, STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         reply = self._request(Command.HOME)
@@ -289,12 +289,11 @@ class TapperDriver:
 
         The tapper discharges automatically ``timeout`` s after the request, or 500 ms after the
         last frame. A carriage at an unknown position is homed first; if the carriage is returning,
-        the call waits. ``go_on`` is called every few milliseconds. When it returns False, the
-        tapper is discharged immediately and the reply to that request is returned, whose state is
-        not CHARGED. ``shot`` must be above every shot charged before, by at most ``MAXIMUM_JUMP``.
-        Raises HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET,
-        REJECTED, DISCONNECTED, HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH,
-        NEEDS_PERSON.
+        the call waits. ``go_on`` is called every few milliseconds. When it returns False, DISCHARGE
+        is sent immediately, and the reply is returned with a state other than CHARGED. ``shot``
+        must be above every shot charged before, by at most ``MAXIMUM_JUMP``. Raises HardwareFault:
+        SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED, DISCONNECTED,
+        HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH, NEEDS_PERSON.
         """
         if not 0 <= channel < self._channels:
             raise self._noted(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
@@ -368,14 +367,14 @@ class TapperDriver:
         The driver queries the board's time, calls ``still_allowed`` (the last check), and sends
         FIRE with a deadline ``window`` after the board's time. ``still_allowed`` receives the
         latest time of the host's steady clock, in s, at which the release output can still be on,
-        without the striker's flight time. It is called again before each repetition of FIRE, whose
-        deadline stays the same. When it returns False, the tapper is discharged.
+        without the striker's flight time. ``still_allowed`` is called again before each repetition
+        of FIRE, whose deadline stays the same. When it returns False, the tapper is discharged.
 
         ``window``: at most ``LONGEST_WINDOW``; a line with a USB adapter needs 20 to 40 ms. Before
         UNKNOWN is returned, the call waits until a release is no longer possible. Line errors after
-        FIRE was sent are reported by the outcome. A HardwareFault is raised only before FIRE, so
-        this call has not fired the shot: SHOT_SPENT, OUT_OF_RANGE, STOPPED, TIMEOUT, BOARD_RESET,
-        DISCONNECTED.
+        FIRE was sent are not raised but reported by the outcome. A HardwareFault is raised only
+        before FIRE, so this call has not fired the shot: SHOT_SPENT, OUT_OF_RANGE, STOPPED,
+        TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         self._require_session()
         self._refuse_spent(shot)
@@ -461,8 +460,8 @@ class TapperDriver:
         """Wait until the board is at rest after a release and return its reply.
 
         The state is SAFE when the striker is back, or UNHOMED when the board has stopped waiting
-        for it. Any other state means that ``go_on`` returned False or the wait timed out. Raises
-        HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
+        for the striker. Any other state means that ``go_on`` returned False or the wait timed out.
+        Raises HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
         """
         reply = self._request(Command.STATUS)
         until = self._transport.now() + self.settings.home_timeout

@@ -37,7 +37,7 @@ LONGEST_FRAME = 184
 MAXIMUM_SHOT = 2**64 - 1
 MAXIMUM_JUMP = 2**32
 """Maximum increase from the greatest shot number used. The limit prevents one wrong number from
-using up all the others."""
+using up all numbers."""
 MAXIMUM_ENERGY_UJ = 10_000_000
 
 
@@ -91,8 +91,8 @@ class State(Enum):
 
 
 class Mode(Enum):
-    """Operating mode. RUN allows every energy; SETUP only a small one unless the enabling switch
-    is held."""
+    """Operating mode. RUN allows every energy; SETUP allows only a small energy unless the enabling
+    switch is held."""
 
     RUN = "RUN"
     SETUP = "SETUP"

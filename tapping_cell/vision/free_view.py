@@ -38,7 +38,7 @@ def view_clearance(
 
 
 def _projected(lens: Array, places: Array, height: Array) -> tuple[Array, Array]:
-    """Project places (N, 3) from the lens to planes (M,).
+    """Project places (N, 3) from the lens to the planes at the heights (M,).
 
     Returns points (N, M, 2) and magnification (N, M). A place above the lens hides nothing below
     it; a place level with the lens hides everything.

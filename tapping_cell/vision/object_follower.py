@@ -1,8 +1,8 @@
 """Base class that tracks one object over frames, common to markers and outlines.
 
-A follower runs once per frame, after the camera's pose over the table is known. It predicts the
-object's pose from the last pose and velocity and measures the object there. The track then decides
-between rest and motion, and fuses the frames at rest.
+A follower runs once per frame, after the camera's pose over the table is known. The follower
+predicts the object's pose from the last pose and velocity and measures the object there. The track
+then decides between rest and motion, and fuses the frames at rest.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ Aim = tuple[Array, NDArray[np.bool_]]
 
 _INSTANT = 1.5e-4
 """Standard deviation (s) of the time to which a motion-blurred frame corresponds. Measured: 0.05 to
-0.13 ms in the middle of a slide, up to 0.6 ms if it begins or ends within an exposure."""
+0.13 ms in the middle of a slide, up to 0.6 ms if the slide begins or ends within the exposure."""
 _JUDGED_AGAIN = 0.003, 0.03
 """Displacement (m) of an object at rest, and of a moving object, after which the systematic error
 is computed again."""
 _UNSEEN = 0.1
 """Time (s) for which an unseen object is assumed to continue its motion."""
 _LOST = 0.2
-"""Time (s) of failed measurements after which a thorough search is made. It must exceed the time
-that a slow computer takes for one frame."""
+"""Time (s) of failed measurements after which a thorough search is made. This time must exceed the
+time that a slow computer takes for one frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +49,8 @@ class Frame:
     image: Image
     stamp: float
     working: View
-    """View used for measurements. It is constant while nothing moves, so that refinements of the
-    table's pose do not appear as motion of the object."""
+    """View used for measurements. This view is constant while nothing moves, so that refinements of
+    the table's pose do not appear as motion of the object."""
     newest: View
     """View in which poses are published."""
     table: TableTracker

@@ -28,18 +28,18 @@ exceeds one eighth of the motion during a whole exposure.
 
 _STEADY = 0.3
 """Maximum relative change of a sliding object's velocity from frame to frame; an impact or a stop
-changes it by more."""
+changes the velocity by more."""
 
 
 @dataclass(frozen=True, slots=True)
 class RestSettings:
     """Settings of the rest detection.
 
-    The object is moving above ``speed`` (m/s) or ``turn`` (rad/s), tested with ``confidence``
-    standard deviations over windows of ``shortest`` to ``longest`` frames. At most ``memory``
-    frames are fused. ``leave`` is the squared Mahalanobis distance (3 degrees of freedom) at which
-    a pose no longer agrees with the rest pose. The track is cleared after ``gap`` (s) without a
-    pose.
+    The object counts as moving above ``speed`` (m/s) or ``turn`` (rad/s), tested with
+    ``confidence`` standard deviations over windows of ``shortest`` to ``longest`` frames. At most
+    ``memory`` frames are fused. ``leave`` is the squared Mahalanobis distance (3 degrees of
+    freedom) at which a pose no longer agrees with the rest pose. The track is cleared after ``gap``
+    (s) without a pose.
     """
 
     speed: float = 0.0005
@@ -155,7 +155,7 @@ class Track:
     def heading(self, stamp: float, pose: Array, motion: Motion) -> Array:
         """Velocity (3,) that predicts the pose in the next frame from the pose just added.
 
-        It is the velocity of the last step, plus the last change of velocity if the velocity
+        This is the velocity of the last step, plus the last change of velocity if the velocity
         changes steadily. ``motion.velocity``, the slope over several frames, is less noisy but lags
         by one frame.
         """

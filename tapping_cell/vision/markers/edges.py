@@ -52,8 +52,8 @@ class MarkerEdges:
     ``spread`` (M,) is the standard deviation of one row across the side, in pixels (divide it by
     the root of the number of rows). ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) is
     the displacement of the measured side per displacement of its window, for the worst side (1: no
-    information). It is caused by contaminated levels at the window's ends. ``good`` (M,) marks
-    markers with four complete sides whose blur is not excessive.
+    information). Contaminated levels at the window's ends cause such a displacement. ``good`` (M,)
+    marks markers with four complete sides whose blur is not excessive.
     """
 
     points: Array
@@ -275,8 +275,8 @@ def _together(samples: _EdgeSamples) -> float:
     """Factor, at least 1, on the variance of a side's line due to correlated errors of nearby rows.
 
     Smoothed, demosaiced and compressed images have such correlation, and so have rounded grey
-    levels without noise. It is estimated from the residuals of all sides. Fitting a line to n rows
-    reduces the mean product of residuals by 2 / n of their variance; this bias is corrected.
+    levels without noise. The factor is estimated from the residuals of all sides. Fitting a line to
+    n rows reduces the mean product of residuals by 2 / n of their variance; this bias is corrected.
     """
     kept = samples.kept
     residual = kept * samples.residual
@@ -296,10 +296,10 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     """Correction of the sides (S,) along q for uneven illumination, to be added.
 
     The levels are measured at a distance m outside and inside the edge. If the illumination
-    increases outwards by a fraction g per pixel, the levels at the edge differ from these. To first
-    order, an edge in a window of L pixels to either side then appears L g (m - L / 2) too far out;
-    opposite sides of a marker are displaced in the same direction. The slope of the illumination
-    comes from ``white`` (S,) beside the sides.
+    increases outwards by a fraction g per pixel, the levels at the edge differ from the measured
+    levels. To first order, an edge in a window of L pixels to either side then appears L g (m - L /
+    2) too far out; opposite sides of a marker are displaced in the same direction. The slope of the
+    illumination comes from ``white`` (S,) beside the sides.
     """
     corners, each = samples.corners, np.arange(len(white))
     away = samples.half_width - 0.5 * (_outermost(2 * samples.half_width + 1) - 1)

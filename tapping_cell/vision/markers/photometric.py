@@ -37,9 +37,9 @@ _LAGS = 4
 _LEAST_POWER = 0.1
 """Minimum power of the noise at every spatial frequency, relative to white noise."""
 _SAME_PLACE = 0.03
-"""Distance in pixels up to which the linearisation is reused. There, the second-order error is at
-most a thousandth of a pixel. The noise of a frame is a fifth of this distance and causes an error
-below 5e-5 pixel."""
+"""Distance in pixels up to which the linearisation is reused. At this distance, the second-order
+error is at most a thousandth of a pixel. The noise of a frame is a fifth of this distance and
+causes an error below 5e-5 pixel."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 
@@ -319,8 +319,8 @@ def _columns(
 def window_rays(camera: CameraModel, x0: int, y0: int, x1: int, y1: int) -> Array:
     """Directions (y1 - y0, x1 - x0, 2) of the pixels of an image window.
 
-    They are exact at 8 x 8 Chebyshev nodes and interpolated by a polynomial, because a lens is
-    smooth (error below 1e-6 pixel for windows of a few hundred pixels).
+    The directions are exact at 8 x 8 Chebyshev nodes and interpolated by a polynomial, because a
+    lens is smooth (error below 1e-6 pixel for windows of a few hundred pixels).
     """
     degree = 7
     nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))

@@ -58,8 +58,9 @@ def shape_deviation(
 ) -> ShapeDeviation:
     """Compute how marker ``row`` of ``edges``, whose pose is ``fit``, differs from its file.
 
-    ``bloom`` is the mean displacement (pixels) of the reference markers' sides outwards. It is
-    subtracted, because an effect of camera and ink on all markers is not a difference of size.
+    ``bloom`` is the mean displacement (pixels) of the reference markers' sides outwards. This
+    displacement is subtracted, because an effect of camera and ink on all markers is not a
+    difference of size.
     """
     pixel = float(view.pose.translation[2]) / view.camera.fx
     seen = view.on_plane(edges.points[row].reshape(-1, 2), marker.height).reshape(4, -1, 2)

@@ -2,10 +2,10 @@
 
 If a module is only one to four pixels wide, the pixels beside an edge already belong to the next
 module, so the levels of black and white cannot be measured there. The pattern is known, however.
-Its image is a sum of blurred steps at both sides of each module (normal distribution function),
-with illumination that varies across the marker. Gauss-Newton adjusts the four corners, the blur and
-the illumination until the pattern explains the pixels (Lucas and Kanade 1981 with a homography).
-The residuals give the covariance.
+The pattern's image is a sum of blurred steps at both sides of each module (normal distribution
+function), with illumination that varies across the marker. Gauss-Newton adjusts the four corners,
+the blur and the illumination until the pattern explains the pixels (Lucas and Kanade 1981 with a
+homography). The residuals give the covariance.
 """
 
 from __future__ import annotations

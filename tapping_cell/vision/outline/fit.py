@@ -253,7 +253,7 @@ class _State:
     weight: Array | None = None
     dot_weight: Array | None = None
     good: NDArray[np.bool_] | None = None
-    taken: NDArray[np.bool_] | None = None  # None exactly if ``good`` is None
+    taken: NDArray[np.bool_] | None = None  # None if and only if ``good`` is None
     scatter: float = 1.0
     information: Array | None = None
 
@@ -309,7 +309,8 @@ class _State:
         # Remainder after elimination of the levels, by sector: globals, displacement of the rim,
         # grey values.
         left = normal[:, LEVELS:, LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
-        # The levels of an excluded sector are still updated, so that it can be included again.
+        # The levels of an excluded sector are still updated, so that the sector can be included
+        # again.
         gate: Array = np.ones(sectors)
         if self.good is not None and self.taken is not None:
             gate = (self.good & self.taken).astype(float)

@@ -1,9 +1,9 @@
 """Predict the pixels around an outline, and their derivatives with respect to the pose.
 
 A pixel near the rim shows the top, the side wall below it, or the surroundings. The fractions of
-these follow from its distances to the outline of the top and to the silhouette of the whole body,
-with a Gaussian blur. The pixels are arranged in rows, one for each sector of the rim, so that the
-levels of all sectors are solved for in one operation.
+these three follow from the pixel's distances to the outline of the top and to the silhouette of the
+whole body, with a Gaussian blur. The pixels are arranged in rows, one for each sector of the rim,
+so that the levels of all sectors are solved for in one operation.
 """
 
 from __future__ import annotations

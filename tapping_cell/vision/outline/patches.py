@@ -1,7 +1,8 @@
 """Find objects divided by the edge of a shadow, as evenly lit patches and pairs of patches.
 
-If a hard shadow falls across an object, no threshold separates the object from the table. Its parts
-are still patches without edges inside, and two of them together form its shape.
+If a hard shadow falls across an object, no threshold separates the object from the table. The parts
+of the object are still patches without edges inside, and two of them together form the object's
+shape.
 """
 
 from __future__ import annotations

@@ -55,7 +55,8 @@ _NEAR = 30
 """Maximum error of the best angle due to a wall, in steps of :func:`turn_differences`: 15
 degrees."""
 _DOUBTFUL = 0.006
-"""Relative difference of an object's size above which the fit is repeated with the size fixed."""
+"""Relative difference of the fitted size from the file above which the fit is repeated with the
+size fixed."""
 _INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
 """Distances in pixels from the rim at which the top and its surroundings (beyond the wall) are
 compared, and offsets of the pixels averaged there."""

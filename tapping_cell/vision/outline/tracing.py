@@ -44,7 +44,8 @@ _EVERY = 8
 """Spacing of the pixels of the rectified image that are projected; those between are
 interpolated."""
 _APART = 0.05
-"""Area of another region, relative to the object's area, above which it is a second object."""
+"""Area of another region, relative to the object's area, above which that region is a second
+object."""
 _LEAST_REACH = 0.006
 """Minimum radius (m) of an object; smaller regions are dirt."""
 _ACROSS = np.arange(-6.0, 6.01, 0.25)
@@ -93,7 +94,8 @@ def trace_object(
 ) -> TracedObject:
     """Trace the single object in an image; its top is ``height`` (m) above the table.
 
-    Its marker may be any of ``dictionary`` (the table's, if None) that is not a reference marker.
+    The object's marker may be any marker of ``dictionary`` (None: the table's dictionary) except
+    the reference markers.
 
     Raises:
         NotTraced: the image shows no table, no object, several objects, or no simple shape.
@@ -234,7 +236,8 @@ class _Plane:
 def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
     """Brightness of every pixel relative to the table beside it; 0 if nothing is visible.
 
-    The table's brightness is a quadratic surface, fitted iteratively to the pixels close to it.
+    The table's brightness is modelled by a quadratic surface, fitted iteratively to the pixels
+    close to it.
     """
     rows, columns = seen.shape
     v, u = (2.0 * np.arange(n, dtype=np.float32) / max(n - 1, 1) - 1.0 for n in (rows, columns))

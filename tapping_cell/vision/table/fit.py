@@ -240,10 +240,10 @@ def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float
     excess of their ``noise`` (M,) and of the ``usual`` deviation.
 
     Position and rotation of each marker depend on print and lens
-    (:mod:`tapping_cell.vision.table.systematic_error`). The other five degrees of freedom of its
-    corners ``left`` (M, 8) are noise, the small deformation of a square by a lens, or errors of the
-    sides due to blur, objects nearby or a shadow. The result is 0 if it cannot be distinguished
-    from noise (three standard deviations of chi square).
+    (:mod:`tapping_cell.vision.table.systematic_error`). The other five degrees of freedom of a
+    marker's corners ``left`` (M, 8) are noise, the small deformation of a square by a lens, or
+    errors of the sides due to blur, objects nearby or a shadow. The result is 0 if it cannot be
+    distinguished from noise (three standard deviations of chi square).
     """
     count = len(left)
     arm = rays - rays.mean(axis=1, keepdims=True)

@@ -52,9 +52,9 @@ _EXACT = (0.3, 0.1, 0.25)
 applies): both; only the lens; only the print."""
 _STATED = 1.0, 0.5
 """Typical amplitude of the lens errors in units of the deviations stated by the calibration, and
-its logarithmic standard deviation. Such a lens is never assumed to be exact."""
+its logarithmic standard deviation. A lens with stated deviations is never assumed to be exact."""
 _LEFT_OUT = 1e-3
-"""Total probability of the unlikely pairs of amplitudes that are dropped. Each may be only a
+"""Total probability of the unlikely pairs of amplitudes that are dropped. Each pair may be only a
 fiftieth as likely as an exact lens and print, but together they matter."""
 
 
@@ -120,8 +120,8 @@ def condition(
     corners. ``stated`` is True if ``lens`` is scaled by the deviations that the calibration states,
     and False if it is scaled by typical deviations.
     """
-    # Use only the position and rotation of each marker. Ink, bloom and blur make it appear larger,
-    # smaller or stretched, and a lens error that explains this would be wrong.
+    # Use only the position and rotation of each marker. Ink, bloom and blur make a marker appear
+    # larger, smaller or stretched, and a lens error that explains this would be wrong.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]

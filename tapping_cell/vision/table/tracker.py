@@ -132,7 +132,8 @@ class TableTracker:
         return 0.0 if self.pose is None else float(self.pose.position[2])
 
     def add(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Add references of a first frame, measured at positions predicted from the others."""
+        """Add markers of the first frame that were measured at positions predicted from the other
+        markers."""
         rays, noise = reference_rays(self.camera, edges), side_noise(edges, self.camera.fx)
         self._average(rays, noise, rows, np.zeros(len(rows), dtype=bool))
         if not self._fit(edges, rows) or self._contradicted(edges):
@@ -156,7 +157,8 @@ class TableTracker:
         self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
     ) -> None:
         self._strayed[rows] = np.where(disturbed, self._strayed[rows] + 1, 0)
-        # A single marker that stays elsewhere was itself moved. It is ignored until it is back.
+        # A single marker that stays away from its average was itself moved. It is ignored until it
+        # is back.
         self._astray[rows] = disturbed & (self._strayed[rows] > self.settings.confirm_frames)
         kept = rows[~disturbed]
         self._seen[kept] = np.minimum(self._seen[kept] + 1, self.settings.memory)
@@ -166,7 +168,7 @@ class TableTracker:
 
     def _contradicted(self, edges: MarkerEdges) -> bool:
         """Return whether the markers differ so much from the map, in position or size, that neither
-        is reliable."""
+        markers nor map are reliable."""
         s = self.settings
         corners = edges.corners
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
