@@ -94,7 +94,8 @@ def wait_for(
     """Wait until the cell can arrange these objects.
 
     Raises:
-        NotReadyInTime: the cell is not ready after ``patience`` s; names the missing conditions.
+        NotReadyInTime: the cell is not ready after ``patience`` s. The message names the missing
+            conditions.
     """
     session.wait_for(lambda: client.missing(names), patience, check, console)
     # The planner must also have discovered this client, or the response is lost.

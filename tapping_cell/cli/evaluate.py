@@ -706,7 +706,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _arrange(arguments: argparse.Namespace) -> int:
-    """Evaluate scenes of several objects; with ``--all`` for the built-in planner and the
+    """Evaluate scenes of several objects. With ``--all``, evaluate the built-in planner and the
     baselines."""
     from tapping_cell.planning.evaluation import arrangements
 

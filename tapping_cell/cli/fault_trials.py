@@ -383,7 +383,7 @@ class TrialCell:
         truth, moving = self._true_place(now)
         why = ""
         if not self.firing or shot != self.shot:
-            why = f"shot {shot} while shot {self.shot} was under way"
+            why = f"shot {shot} was fired while shot {self.shot} was in progress"
         elif now > self.release_by:
             why = f"{1e3 * (now - self.release_by):.1f} ms after the end of the window"
         elif moving:
@@ -408,7 +408,7 @@ class TrialCell:
                 (outcome is FireOutcome.FIRED) != (shot in fired)
             ):
                 self.tally.false_reports += 1
-                self._note(f"shot {shot} was wrongly reported as {outcome.value}")
+                self._note(f"shot {shot} was falsely reported as {outcome.value}")
 
     def forget(self) -> None:
         """Discard the recorded faults, shots and reports, and cancel the scheduled faults."""

@@ -265,8 +265,8 @@ def _crashes(arguments: argparse.Namespace) -> int:
     strange = (set(nodes) - set(SIMULATED)) | (set(phases) - set(crash_trials.PHASES))
     if strange:
         print(
-            f"{', '.join(sorted(strange))}: nodes are {', '.join(SIMULATED)}; phases are "
-            + ", ".join(crash_trials.PHASES),
+            f"unknown: {', '.join(sorted(strange))}; the nodes are {', '.join(SIMULATED)}, and the "
+            f"phases are {', '.join(crash_trials.PHASES)}",
             file=sys.stderr,
         )
         return 2

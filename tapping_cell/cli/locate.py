@@ -61,7 +61,7 @@ FRAME_PERIOD = 1.0 / 30.0
 
 @dataclass(frozen=True, slots=True)
 class SeenObject:
-    """Part of an object file that the camera needs; its other keys are not read."""
+    """Part of an object file that is needed to detect the object. Other keys are not read."""
 
     shape: ShapeSection = section("outline of the object")
     height: float = quantity("height of the top above the table", "m", 0.0, 0.5)
@@ -214,7 +214,7 @@ def load_seen_object(path: Path) -> SeenObject:
     """Read shape, height and marker or outline from an object file.
 
     Raises:
-        ConfigurationError: names file, key, value and range.
+        ConfigurationError: the file is invalid. The message names file, key, value and range.
     """
     document = read_yaml(path)
     if not isinstance(document, dict):

@@ -49,7 +49,7 @@ def end_on_signals() -> None:
     """Make Ctrl-C and SIGTERM raise KeyboardInterrupt, so that the verb ends in order.
 
     Both handlers are set, because a shell starts background jobs with SIGINT ignored, and Python
-    does not change that.
+    keeps ignoring it.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
@@ -150,7 +150,7 @@ def wait_for(
     """Wait until ``missing`` returns no conditions.
 
     Raises:
-        NotReadyInTime: conditions are missing after ``patience`` seconds; names them.
+        NotReadyInTime: conditions are missing after ``patience`` s. The message names them.
     """
     deadline = time.monotonic() + patience
     with console.status("waiting for the cell") as status:

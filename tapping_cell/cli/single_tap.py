@@ -188,7 +188,7 @@ def _check_ranges(arguments: argparse.Namespace) -> None:
     """Reject option values that no experiment can have.
 
     Raises:
-        ValueError: names the option, its value and the range.
+        ValueError: a value is out of range. The message names the option, value and range.
     """
     for name, low, high in RANGES:
         value = getattr(arguments, name.replace("-", "_"))

@@ -23,7 +23,7 @@ from tapping_cell.se2 import Pose
 
 READY_PATIENCE_S = 60.0
 BACK_TOLERANCE = (0.015, math.radians(45.0))
-"""Tolerance of a goal that brings the object back, in m and rad; large, so that it is fast."""
+"""Tolerance in m and rad of a goal that brings the object back; large, to save taps."""
 NO_CLEARANCE = (
     ErrorCode.TAP_LEAVES_TABLE,
     ErrorCode.TAP_LEAVES_VIEW,

@@ -267,7 +267,7 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
     """Check that the camera and both ports exist, before anything is started.
 
     Raises:
-        ConfigurationError: names every missing device and the remedy.
+        ConfigurationError: a device is missing. The message names all missing devices.
     """
     given = arguments.params.read_text(encoding="utf-8") if arguments.params else ""
     missing = []

@@ -151,9 +151,7 @@ class BagWriter:
         """
         topic = self._topics.get(name)
         if topic is None:
-            raise BagError(
-                f"the topic {name} was not added to {self.folder}; add_topic comes first"
-            )
+            raise BagError(f"the topic {name} was not added to {self.folder}; call add_topic first")
         self._storage  # noqa: B018 - raises BagError if the bag is closed
         self._writer.write(topic, stamp, data)
         self._fresh += 1

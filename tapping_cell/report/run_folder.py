@@ -164,7 +164,7 @@ def _covariance(row: dict[str, str]) -> Covariance | None:
 
 
 def _learnt_columns() -> dict[str, tuple[str, float]]:
-    """Return the column of ``taps.csv`` and its factor from SI for each field of ``Learnt``."""
+    """Return column name in ``taps.csv`` and factor from SI units for each field of ``Learnt``."""
     columns = {}
     for field in fields(Learnt):
         suffix, unit = _LEARNT_UNITS.get(field.name.split("_")[0], ("", 1.0))

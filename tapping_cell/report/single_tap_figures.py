@@ -134,7 +134,7 @@ def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
 
 
 def _residuals(figure: Figure, report: SingleTapReport) -> None:
-    """Draw measured over calculated initial velocities, and the friction, of each trial."""
+    """Draw for each trial the friction and the ratios of measured to calculated velocities."""
     left, middle, right = figure.subplots(1, 3)
     seen, slid, names = report.measured, report.by_sliding, np.array(report.labels)
     index = np.arange(1, len(names) + 1)

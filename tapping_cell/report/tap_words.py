@@ -15,9 +15,9 @@ BESIDE = math.radians(25.0)
 """Maximum angle between a tap and the direction to the goal for the tap to count as aimed at the
 goal."""
 FARTHER = 1.15
-"""Fraction of the distance to the goal above which a tap overshoots the goal on purpose."""
+"""Ratio of travel to distance from the goal above which a tap overshoots the goal on purpose."""
 SHORTER = 0.85
-"""Fraction of the distance to the goal below which a tap stops before the goal on purpose."""
+"""Ratio of travel to distance from the goal below which a tap stops before the goal on purpose."""
 
 
 def tap_sentence(tap: TapRow, goal: Pose | None) -> str:

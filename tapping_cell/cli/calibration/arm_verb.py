@@ -128,7 +128,7 @@ def file_values(
     values: dict[str, float | list[float]] = {"base": base, "joint_offset": offset}
     if "upper_arm" in result.deviations:
         values |= {"upper_arm": v["upper_arm"], "forearm": v["forearm"]}
-    # The fit uses the controller's tool angle, without the tool's zero from the file.
+    # The fit uses the controller's tool angle, without the tool's zero offset in the file.
     mount = Pose(v["mount_x"], v["mount_y"], v["mount_angle"])
     into_tool = Pose(0.0, 0.0, -offset[3])
     if marker is not None and result.turns is not None:

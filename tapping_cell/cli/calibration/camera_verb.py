@@ -187,7 +187,7 @@ def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
     """Return the common size (width, height) of all images.
 
     Raises:
-        CalibrationRefused: names the images of another size, or reports that there is no image.
+        CalibrationRefused: the sizes differ, or there is no image.
     """
     if not sizes:
         raise CalibrationRefused("none of the files is a readable image")

@@ -28,7 +28,7 @@ ARRIVED = 0.01
 MOVE_PATIENCE_S = 30.0
 OBSERVATION_PATIENCE_S = 10.0
 UNSEEN_PATIENCE_S = 3.0
-"""Timeout for an observation at rest, and for the marker to come into view at all."""
+"""Timeout for an observation at rest, and for the first observation of the marker."""
 PICTURES = 10
 """Number of images at rest that are fused into an observation."""
 _POLL_S = 0.02

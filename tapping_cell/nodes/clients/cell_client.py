@@ -127,7 +127,7 @@ class CellClient(ClientNode):
         stop.
 
         Raises:
-            NotDone: names the devices that did not confirm the stop.
+            NotDone: a device did not confirm the stop. The message names it.
         """
         asked: dict[str, Future] = {}
         actors = self._actors()
@@ -158,7 +158,7 @@ class CellClient(ClientNode):
         """Clear the stop and the faults of arm and tapper. Return their responses.
 
         Raises:
-            NotDone: a device refuses; with the message of that device.
+            NotDone: a device refuses, with the message of that device.
         """
         answers = [self._call(self._clear[actor], actor) for actor in self._actors()]
         refused = [words for good, words in answers if not good]

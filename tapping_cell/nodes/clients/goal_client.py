@@ -95,7 +95,7 @@ class GoalClient(ActionFollower[Event]):
         self.last_run = ""
         """Folder of the run that the recorder finished last; empty before the first."""
         self.planner_active = False
-        """Whether the planner has published its state, which it does once it is active."""
+        """Whether the planner has published its state, which it does after its activation."""
         self._true_pose_received = 0.0
         self._taps_received = 0
         self._phase = ""

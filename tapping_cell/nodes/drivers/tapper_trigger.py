@@ -56,7 +56,7 @@ class Parameters:
         default=0.3,
     )
     silence_limit: float = quantity(
-        "maximum age of the last message of planner and camera for charging and firing",
+        "maximum age of the last messages of planner and camera for the tapper to charge or fire",
         "s",
         0.1,
         5.0,

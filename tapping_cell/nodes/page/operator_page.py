@@ -427,7 +427,7 @@ class OperatorPage(CellNode[Parameters]):
         if self._last_run and Path(self._last_run).parent != self.runs.folder:
             return (
                 f"The last run was recorded to {self._last_run}; the page serves only runs in "
-                f"{self.runs.folder}. Set its parameter 'runs' to the recorder's folder."
+                f"{self.runs.folder}. Set the page's parameter 'runs' to the recorder's folder."
             )
         if self._watch is not None and not self._watch.runs("run_recorder"):
             return "Runs are not recorded: run_recorder is not running."

@@ -137,7 +137,8 @@ class StopServer(HTTPServer):
 
     @classmethod
     def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
-        """Return a server of the level for pages of ``guard`` that are served at ``page_port``."""
+        """Return a server for ``level`` that accepts pages that are served at ``page_port`` and
+        that ``guard`` admits."""
         handlers: list[Any] = [
             ("/", StopHandler, {"level": level, "guard": guard, "page_port": page_port})
         ]

@@ -80,7 +80,7 @@ def new_folder(
     except OSError as error:
         raise CannotRecord(
             f"no run folder can be made in {parent} ({error.strerror}); set the parameter "
-            "folder to a writable folder"
+            "'folder' to a writable path"
         ) from error
     raise CannotRecord(f"{parent} has a folder for every name like {name}; choose another name")
 
@@ -95,8 +95,8 @@ def check_disk_space(folder: Path, least_free: float) -> None:
     free = shutil.disk_usage(folder).free
     if free < least_free:
         raise CannotRecord(
-            f"the disk of {folder} has {free / MEGABYTE:.0f} MB free and least_free is "
-            f"{least_free / MEGABYTE:.0f} MB; make room: move old runs away"
+            f"the disk of {folder} has {free / MEGABYTE:.0f} MB free, and least_free is "
+            f"{least_free / MEGABYTE:.0f} MB: move old runs to another disk"
         )
 
 
