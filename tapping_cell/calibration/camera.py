@@ -190,7 +190,7 @@ def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
         depths.append(float(scale.max() / scale.min()) - 1.0 if scale.min() > 0 else 1.0)
     if not depths or np.quantile(depths, 0.75) < 0.03:
         raise CalibrationRefused(
-            "the target faces the camera in nearly all views (one end of it at most "
+            "the target faces the camera in nearly all views (one end is at most "
             f"{100 * max(depths, default=0.0):.1f} % nearer than the other); such views "
             "cannot separate the focal length from the distance. Tilt the target by 20 to 40 "
             "degrees, to a different side each time"

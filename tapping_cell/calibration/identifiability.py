@@ -126,7 +126,7 @@ def _confounded(information: Array, speed_known: float) -> list[str]:
         sentences.append(
             "The striker's speed was not measured, so the restitution assumes exactly the "
             "commanded speed. Friction, torque factor, contact friction and predictions for "
-            "the same tapper do not depend on it."
+            "the same tapper do not depend on this assumption."
         )
     return sentences
 

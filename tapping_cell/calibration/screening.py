@@ -81,7 +81,7 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
         for file, count in wrong.items():
             if count > total[file] / 2:
                 raise RecordError(
-                    f"{file}: {count} of {total[file]} rows have wrong units or hardly moved, "
+                    f"{file}: {count} of {total[file]} rows have wrong units or hardly any motion, "
                     f"the first in row {first[file].row} ({first[file].reason}): "
                     f"{first[file].sentence}"
                 )
@@ -264,7 +264,8 @@ def _from_track(
     if not _RATE[0] < _or(own_rate / rate, 1.0) < _RATE[1]:
         return _Rejection(
             "units",
-            f"the track has {own_rate:.4g} samples a second, the camera {rate:.4g}; is t_s in ms?",
+            f"the track has {own_rate:.4g} samples per second, but the camera has a rate of "
+            f"{rate:.4g} Hz; is t_s in ms?",
         )
     slide = slide_of(
         trial, header.track_position_std, header.track_rotation_std, rate, header.exposure

@@ -139,7 +139,7 @@ def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFi
         ValueError: there are fewer than two motions.
     """
     if len(motions) < 2:
-        raise ValueError(f"{len(motions)} slides cannot be fitted; two are needed at least")
+        raise ValueError(f"{len(motions)} slides cannot be fitted; at least two are needed")
     problem = _problem(motions, body, gravity)
     fine, coarse = problem.curves, problem.curves.on(COARSE)
     problem = problem._replace(curves=coarse)

@@ -426,8 +426,8 @@ def _notes(
     said = [
         f"assumed from the object file: friction {mu:g}, restitution {e:g}, masses"
         f" {tap.body.mass:g} and {tap.impact.striker.mass:g} kg",
-        f"1 % more friction means {by_friction:+.2f} % in all speeds, 0.01 more restitution "
-        f"{by_restitution:+.2f} %; taps on the same object are still correct, because the "
+        f"1 % more friction changes all speeds by {by_friction:+.2f} %, and 0.01 more restitution "
+        f"by {by_restitution:+.2f} %; taps on the same object are still correct, because the "
         "planner inverts the model with the same values",
     ]
     scattered = [d for d in draws if d.scatter is not None and d.scatter > 2.0 * curve.noise]

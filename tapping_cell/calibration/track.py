@@ -136,8 +136,8 @@ def _disturbed(
     if longest * rate > _GAP:
         return TrackProblem(
             "gap",
-            f"the track has no sample for {1e3 * longest:.0f} ms while the object slides, "
-            f"{longest * rate:.1f} periods of the camera",
+            f"the track has no sample for {1e3 * longest:.0f} ms ({longest * rate:.1f} periods "
+            "of the camera) while the object slides",
         )
     side = float(np.max(np.abs(across)))
     reach = float(along[-1])

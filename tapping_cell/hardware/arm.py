@@ -305,7 +305,7 @@ class ArmDriver:
                 raise self._halted(
                     HardwareFault(
                         FaultReason.TIMEOUT,
-                        f"a move that takes {duration:.2f} s had not ended"
+                        f"a move that should take {duration:.2f} s had not ended"
                         f" {self._transport.now() - began:.2f} s after it was sent ({fault})",
                     )
                 ) from fault

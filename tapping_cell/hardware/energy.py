@@ -27,7 +27,7 @@ class EnergyCurve:
 
     def __post_init__(self) -> None:
         if len(self.table) < 2:
-            raise ValueError(f"the energy table has {len(self.table)} rows, at least 2 are needed")
+            raise ValueError(f"the energy table has {len(self.table)} rows; at least 2 are needed")
         before = (0.0, 0.0)
         for row, (energy, speed) in enumerate(self.table, start=1):
             if not (math.isfinite(energy) and math.isfinite(speed)):

@@ -410,7 +410,7 @@ class GrblDialect:
                         locked = locked or frame.code == 9
                     elif isinstance(frame, grbl.Message) and frame.kind == "GC":
                         if locked:
-                            raise self._alarm_fault("it takes no lines")
+                            raise self._alarm_fault("it accepts no lines")
                         if grbl.modal_feed(frame.text) == self._marker:
                             break
                 while not isinstance(self._next(until, "answer to its lines"), grbl.Ok):

@@ -107,7 +107,7 @@ class Ros2ControlDialect:
         ]
         if samples and samples[-1].velocities is None:
             remarks.append(
-                "the joint states contain no velocities: rest is detected from positions alone"
+                "the joint states contain no velocities, so rest is detected from positions alone"
             )
         # Nothing proves that the arm's driver or its drives were not restarted meanwhile.
         firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))

@@ -628,8 +628,8 @@ class TapperDriver:
         elif reply.result is Result.JUMP:
             reason, text = (
                 FaultReason.OUT_OF_RANGE,
-                f"that shot number is more than {protocol.MAXIMUM_JUMP} above the last one the"
-                " tapper used: use a smaller one",
+                f"that shot number is more than {protocol.MAXIMUM_JUMP} above the last"
+                " number that the tapper used: use a smaller number",
             )
         elif reply.result is Result.NOT_ENABLED:
             reason, text = (

@@ -43,7 +43,7 @@ class FrameValidator:
             when = f"is {late:.0f} ms older than" if late >= 1.0 else "has the stamp of"
             return (
                 Problem.LATE_FRAME,
-                f"the frame {when} one already used; it is ignored",
+                f"the frame {when} a frame already used; it is ignored",
             )
         self._stamp = stamp
         rows = np.ascontiguousarray(image[:: max(1, self._camera.height // 64)])

@@ -115,8 +115,8 @@ class ShapeWarnings:
             self._said = said = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * said[0] * 1e3
         return (
-            f"{self._described(*said)}: lifted (by {lifted:.0f} mm?), tilted, or not of the "
-            "object file's size and height; the reported uncertainty includes this"
+            f"{self._described(*said)}: lifted (by {lifted:.0f} mm?), tilted, or of another "
+            "size or height than in the object file; the reported uncertainty includes this"
         )
 
     def refusal(self, shape: ShapeDeviation, limit: float) -> str:
@@ -124,7 +124,7 @@ class ShapeWarnings:
         self._said = None
         return (
             f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
-            "lifted, tilted or not of the object file's size and height"
+            "lifted, tilted or of another size or height than in the object file"
         )
 
     def _described(self, stretch: float, strain: float) -> str:

@@ -119,7 +119,7 @@ class OutlineFinder:
             )
             self._refused = (
                 Problem.DUPLICATE_OBJECT,
-                f"the object's outline is seen more than once, at {places}; take the others away",
+                f"the object's outline is seen more than once, at {places}; remove the others",
             )
             return self._refused
         if found:

@@ -154,7 +154,7 @@ def fit_closely(
         return turned
     whole = fit_surely(image, view, outline, turned, blur=blur)
     if whole is None:
-        return Refused(NO_DOT, "its dot is not seen where it should be")
+        return Refused(NO_DOT, "its dot is not seen at the expected position")
     return accept(whole, outline)
 
 
@@ -203,8 +203,8 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
     seen = 0.0 if rim is None else rim.seen
     return Refused(
         OTHER_SHAPE,
-        f"the image agrees with its outline along {seen * 100:.0f} % of the rim (at least "
-        f"{least * 100:.0f} % are needed)",
+        f"the image agrees with its outline along only {seen * 100:.0f} % of the rim (at least "
+        f"{least * 100:.0f} % is needed)",
     )
 
 
@@ -226,7 +226,7 @@ def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
             f"{_LEAST_SIDE * 100:.0f} % of each side is needed)",
         )
     if outline.dot is not None and fit.dot_contrast < LEAST_CONTRAST:
-        return Refused(NO_DOT, "its dot is not seen where it should be")
+        return Refused(NO_DOT, "its dot is not seen at the expected position")
     return fit
 
 
@@ -235,7 +235,8 @@ def wrong_size(fit: OutlineFit) -> Refused:
     return Refused(
         OTHER_SIZE,
         f"it appears {(fit.size - 1.0) * 100:+.1f} % larger than in its file (limit "
-        f"{LARGEST_STRETCH * 100:.0f} %): lifted, tilted, another object, or a wrong height",
+        f"{LARGEST_STRETCH * 100:.0f} %): lifted or tilted, another object, or a wrong height "
+        "in the file",
     )
 
 
@@ -412,7 +413,7 @@ def turn_by_dot(
     if contrast[best] < LEAST_CONTRAST:
         return Refused(
             NO_DOT,
-            f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels, at "
+            f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels; at "
             f"least {LEAST_CONTRAST:.0f} are needed)",
         )
     away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius

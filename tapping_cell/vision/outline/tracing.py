@@ -151,7 +151,7 @@ def _marker(
         return None, None
     if len(found) > 1:
         raise NotTraced(
-            f"{len(found)} markers besides the table's are seen (ids "
+            f"{len(found)} markers besides those of the table are seen (ids "
             f"{', '.join(str(one.id) for one in found)}): leave one object on the table"
         )
     number = found[0].id
