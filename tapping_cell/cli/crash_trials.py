@@ -214,7 +214,8 @@ class CrashCell:
         return self.finish(node, phase, time.monotonic() - began)
 
     def finish(self, node: str, phase: str, seconds: float) -> Crash:
-        """Return the outcome of the goal after comparing it with the true pose of the object."""
+        """Compare the reported end of the goal with the true pose of the object. Return the
+        result of the trial."""
         seen, end = self.seen, self.ended()
         if seen.watching:
             seen.judge()

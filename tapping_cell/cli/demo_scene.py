@@ -99,7 +99,7 @@ def _drawn(kinds: list[Kind], seed: int, source: Path) -> tuple[list[Pose], list
             return starts, goals
     raise ConfigurationError(
         f"{len(kinds)} objects with gaps of {1e3 * GAP_M:.0f} mm do not fit on the table of "
-        f"{source}; ask for fewer"
+        f"{source}; use fewer objects"
     )
 
 

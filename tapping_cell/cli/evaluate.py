@@ -9,7 +9,7 @@ intended displacement plus scatter; the model "physics" simulates strike, collis
 true parameters that the planner does not know (--truth; or --truth-object if the planner uses a
 fitted --object). With --table, the trials run on the cell's table, within the arm's reach, with
 edges and keep-outs; goals that are out of reach must be refused before the first tap. A cell with
-fixed tappers is evaluated on its own working area, with one row of the table for each of
+fixed tappers is evaluated on its own working area, with one row of results for each of
 --start-angles:
 
   python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
@@ -243,7 +243,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cluster",
         metavar="ADDRESS",
         help="address of a Dask scheduler whose workers run the points, for example "
-        "tcp://192.168.1.5:8786; needs the package distributed (only with --sweep)",
+        "tcp://192.168.1.5:8786; requires the Python package 'distributed' (only with --sweep)",
     )
     add_fixed_arguments(parser)
     several = parser.add_argument_group(

@@ -77,10 +77,11 @@ def send(
     probe: bool = False,
     ask: bool = False,
 ) -> None:
-    """Send a goal until the planner responds, because responses can be lost while nodes start.
+    """Send a goal, and send it again if no response arrives. While nodes start, responses can be
+    lost.
 
     Raises:
-        NotReadyInTime: the planner did not respond.
+        NotReadyInTime: the planner did not respond to any attempt.
     """
     for _ in range(SENDINGS):
         client.send(goal, tolerance, probe=probe, ask=ask)

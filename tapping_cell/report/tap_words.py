@@ -15,9 +15,9 @@ BESIDE = math.radians(25.0)
 """Maximum angle between a tap and the direction to the goal for the tap to count as aimed at the
 goal."""
 FARTHER = 1.15
-"""Ratio of travel to distance from the goal above which a tap overshoots the goal on purpose."""
+"""A tap whose travel exceeds this multiple of the distance to the goal overshoots on purpose."""
 SHORTER = 0.85
-"""Ratio of travel to distance from the goal below which a tap stops before the goal on purpose."""
+"""A tap whose travel is below this multiple of the distance to the goal stops short on purpose."""
 
 
 def tap_sentence(tap: TapRow, goal: Pose | None) -> str:

@@ -307,7 +307,7 @@ class SimWorld(CellNode[Parameters]):
         self, request: ResetWorld.Request, response: ResetWorld.Response
     ) -> ResetWorld.Response:
         if self._world is None or self._cell is None or not self.active:
-            response.message = "the world is not active yet; call again when it is"
+            response.message = "the world is not active yet; call again when sim_world is active"
             return response
         name = request.object_id or self._cell.object.name
         if name not in self._world.worlds:
