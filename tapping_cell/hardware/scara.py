@@ -291,8 +291,8 @@ class ScaraGeometry:
         """Return joints for one tip pose (x, y, z, yaw) in ``arm_base``.
 
         ``branch`` None tries both elbow sides and prefers the side of ``near``; without ``near``,
-        the side with the smaller shoulder angle. Limits, reach and singularity margin are always
-        checked.
+        the side with the smaller absolute shoulder angle. Limits, reach and singularity margin are
+        always checked.
         """
         if branch is not None:
             return self._inverse_on(tip, branch, near)

@@ -61,7 +61,7 @@ class FrameValidator:
         ):
             return (
                 Problem.DARK,
-                f"the image is dark (half of it below grey level {self._dark:.0f}, all of it below "
+                f"the image is dark (half of it below grey level {self._dark:.0f}, 98 % below "
                 f"{self._dark + _GLOW:.0f}); turn on the light or lengthen the exposure",
             )
         if np.count_nonzero(sample > self._bright) > 0.70 * sample.size:

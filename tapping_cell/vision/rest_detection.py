@@ -133,8 +133,8 @@ class Track:
             fused, spread = self._fuse()
             return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
         if self._rest_since is not None:
-            # A single frame off the rest pose is neither fused nor accepted; a second such frame
-            # ends the rest.
+            # A single frame off the rest pose is not fused and does not end the rest; a second such
+            # frame in succession ends it.
             self._strayed += 1
             if self._strayed == 1:
                 velocity = self._step_velocity(stamp, pose)

@@ -230,8 +230,8 @@ class PoseTracker:
         self._last_search = stamp
         self._search_next = False
         # The thorough search and its diagnosis take the time of several frames. The first frame
-        # always gets both, because it may be the only frame; later frames get them only
-        # occasionally, if needed.
+        # gets both if needed, because it may be the only frame; later frames get them only
+        # occasionally.
         since = stamp - self._last_thorough
         slow = self._object.lost(stamp) and since >= self.settings.audit_period
         of_table = self._references.dictionary
