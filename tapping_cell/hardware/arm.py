@@ -202,8 +202,8 @@ class ArmDriver:
         via: Iterable[float] | None = None,
         via_speed: float | None = None,
     ) -> ArmReading:
-        """Move straight in joint space; return when the arm is idle and its read-back within
-        tolerance.
+        """Move straight in joint space; return when the arm is idle and the position read back is
+        within tolerance.
 
         ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: time of the
         transport's clock; None computes it from the move's duration. ``via``: intermediate joints.
