@@ -280,7 +280,7 @@ class CrashCell:
         self.seen.watching = True
 
     def _help(self) -> None:
-        """Clear faults and home the arm, as a person does when the cell asks for it."""
+        """Clear faults and home the arm, as a person does when the cell requires it."""
         arm, tapper = self.client.arm_state, self.client.tapper_state
         if arm is not None and arm.state in (ArmState.FAULT, ArmState.STOPPED):
             self._call("scara_arm/clear_fault")

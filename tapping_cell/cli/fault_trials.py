@@ -318,7 +318,7 @@ class TrialCell:
                 self.arm.clear_fault()
         except HardwareFault as fault:
             if fault.reason is FaultReason.NEEDS_PERSON:
-                # Simulates the action that the message asks of a person.
+                # Simulate the action that the message requires of a person.
                 self.tally.board_resets_asked += 1
                 with self._arm_held():
                     self.arm_device.power_cycle(self.clock.now)

@@ -130,8 +130,8 @@ LEARNT = "Learnt from taps (tapping_cell learn-object)."
 def _probed(
     arguments: argparse.Namespace, content: ObjectFile
 ) -> tuple[list[Path], list[Moves], int]:
-    """Send goals until their taps determine the object well enough. Return the folders, the taps,
-    and the exit code if that failed.
+    """Send goals until their taps determine the object well enough. Return the folders, the taps
+    and the exit code (0 on success).
 
     Raises:
         ConfigurationError: the cell's files are unusable.

@@ -40,7 +40,7 @@ class Supervisor:
         """Return the events since the last call. ``now`` is a monotonic time in s.
 
         Raises:
-            NodeDied: a required node ended too often.
+            NodeDied: a required node ended too often, or rejected its parameters or files.
         """
         incidents = [
             self._ended(ended, now)

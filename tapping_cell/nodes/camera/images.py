@@ -16,8 +16,8 @@ from tapping_cell.vision import CameraError, CameraModel
 PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
-"""Sensor data with a queue of half a second, so that a busy machine delays images but loses
-none."""
+"""Sensor data with a queue of half a second, so that a short delay of this process loses no
+image."""
 COMPRESSED_PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )

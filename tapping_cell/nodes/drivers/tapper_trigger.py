@@ -136,7 +136,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         if self.settings.set_up:
             raise ConfigurationError(
                 "parameter set_up is true, but tapper.dialect is io: set-up mode needs the tapper's"
-                " board, which limits the energy and reads the enabling switch by itself"
+                " board, which limits the energy and reads the enabling switch"
             )
         if self._link is not None and self._linked_to != section:
             self._link.destroy()

@@ -345,7 +345,7 @@ class RunHandler(_Guarded):
 
     async def _archive(self, name: str) -> None:
         if self.server.downloads >= MOST_DOWNLOADS:
-            self.refuse(503, f"{MOST_DOWNLOADS} downloads are under way; try again when one ends")
+            self.refuse(503, f"{MOST_DOWNLOADS} downloads are in progress; try again later")
             return
         self.server.downloads += 1
         try:
