@@ -101,11 +101,6 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.calls(messages.HoldStill, "hold_still")
 
-    def role_of(self, executable: str) -> str:
-        """Return the role, which contains the number of the board, if it is not the first."""
-        board = self.settings.board
-        return f"{executable}_{board}" if board else executable
-
     def configure(self) -> None:
         """Read the cell file, open the ports and start sessions, which discharge every tapper."""
         cell = load_cell(self.settings.cell_file or None)
