@@ -57,7 +57,7 @@ class FixedTapper:
         if not (self.stroke > 0.0 and 0.0 <= self.slowest < self.fastest):
             raise PlanningError(
                 f"tapper '{self.name}': stroke {self.stroke!r} m must be above 0, and the speeds "
-                f"{self.slowest!r} to {self.fastest!r} m/s must rise"
+                f"{self.slowest!r} to {self.fastest!r} m/s must increase"
             )
 
 
