@@ -144,7 +144,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not stop the wire",
         "tapping_cell.logic.device",
-        "                # Nothing goes before the stop on the wire.\n"
+        "                # The stop is sent before anything else.\n"
         "                self._effects.append(StopWire())\n",
         "                pass\n",
         "S4",
