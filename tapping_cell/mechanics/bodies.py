@@ -260,8 +260,8 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     if turn.min() < -straight or turn.max() > math.pi - straight:
         i = int(turn.argmin() if turn.min() < -straight else turn.argmax())
         raise InvalidBodyError(
-            f"polygon turns by {math.degrees(turn[i]):.6g} degrees at one vertex; a convex one "
-            "turns by 0 to 180 degrees, always the same way."
+            f"polygon turns by {math.degrees(turn[i]):.6g} degrees at one vertex; a convex "
+            "polygon turns by 0 to 180 degrees, always in the same sense."
         )
     winding = turn.sum() / (2 * math.pi)
     if abs(winding - 1) > 1e-6:
