@@ -112,7 +112,7 @@ class DrawnCell:
         while self.board.state != "CHARGING":
             self.graph.check()
             if time.monotonic() > deadline:
-                raise TimeoutError("no tap was drawn: " + "; ".join(self.client.missing()))
+                raise TimeoutError("no striker was charged: " + "; ".join(self.client.missing()))
             idle = self._phase in OVER and not self.client.missing()
             if idle and time.monotonic() > asked + 5.0:
                 asked = time.monotonic()

@@ -58,7 +58,7 @@ class Computer:
         )
         assert self._holder.stdout is not None
         if self._holder.stdout.readline().strip() != b"up":
-            raise OSError(f"the computer {name} could not be made")
+            raise OSError(f"the computer {name} could not be created")
 
     @property
     def process_id(self) -> str:
@@ -108,7 +108,7 @@ def computers(
         ValueError: more than two computers without delay and loss.
     """
     if not (delay or loss) and len(names) != 2:
-        raise ValueError("a link without delay and loss joins two computers")
+        raise ValueError("a link without delay and loss connects exactly two computers")
     with contextlib.ExitStack() as stack:
         made = []
         for number, name in enumerate(names, start=1):

@@ -336,10 +336,10 @@ def lines(report: dict[str, Any]) -> list[str]:
     rows = [
         f"{report['frames']} frames, {report['wrong']} wrong (off by more than "
         f"{WRONG_SIGMAS:.0f} sigma and {WRONG_MM} mm or {WRONG_DEG} degrees), "
-        f"{report['unrecognised']} troubles not recognised; calibration of another resolution "
+        f"{report['unrecognised']} disturbances not recognised; calibration of another resolution "
         f"{'refused' if report['other_resolution_refused'] else 'NOT REFUSED'}",
         f"{'':<{width}}  {'runs':>4} {'frames':>6} {'good':>6} {'wrong':>5} {'missed':>6}"
-        f" {'worst mm':>8}  said",
+        f" {'worst mm':>8}  reported",
     ]
     for name, f in report["cases"].items():
         said = ", ".join(f"{n} {p.lower()}" for p, n in f["problems"].items())
