@@ -2,7 +2,7 @@
 
 Needs root, ``unshare``, ``nsenter`` and ``ip``; :func:`why_not` returns what is missing. Without
 delay and loss, a veth pair connects two computers at the kernel's speed. Otherwise every packet
-passes through this module's relay, a switch between TAP devices, with a capacity in the order of a
+passes through this module's relay, a switch between TAP devices, with a capacity of about a
 thousand packets/s.
 """
 

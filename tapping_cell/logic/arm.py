@@ -283,7 +283,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """Park the arm, because at the pose to which it has withdrawn it hides the object."""
+        """Park the arm, because it hides the object even after its withdrawal."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return

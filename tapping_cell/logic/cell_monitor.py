@@ -25,7 +25,7 @@ NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"
 
 
 class CellMonitor:
-    """Stores the last message of camera, arm and each tapper board, with its time of arrival.
+    """Stores the last messages of camera, arm and tapper boards, each with its time of arrival.
 
     Times of observations are compared with other events on this computer's steady clock. The
     camera's stamps are corrected for the estimated offset of its clock from this one.

@@ -34,7 +34,7 @@ class Configured:
 
 @dataclass(frozen=True, slots=True)
 class Unreachable:
-    """The device did not reply during the node's configuration, which is tried again later."""
+    """The device did not reply while the node was being configured; it will be tried again."""
 
     fault: HardwareFault
 

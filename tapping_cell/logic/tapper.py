@@ -154,8 +154,8 @@ def random_key() -> int:
 class TapperOptions:
     """Parameters of the node that the machine needs.
 
-    ``draw_key`` returns a random number above 0. With this key only this tapper can end the arm's
-    promise to stand still early.
+    ``draw_key`` returns a random number above 0. Only the tapper that has this key can end the
+    arm's promise to stand still early.
     """
 
     state_rate: float = 20.0

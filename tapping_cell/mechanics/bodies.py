@@ -203,9 +203,9 @@ class Polygon(Body):
     def equivalent_disk(self) -> Disk:
         """Return the disk of the same mass, height and radius of gyration.
 
-        Its slide approximates that of a square to 1 % of the distance, 4 % of the rotation and a
-        drift of 1.5 % of the distance, for launches with R omega up to v (tested). It does not
-        approximate elongated shapes.
+        Its slide differs from that of a square by up to 1 % of the distance, 4 % of the rotation
+        and, sideways, 1.5 % of the distance, for launches with R omega up to v (tested). It does
+        not approximate elongated shapes.
         """
         return Disk(self.support_radius, self.mass, self.height)
 

@@ -224,7 +224,7 @@ class Impact:
         return root.reshape(bracket.shape)
 
     def has_incidence(self, impulse_slope: ArrayLike, contact: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether :meth:`incidence_for` finds an incidence; much faster."""
+        """Return whether :meth:`incidence_for` finds an incidence; this is much faster."""
         bracket = self._bracket(impulse_slope, contact)
         return bracket.found.reshape(bracket.shape)
 

@@ -63,7 +63,7 @@ CHUNK = 200_000
 """Number of resulting states computed per batch, so that a batch fits in the processor's cache."""
 
 PER_HALF_STEP = 6
-"""Entries of an axis's index table per smallest half step of its grid."""
+"""Number of entries of an axis's index table per smallest half step of its grid."""
 
 
 class Abandoned(Exception):

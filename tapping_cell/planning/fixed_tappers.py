@@ -152,8 +152,8 @@ class FixedStrikeSpace:
         return not isinstance(self.tappers[0].tap.body, Polygon)
 
     def key(self) -> str:
-        """Return a string that is equal if the solutions are equal: all parameters except the names
-        of the tappers."""
+        """Return a string that identifies the solutions: it contains all parameters except the
+        names of the tappers."""
         parts = [
             f"{tapper.mount};{tapper.stroke};{tapper.slowest};{tapper.fastest};{tapper.tap}"
             for tapper in self.tappers

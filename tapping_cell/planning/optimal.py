@@ -1,4 +1,4 @@
-"""The optimal method: the plan with the fewest expected taps, solved once and interpolated."""
+"""The optimal method: the plan with the fewest expected taps, computed on a grid, interpolated."""
 
 from __future__ import annotations
 

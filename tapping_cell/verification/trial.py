@@ -818,7 +818,7 @@ class Trial:
             self._reached(told(topic, message.state))
 
     def _check_blame(self, message: TapperState) -> None:
-        """Check that an injected fault explains a tap that ended with TAPPER_FAULT unfired."""
+        """Check that an injected fault explains a tap not fired because of TAPPER_FAULT."""
         blamed = message.error_code == ErrorCode.TAPPER_FAULT
         if not blamed or message.outcome != TapperState.NOT_FIRED or message.tap_id == self._blamed:
             return

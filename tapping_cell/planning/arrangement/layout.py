@@ -3,8 +3,8 @@
 The order of placement is found backwards from the finished layout. An object that can be tapped at
 its goal and can leave it may have been placed last; it is removed and the search continues.
 Removing an object never blocks another object, so the greedy choice finds an order if one exists
-(disassembly planning: Wilson and Latombe, Artificial Intelligence 71, 1994). Whether the objects
-can make way for each other on the table before that is not checked here.
+(disassembly planning: Wilson and Latombe, Artificial Intelligence 71, 1994). This module does not
+check whether the objects can make way for each other before they are placed.
 """
 
 from __future__ import annotations
