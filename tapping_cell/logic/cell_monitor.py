@@ -201,7 +201,7 @@ class CellMonitor:
         if abs(skew) > SKEW_LIMIT_S:
             return (
                 ErrorCode.CLOCKS_DIFFER,
-                f"the clock of the camera's computer differs by {skew:+.2f} s from the local clock"
+                f"the local clock differs by {skew:+.2f} s from that of the camera's computer"
                 f" (limit {SKEW_LIMIT_S:.2f} s); synchronise the computers' clocks",
             )
         return None

@@ -1,4 +1,4 @@
-"""The optimal method: the plan with the fewest expected taps, computed on a grid, interpolated."""
+"""The optimal method: the plan with the fewest expected taps, interpolated on its grid."""
 
 from __future__ import annotations
 
