@@ -768,7 +768,7 @@ class PlannerLogic:
             )
 
     def _try_another_way(self, task: Task, shot: Shot, code: int, sentence: str, now: Now) -> None:
-        """Plan a tap from another direction, because this one is out of the arm's reach."""
+        """Plan a tap from another direction, because the present tap is out of the arm's reach."""
         task.session.skip(shot.strike)
         task.not_fired += 1
         if task.not_fired >= self._settings.attempts:

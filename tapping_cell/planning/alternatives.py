@@ -1,4 +1,4 @@
-"""Alternative taps, best first, for the case that the method's own tap is not possible."""
+"""Alternative taps, best first, for use if the method's own tap is not possible."""
 
 from __future__ import annotations
 

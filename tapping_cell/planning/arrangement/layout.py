@@ -38,7 +38,7 @@ def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
 
 
 def check_goals(bodies: Sequence[Body], standing: Mapping[str, Pose] = NOWHERE) -> Refusal | None:
-    """Return why goals are impossible wherever the movable objects are now, or None.
+    """Return why goals are impossible regardless of where the movable objects are now, or None.
 
     Each goal is checked alone, and against the other goals and the poses ``standing`` of
     unmovable objects.
