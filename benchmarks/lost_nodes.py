@@ -1,9 +1,9 @@
-"""Nodes frozen, killed, restarted and stopped in mid-tap, in simulated time: is anything released
-outside the arm's permit, or does anything move without a person's word?
+"""Safety while nodes are frozen, killed, restarted and stopped during taps, in simulated time.
 
-The invariants of ``tapping_cell.verification`` are checked after every event, against the truth of
-the boards. Runs go on until each node was frozen ``count`` times, and lost half as often; any
-violation is printed.
+After every event the invariants of ``tapping_cell.verification`` are checked against the true state
+of the boards, for example that no striker is released outside the arm's promise and that nothing
+moves without a person's permission. Runs continue until each node was frozen ``count`` times, and
+lost half as many times. Every violation is printed.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from tapping_cell.verification.campaign import Summary, reports_of
 from tapping_cell.verification.faults import NODES, Mix
 
 DEFAULT_COUNT = 1000
-"""Freezes of each node; crashes, restarts and stops of each node half as many."""
+"""Number of freezes of each node; its crashes, restarts and stops together are half as many."""
 FREEZES = Mix(("freeze",), 8.0)
-"""1 ms to 5 s, log-uniform, at random moments of goals and of a program's taps."""
+"""Freezes of 1 ms to 5 s, log-uniform, at random times of goals and of a program's taps."""
 LOSSES = Mix((*("kill",) * 8, "restart", "stop service"), 8.0)
 """All four nodes can be killed; only arm and tapper have a service to stop them."""
 STRUCK = (*NODES, "camera_pose")
@@ -26,7 +26,7 @@ GOALS, SEED = 10, 41
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Both campaigns."""
+    """Return the results of both campaigns."""
     return {
         "freezes": _campaign(FREEZES, ("freeze",), count, SEED),
         "losses": _campaign(LOSSES, ("kill", "restart", "stop"), count // 2, SEED + 1),
@@ -58,7 +58,7 @@ def _times(summary: Summary, node: str, ways: tuple[str, ...]) -> int:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """What struck whom, and what was violated."""
+    """Format the report as lines of text."""
     told = []
     for title, part in report.items():
         told.append(

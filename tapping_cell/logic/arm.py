@@ -1,4 +1,4 @@
-"""State machine of the arm: homes before it moves and stands still while a shot may be fired.
+"""State machine of the arm, which homes before it moves and stands still while a shot may be fired.
 
 The arm reports that it is in position only after it has read back its joints. Before the tapper
 fires, it calls ``hold_still``. By granting this request the arm promises not to begin any motion
@@ -54,11 +54,11 @@ from tapping_cell.se2 import Pose
 READ_PERIOD_S = 0.05
 """Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
 FRESH_READING_S = 0.25
-"""Maximum age of the read-back for which a promise is given."""
+"""Maximum age of the read-back at which the arm still promises to stand still."""
 SHORT_REST_S = 0.05
-"""Remaining time of a promise from which on the arm prepares to move."""
+"""Remaining time of a promise at which the arm begins to prepare its next move."""
 DISCHARGED_S = 0.7
-"""Time after the last report of a charged striker by which the board has discharged automatically:
+"""Time after the last report of a charged striker within which the board discharges automatically:
 0.5 s without a request, plus the return of the drive."""
 LONGEST_WAIT_S = 3.0
 """Maximum time that the arm waits, after a tap is over, for the striker to be discharged."""
@@ -159,7 +159,7 @@ HEALTHY = frozenset(
 AT_WORK = HEALTHY - {S.IDLE}
 """States in which the arm moves, or stands at the strike pose and may move again."""
 NOBODY = (0, 0)
-"""Tap id and key of no asker of a promise."""
+"""Tap id and key if no request may end the promise early."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -283,7 +283,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """Park the arm, because it hides the object at the pose to which it has withdrawn."""
+        """Park the arm, because it hides the object even after its withdrawal."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return
@@ -314,7 +314,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return tap_commands.refusal(command, now, self._last_tap_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
-        """Report why a command is refused; an idle arm reports it until the next command."""
+        """Report why a command is refused; an idle arm repeats the reason until the next one."""
         if self.state is S.IDLE:
             self._say(code, sentence)
         else:
@@ -402,10 +402,10 @@ class ArmLogic(DeviceLogic[State, Event]):
             code, sentence = trouble
             return HoldStill.Response(error_code=code, error_msg=sentence)
         if now.steady < self._promise_end and asker != self._promised_to:
-            # The promise to another asker still stands, so no asker may end it early.
+            # The promise for another request is still valid, so no request may end it early.
             asker = NOBODY
         self._promised_to = asker
-        # The promise counts from the handling of the request, which is later than its call.
+        # The promise begins when the request is handled, which is later than when it was sent.
         self._promise_end = max(self._promise_end, end)
         return HoldStill.Response(granted=True, duration=request.duration)
 
@@ -414,8 +414,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
-                f"the arm stands still for at most {self._longest_hold:g} s, requested were "
-                f"{request.duration:g} s",
+                f"the arm stands still for at most {self._longest_hold:g} s, but "
+                f"{request.duration:g} s were requested",
             )
         if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
             return (
@@ -504,7 +504,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is S.INACTIVE and fault.reason not in LOST:
             return
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
-            # Nothing was sent, so the arm is where it was: no fault that a person must clear.
+            # Nothing was sent, so the arm has not moved: this is no fault that a person must clear.
             self._say(of_arm(fault), fault.sentence)
             self._give_up(now)
             return
@@ -731,7 +731,7 @@ INACTIVE_TROUBLE = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activat
 
 
 def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
-    """Return the joints and the time from the start in s of every point.
+    """Return the joints of every point and its time from the start in s.
 
     Raises:
         ValueError: the trajectory is invalid; the message says why.
@@ -753,6 +753,6 @@ def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
         at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
         before = targets[-1][1] if targets else 0.0
         if at < 0 or (targets and at <= before):
-            raise ValueError(f"point {number} is due at {at:g} s, the one before at {before:g} s")
+            raise ValueError(f"point {number} is due at {at:g} s, its predecessor at {before:g} s")
         targets.append((Joints(*(point.positions[index] for index in order)), at))
     return targets

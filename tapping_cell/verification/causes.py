@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from tapping_cell.messages import ErrorCode
 
 AT_ONCE_S = 10.0
-"""Maximum time from the end of a fault to the end of a goal that the fault ends at once: a planner
-that is frozen for 5 s and a late message included."""
+"""Maximum time from the end of a fault to the end of a goal that the fault ends immediately. This
+time includes a planner that is frozen for 5 s and a late message."""
 LASTING_S = {
     "freeze": 5.0,
     "freeze before a write": 8.0,

@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 SPAN_S = 16.0
 """Time after a goal is sent over which its faults are spread."""
 SHARE_AT_A_MOMENT = 0.25
-"""Fraction of the goals whose faults all strike just after a node publishes one state, because the
-guards must handle coinciding faults."""
+"""Fraction of the goals whose faults all strike just after a node publishes a certain state,
+because the guards must handle coinciding faults."""
 SHARE_AT_THE_SHOT = 0.5
-"""Fraction of the goals whose faults all strike just after one step of a shot."""
+"""Fraction of the goals whose faults all strike just after a certain step of a shot."""
 CLOSE_S = 0.3
 """Maximum time from a moment to its faults."""
 CLOSEST_S = 2e-4
@@ -200,7 +200,7 @@ def _kill(rng: np.random.Generator, trial: Trial) -> Made:
 
 def _restart(rng: np.random.Generator, trial: Trial) -> Made:
     node, away = _pick(rng, NODES), _duration(rng, 0.2, 5.0)
-    return lambda t: t.shut_down(node, away), f"{node} ended in order, back after {away:.1f} s"
+    return lambda t: t.shut_down(node, away), f"{node} shut down, back after {away:.1f} s"
 
 
 def _deactivate(rng: np.random.Generator, trial: Trial) -> Made:
@@ -244,7 +244,7 @@ def _duplicates(rng: np.random.Generator, trial: Trial) -> Made:
         t.network.faults.duplicates = 0.3
         t.scheduler.after(lasting, lambda: setattr(t.network.faults, "duplicates", 0.0))
 
-    return strike, f"a third of all messages twice for {lasting:.1f} s"
+    return strike, f"a third of all messages delivered twice for {lasting:.1f} s"
 
 
 def _replay(rng: np.random.Generator, trial: Trial) -> Made:
@@ -300,14 +300,14 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
         told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
         t.network.publish("somebody_else", "tapper_state", told)
 
-    return strike, "somebody else lets the arm go" if by_service else (
+    return strike, "another node ends the arm's promise" if by_service else (
         f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
     )
 
 
 def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
     """Another node has the arm hold still for a tap, ends that promise early, reports that the tap
-    is over, and withdraws it, which only the arm receives at once."""
+    is over, and withdraws it; only the arm receives this withdrawal immediately."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = _duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends = rng.random() < 0.7
@@ -334,7 +334,7 @@ def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
         t.network.publish("somebody_else", "tap_command", command)
 
     return strike, (
-        f"somebody else has the arm hold still for {duration:.3f} s, ends it after {later:.3f} s"
+        f"another node has the arm hold still for {duration:.3f} s, ends it after {later:.3f} s"
         + (" and has the arm leave" if sends else "")
     )
 
@@ -403,8 +403,8 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
         t.note_kind(kind)
         what(t)
 
-    echo = ", its own words late too" if silent else ""
-    return strike, f"{words}; heard by all but {first} {late:.3f} s late{echo}"
+    echo = ", its own messages late too" if silent else ""
+    return strike, f"{words}; received {late:.3f} s late by all nodes except {first}{echo}"
 
 
 def _motors_off(rng: np.random.Generator, trial: Trial) -> Made:
@@ -474,7 +474,7 @@ def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
         point.time_from_start.sec = 3
         t.network.publish("somebody_else", "joint_trajectory", message)
 
-    return strike, "a joint_trajectory from somebody else"
+    return strike, "a joint_trajectory from another node"
 
 
 def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
@@ -576,7 +576,7 @@ def _turn(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _by_hand(rng: np.random.Generator, way: float) -> Made:
-    """The object is moved by hand, at once or slowly; ``way``: standard deviation, m."""
+    """The object is moved by hand, suddenly or slowly; ``way``: standard deviation, m."""
     shift = Pose(float(rng.normal(0, way)), float(rng.normal(0, way)), float(rng.normal(0, 0.4)))
     lasting = 0.0 if rng.random() < 0.5 else _duration(rng, 0.1, 2.0)
     return lambda t: t.move_object(shift, lasting), (

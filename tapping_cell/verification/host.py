@@ -86,7 +86,7 @@ _PLAIN = frozenset((int, float, str, bool, bytes))
 
 @dataclass(slots=True)
 class HostClock:
-    """Clocks of one computer. ``offset`` and ``drift``: of its ROS time against the run's time."""
+    """Clocks of one computer. ``offset`` and ``drift`` of its ROS time refer to the run's time."""
 
     scheduler: Scheduler
     offset: float = 0.0

@@ -22,7 +22,7 @@ def main() -> int:
     arguments = parser.parse_args()
     (mutant,) = (mutant for mutant in MUTANTS if mutant.name == arguments.name)
     plant(mutant)
-    from tapping_cell.verification.campaign import (  # with the mutant in it
+    from tapping_cell.verification.campaign import (  # imported with the mutant applied
         run_campaign,
         settle_on,
     )

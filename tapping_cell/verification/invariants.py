@@ -41,7 +41,7 @@ ORPHAN_S = 1.5
 """Maximum time from the end of the planner to a release; by then its heartbeat has timed out."""
 HOMED_S = 3.0
 """Maximum time from the loss of the arm's reference, or from the end of a freeze after it, to the
-last report of a new reading of a homed arm; bytes on the line may be that late."""
+last new reading reported as homed, because bytes on the line may be that late."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner exceeds the deadline of a wait."""
 ROUNDING_S = 1e-6
@@ -108,7 +108,7 @@ class Witness:
     camera_heard: float = math.inf
     """Time at which the tapper's process last received a usable observation."""
     seen_moving: bool = False
-    """Whether the object moved by the last observation that the planner's process received."""
+    """Whether the object moved in the last observation that the planner's process received."""
     deadlines: dict[int, float] = field(default_factory=dict)
     """Maximum duration of the planner's waits for arm and tapper, by its published state."""
     unhomed_since: float = math.inf
@@ -173,7 +173,7 @@ class Witness:
         command = self._command_of(release)
         if command is None:
             self.violate(
-                "no such tap", f"shot {shot} was released, the tapper heard of no such tap"
+                "no such tap", f"shot {shot} was released, but the tapper received no such tap"
             )
             return
         self._check_place(release, command)
@@ -189,7 +189,7 @@ class Witness:
         if shot in self.planners and silent > patience + WINDOW_S:
             self.violate(
                 "planner silent",
-                f"shot {shot} was released {silent:.2f} s after the tapper had last heard the"
+                f"shot {shot} was released {silent:.2f} s after the tapper last heard from the"
                 " planner that commanded it",
             )
         blind = release.time - self.camera_heard
@@ -222,8 +222,8 @@ class Witness:
         if not least * asked <= release.energy <= (1.0 + ENERGY_SHARE) * asked:
             self.violate(
                 "other energy",
-                f"shot {release.shot} was released with {1e3 * release.energy:.2f} mJ, asked were"
-                f" {1e3 * asked:.2f} mJ",
+                f"shot {release.shot} was released with {1e3 * release.energy:.2f} mJ, but"
+                f" {1e3 * asked:.2f} mJ were requested",
             )
 
     def _check_place(self, release: Release, command: TapCommand) -> None:
@@ -295,7 +295,7 @@ class Witness:
             self.violate(
                 "object elsewhere",
                 f"shot {release.shot} was released with the object {1e3 * off:.1f} mm and"
-                f" {math.degrees(turned):.1f} deg from where the tap was planned",
+                f" {math.degrees(turned):.1f} deg from its pose when the tap was planned",
             )
 
     def _check_knowledge(self, release: Release, planned: Pose) -> None:
@@ -305,7 +305,7 @@ class Witness:
             self.violate(
                 "unseen by the tapper",
                 f"shot {release.shot} was released {release.time - last:.3f} s after the tapper"
-                " had last heard where the object lies",
+                " had last received a pose of the object",
             )
         for heard, pose in reversed(self.seen_by_tapper):
             if planned.distance_to(pose) <= BUMP_M and abs(planned.rotation_to(pose)) <= BUMP_RAD:
@@ -315,7 +315,7 @@ class Witness:
             self.violate(
                 "against what it saw",
                 f"shot {release.shot} was released {release.time - since:.3f} s after the tapper"
-                " had heard that the object lies elsewhere",
+                " had received a different pose of the object",
             )
 
     # States
@@ -340,12 +340,12 @@ class Witness:
         if self._moving_since is None:
             self._moving_since = now
             if not self._asked_to_move:
-                self.violate("moved unasked", "the arm began to move, and nobody had asked for it")
+                self.violate("moved unasked", "the arm began to move without a request")
             if now < self._struck_until:
                 self.violate(
                     "moved in flight",
                     f"the arm began to move {self._struck_until - now:.3f} s before the striker"
-                    " can be through its stroke",
+                    " can have completed its stroke",
                 )
             for tap_id, end in self.promises.items():
                 if now < end - ROUNDING_S and tap_id not in self.outcomes:
@@ -357,7 +357,7 @@ class Witness:
             if not self.word_given:
                 self.violate(
                     "moved by itself",
-                    "the arm began to move without a person's word after a crash or a stop",
+                    "the arm began to move without a person's permission after a crash or a stop",
                 )
         if now > self.held_since + STOP_MOTION_S:
             self.violate(
@@ -416,8 +416,8 @@ class Witness:
             if self._arm != (ArmState.IN_POSITION, request.tap_id):
                 self.violate(
                     "empty promise",
-                    f"the arm promised to stand still for tap {request.tap_id}, it was in state"
-                    f" {self._arm[0]} for tap {self._arm[1]}",
+                    f"the arm promised to stand still for tap {request.tap_id} while it was in"
+                    f" state {self._arm[0]} for tap {self._arm[1]}",
                 )
             self.promises[request.tap_id] = end
 
@@ -433,17 +433,18 @@ class Witness:
             if TapperState.UNKNOWN not in (before, message.outcome) and before != message.outcome:
                 self.violate(
                     "other outcome",
-                    f"tap {message.tap_id} was told with outcome {before}, now {message.outcome}",
+                    f"tap {message.tap_id} was reported with outcome {before}, now with"
+                    f" {message.outcome}",
                 )
             self.outcomes[message.tap_id] = message.outcome
             if message.outcome == TapperState.FIRED and not fired:
-                self.violate("false report", f"tap {message.tap_id} is told FIRED, it was not")
+                self.violate("false report", f"tap {message.tap_id} is reported FIRED, but was not")
         if message.state == TapperState.SAFE and self._charged_since is not None:
             since = self.scheduler.now - self._charged_since
             if since > 0.6 and message.tap_id != 0:
                 self.violate(
                     "said safe while charged",
-                    f"the tapper is told SAFE, it has been charged for {since:.2f} s",
+                    f"the tapper is reported SAFE, but has been charged for {since:.2f} s",
                 )
 
     def _on_plan_state(self, message: PlanState) -> None:
@@ -467,7 +468,7 @@ class Witness:
         if (off > position or turned > angle) and not recently:
             self.violate(
                 "false claim",
-                f"told reached, truly {1e3 * off:.3f} mm and {math.degrees(turned):.3f} deg off"
+                f"reported reached, truly {1e3 * off:.3f} mm and {math.degrees(turned):.3f} deg off"
                 f" (tolerance {1e3 * position:.3f} mm, {math.degrees(angle):.3f} deg)",
             )
 
@@ -476,4 +477,4 @@ class Witness:
         fired = {release.shot for release in self.physical.releases}
         for shot, outcome in self.outcomes.items():
             if outcome == TapperState.NOT_FIRED and shot in fired:
-                self.violate("false report", f"tap {shot} was told NOT_FIRED, it was fired")
+                self.violate("false report", f"tap {shot} was reported NOT_FIRED, but was fired")

@@ -144,7 +144,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not stop the wire",
         "tapping_cell.logic.device",
-        "                # Nothing goes before the stop on the wire.\n"
+        "                # The stop is sent before anything else.\n"
         "                self._effects.append(StopWire())\n",
         "                pass\n",
         "S4",
@@ -472,8 +472,8 @@ def _changed(mutants: Sequence[Mutant]) -> str:
         count = source.count(mutant.old)
         if count != 1:
             raise MutantError(
-                f"mutant '{mutant.name}': its text stands {count} times in {mutant.module}; it"
-                " must stand there once"
+                f"mutant '{mutant.name}': its text occurs {count} times in {mutant.module}; it"
+                " must occur once"
             )
         source = source.replace(mutant.old, mutant.new)
     return source

@@ -108,7 +108,7 @@ SERVES = {
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
-"""Maximum time for which the object may be unseen: if the arm covers it (up to 3.4 s on its way to
+"""Maximum times for which the object may be unseen: if the arm covers it (up to 3.4 s on its way to
 a strike pose), and if the camera sees past the arm."""
 NOTICED_S = 0.7
 """Maximum time from the end of that limit to a release, for delayed messages and the board's firing
@@ -137,7 +137,7 @@ RECOVERY_S = 90.0
 
 
 DIALECTS = ("grbl", "grbl", "marlin")
-"""Controllers of the arm, by turns of the seed. After a loss of power Marlin has no alarm."""
+"""Controllers of the arm; the seed selects one. After a loss of power Marlin has no alarm."""
 
 
 @cache
@@ -207,7 +207,7 @@ class Trial:
         self.joint_names = Joints._fields
         self.arm_covers = bool(self.rng.random() < 0.5)
         self.in_haste = bool(self.rng.random() < SHARE_IN_HASTE)
-        """Whether goals have a short time limit, so that some end for it without any fault."""
+        """Whether goals have a short time limit, which ends some of them without any fault."""
         self.settings = PlannerSettings(
             goal_time_limit=float(self.rng.uniform(*HASTE_S))
             if self.in_haste
@@ -397,7 +397,7 @@ class Trial:
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
     def next_goal(self, number: int) -> Pose:
-        """Draw the next goal, in 80 % of the cases near the object like in the published task."""
+        """Draw the next goal, in 80 % of the cases near the object as in the published task."""
         rng = self.rng
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
@@ -830,7 +830,7 @@ class Trial:
             self._reached(told(topic, message.state))
 
     def _check_blame(self, message: TapperState) -> None:
-        """Check that an injected fault explains a tap that ended with TAPPER_FAULT unfired."""
+        """Check that an injected fault explains a tap not fired because of TAPPER_FAULT."""
         blamed = message.error_code == ErrorCode.TAPPER_FAULT
         if not blamed or message.outcome != TapperState.NOT_FIRED or message.tap_id == self._blamed:
             return
@@ -916,7 +916,7 @@ class Trial:
             failed = failed or self.tapper_power_lost_at > told
             cleared = "tapper_trigger" not in self.witness.stopped_at
             if not failed and not cleared and self.physical.tapper_board.state != "STOPPED":
-                self.witness.violate("stop not passed on", "the board was not told of a stop")
+                self.witness.violate("stop not passed on", "the board did not receive a stop")
 
         self.scheduler.after(STOP_WORD_S, check)
 
