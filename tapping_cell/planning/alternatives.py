@@ -23,8 +23,8 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 LEAST = 80
-"""Minimum number of safe candidates that are checked together at first, if there are that many. Each
-further chunk has twice as many, because the effort depends little on the number."""
+"""Minimum number of safe candidates that are checked together at first, if there are that many.
+Each further chunk has twice as many, because the effort depends little on the number."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function of poses (n, 3) and displacements (n, 3) that returns which of them are possible."""
