@@ -133,8 +133,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         return super().create_subscription(*arguments, **options)
 
     def create_timer(self, *arguments: Any, **options: Any) -> Timer:
-        """Create a timer on the steady clock. A timer on ROS time would not expire for an hour after
-        the computer's clock is set back by an hour."""
+        """Create a timer on the steady clock. A timer on ROS time would not expire for an hour
+        after the computer's clock is set back by an hour."""
         options.setdefault("clock", self._steady_clock)
         return super().create_timer(*arguments, **options)
 

@@ -37,6 +37,8 @@ SHARE_AT_THE_SHOT = 0.5
 """Fraction of the goals whose faults all strike just after one step of a shot."""
 CLOSE_S = 0.3
 """Maximum time from a moment to its faults."""
+FLOOD_HZ = 100.0
+"""Rate at which a foreign node publishes."""
 CLOSEST_S = 2e-4
 """Minimum time from a step of a shot to its faults; the times are log-uniform up to ``CLOSE_S``."""
 
@@ -328,10 +330,7 @@ def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
         told.outcome = TapperState.NOT_FIRED
         told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
         t.network.publish("somebody_else", "tapper_state", told)
-        command = TapCommand(request=TapCommand.WITHDRAW, tap_id=number)
-        command.header.frame_id = "table"
-        command.header.stamp = to_stamp(t.clocks["tap_planner"].now().ros)
-        t.network.publish("somebody_else", "tap_command", command)
+        _send_withdrawal(t, number)
 
     return strike, (
         f"somebody else has the arm hold still for {duration:.3f} s, ends it after {later:.3f} s"
@@ -343,13 +342,52 @@ def _foreign_withdrawal(rng: np.random.Generator, trial: Trial) -> Made:
     """Another node withdraws the tap under way."""
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
-        command = TapCommand(request=TapCommand.WITHDRAW, tap_id=last)
-        command.header.frame_id = "table"
-        command.header.stamp = to_stamp(t.clocks["tap_planner"].now().ros)
-        t.network.publish("somebody_else", "tap_command", command)
+        _send_withdrawal(t, max(t.witness.commands, default=0))
 
     return strike, "a foreign WITHDRAW of the present tap"
+
+
+def _send_withdrawal(trial: Trial, tap_id: int) -> None:
+    """Publish a withdrawal of a tap by a node that is not part of the cell."""
+    command = TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id)
+    command.header.frame_id = "table"
+    command.header.stamp = to_stamp(trial.clocks["tap_planner"].now().ros)
+    trial.network.publish("somebody_else", "tap_command", command)
+
+
+def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
+    """Another node publishes one state or command a hundred times a second, and may have the arm
+    leave at the end."""
+    name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
+    outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
+    number, withdraws = 1 + round(FLOOD_HZ * _duration(rng, 0.02, 0.5)), rng.random() < 0.7
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        for step in range(number):
+            t.scheduler.after(step / FLOOD_HZ, partial(say, t, last))
+        if withdraws:
+            t.scheduler.after((number - 0.5) / FLOOD_HZ, partial(_send_withdrawal, t, last))
+
+    def say(t: Trial, last: int) -> None:
+        message: TapperState | ArmState | PlanState | TapCommand
+        if name == "tapper_state":
+            message = TapperState(state=TapperState.SAFE, tap_id=last, outcome=outcome)
+        elif name == "arm_state":
+            message = ArmState(state=ArmState.IN_POSITION, tap_id=last, homed=True)
+            if last:
+                message.tip_pose = t.witness.commands[last].strike_pose
+        elif name == "plan_state":
+            message = PlanState(state=PlanState.FIRING)
+        else:
+            message = TapCommand(request=TapCommand.WITHDRAW)
+        message.header.frame_id = "table"
+        node = "tap_planner" if name in ("plan_state", "tap_command") else "scara_arm"
+        message.header.stamp = to_stamp(t.clocks[node].now().ros)
+        t.network.publish("somebody_else", name, message)
+
+    leaves = ", then withdraws the tap" if withdraws else ""
+    return strike, f"somebody else publishes {name} {number} times at 100 Hz{leaves}"
 
 
 def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
@@ -458,6 +496,21 @@ def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
         t.network.publish("somebody_else", "arm_state" if of_arm else "plan_state", message)
 
     return strike, f"a foreign {'arm_state: in position' if of_arm else 'plan_state: firing'}"
+
+
+def _second_arm(rng: np.random.Generator, trial: Trial) -> Made:
+    """The arm of another cell in the same ROS domain offers the same services. It is in position,
+    as far as it knows, and grants every request."""
+    lasting = _duration(rng, 0.2, 6.0)
+
+    def strike(t: Trial) -> None:
+        def grant(request: HoldStill.Request, answer: Callable[[HoldStill.Response], None]) -> None:
+            answer(HoldStill.Response(granted=True, duration=request.duration))
+
+        t.network.serve("scara_arm of another cell", "hold_still", grant)
+        t.scheduler.after(lasting, partial(t.network.leave, "scara_arm of another cell"))
+
+    return strike, f"the arm of another cell offers hold_still for {lasting:.1f} s"
 
 
 def _second_node(rng: np.random.Generator, trial: Trial) -> Made:
@@ -638,11 +691,13 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "foreign withdrawal": _foreign_withdrawal,
     "foreign outcome": _foreign_outcome,
     "foreign hold": _foreign_hold,
+    "foreign flood": _foreign_flood,
     "repeated command": _repeated_command,
     "heard by one": _heard_by_one,
     "slow answer": _slow_answer,
     "foreign state": _foreign_state,
     "second node": _second_node,
+    "second arm": _second_arm,
     "foreign trajectory": _trajectory,
     "clock step": _clock_step,
     "serial line": _line,
@@ -689,7 +744,7 @@ AT_A_SHOT = (
     "duplicates",
     "second client",
     "object turned",
-    *("foreign trajectory", "foreign hold") * 2,
+    *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
 """Kinds of faults around a shot. Those that make two nodes observe different states are repeated,
 so that they are drawn more often."""

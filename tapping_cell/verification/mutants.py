@@ -282,8 +282,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "lets anybody end the arm's promise",
         "tapping_cell.logic.arm",
-        "if request.key and asker == self._promised_to and now",
-        "if now",
+        "if request.key and asker == self._promised_to and is_shorter:",
+        "if is_shorter:",
         "R9",
         kinds=("foreign outcome",),
     ),
@@ -294,6 +294,29 @@ MUTANTS: tuple[Mutant, ...] = (
         "        if False:\n",
         "R9",
         kinds=("foreign hold",),
+    ),
+    Mutant(
+        "leaves with a charged striker",
+        "tapping_cell.logic.arm",
+        "return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))",
+        "return self._promise_end",
+        "",
+        Mutant(
+            "withdraws with a charged striker",
+            "tapping_cell.logic.arm",
+            "if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):",
+            "if False:",
+        ),
+        kinds=("foreign withdrawal", "heard by one", "cancel"),
+    ),
+    Mutant(
+        "believes anybody that the striker is discharged",
+        "tapping_cell.logic.arm",
+        "        if message.tap_id == self._last_tap_id and message.state in CHARGED:\n",
+        "        if message.tap_id == self._last_tap_id and message.state not in CHARGED:\n"
+        "            self._charged_until = -math.inf\n"
+        "        elif message.tap_id == self._last_tap_id:\n",
+        kinds=("foreign flood",),
     ),
     Mutant(
         "takes a trajectory while a tap is pending",

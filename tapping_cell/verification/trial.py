@@ -19,7 +19,7 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic import arm_jobs
-from tapping_cell.logic.arm import ArmLogic, ArmOptions
+from tapping_cell.logic.arm import CHARGED, ArmLogic, ArmOptions
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Logic
@@ -843,7 +843,9 @@ class Trial:
         if service == "hold_still" and request.duration > 0:
             self._reached(ARM_ASKED)
 
-    def _on_answer(self, service: str, request: Any, response: Any) -> None:
+    def _on_answer(self, node: str, service: str, request: Any, response: Any) -> None:
+        if node != "scara_arm":
+            return
         self.witness.on_answer(service, request, response)
         if service == "hold_still" and request.duration > 0:
             self._reached(ARM_PROMISED)
@@ -868,6 +870,8 @@ class Trial:
                 self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
         if process == "tap_planner" and topic == "object_state" and message.visible:
             self.witness.seen_moving = not message.at_rest
+        if process == "scara_arm" and topic == "tapper_state" and message.state in CHARGED:
+            self.witness.charge_heard = now
         if topic == "emergency_stop" and message.data:
             self.witness.stopped_at.setdefault(process, now)
             if process == "tapper_trigger":
