@@ -46,6 +46,7 @@ LONG_SECTIONS = (
     "two-computers",
     "unknown-objects",
     "unknown-worlds",
+    "vision-arm",
     "vision-calibrated",
     "vision-covariance",
     "vision-robustness",

@@ -63,6 +63,8 @@ BEST_EFFORT_COMMAND = QoSProfile(
 SIMULATED_TIME = "use_sim_time"
 CONNECTION_CHECK_S = 5.0
 """Period at which the topics are checked for endpoints that cannot connect."""
+ROLE = "role"
+"""Key in /diagnostics of a node's role."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PROFILES = {True: "fastdds_profile.xml", False: "fastdds_messages.xml"}
 """Fast DDS profile for nodes that transport images (True) and for other nodes (False)."""
@@ -103,6 +105,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
+        self.role = name
+        """Name of the node unless ``__node:=`` gives it another name."""
         self.active = False
         """True while the node may act."""
         self.configured = False
@@ -168,6 +172,11 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         node's namespace, and ``{cell}`` by a name of this namespace in this ROS domain."""
         port = port.replace("{namespace}", self.get_namespace().strip("/"))
         return Path(port.replace("{cell}", key_of(self))).expanduser()
+
+    def own_name(self, name: str) -> str:
+        """Return ``~/NAME`` as ``ROLE/NAME``, so that clients find the services and topics of a
+        renamed node; other names are returned unchanged."""
+        return f"{self.role}/{name[2:]}" if name.startswith("~/") else name
 
     # Life cycle
 
@@ -287,7 +296,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             name=self.get_fully_qualified_name(),
             message=sentence,
             hardware_id=str(values.pop("hardware_id", "")),
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+            values=[
+                KeyValue(key=ROLE, value=self.role),
+                *(KeyValue(key=key, value=str(value)) for key, value in values.items()),
+            ],
         )
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -57,7 +57,7 @@ class LogicHost(Generic[Machine]):
         self._stop_publishers: dict[bytes, str] = {}
         self._later: deque[Callable[[], None]] = deque()
         self._wake = node.create_guard_condition(self._do_later)
-        self.stop_file = KeptContent(folder / f"stop-{node.get_name()}.json")
+        self.stop_file = KeptContent(folder / f"stop-{node.role}.json")
         self.goal_file = KeptContent(folder / "goal.json")
         node.create_timer(logic.tick_period, self._tick)
 
@@ -66,7 +66,9 @@ class LogicHost(Generic[Machine]):
     def publishes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
         """Create a publisher under the topic name that the machine uses."""
         name = ros_class(kind.ROS_TYPE)
-        self._publishers[topic] = self._node.create_publisher(name, topic, profile)
+        self._publishers[topic] = self._node.create_publisher(
+            name, self._node.own_name(topic), profile
+        )
 
     def offers(self, kind: Any, topic: str, profile: Any) -> None:
         """Create a publisher for a ROS type without a mirror class; a subclass publishes on it."""
@@ -93,7 +95,8 @@ class LogicHost(Generic[Machine]):
             mirror = from_ros(request, kind.Request)
             self.request(name, mirror, lambda response: respond(to_ros(response)))
 
-        create_deferred_service(self._node, ros_class(kind.ROS_TYPE), name, serve)
+        own_name = self._node.own_name(name)
+        create_deferred_service(self._node, ros_class(kind.ROS_TYPE), own_name, serve)
 
     def calls(self, kind: Any, name: str) -> None:
         """Create a client for a service that the machine calls."""

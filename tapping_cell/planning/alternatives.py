@@ -23,10 +23,14 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 LEAST = 80
-"""Minimum number of safe candidates that are checked together, as far as there are as many."""
+"""Minimum number of safe candidates that are checked together at first, as far as there are as
+many; each further chunk has twice as many, because the effort depends little on the number."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function of poses (n, 3) and displacements (n, 3) that returns which of them are possible."""
+
+Selection = Callable[[Array], NDArray[np.bool_]]
+"""Function of displacements (n, 3) from the present pose that returns which of them to keep."""
 
 
 def alternative_taps(
@@ -39,7 +43,8 @@ def alternative_taps(
     tap: Tap,
     strikeable: Strikeable,
     visited: VisitedPoses | None = None,
-    safe: Callable[[Array], NDArray[np.bool_]] | None = None,
+    safe: Selection | None = None,
+    possible: Selection | None = None,
 ) -> Iterator[Ranked]:
     """Generate alternative displacements to command, in chunks, best first.
 
@@ -48,23 +53,27 @@ def alternative_taps(
     the number of taps that the method needs afterwards, with the distance along the path around
     obstacles. One more tap is added if the goal is near but not reachable by one possible tap.
     ``visited``: poses that the object was tapped from before, whose costs were underestimated.
-    ``safe``: function that returns which displacements (n, 3) may be commanded; the others are left
-    out before the slower check of what follows.
+    ``safe``: which displacements may be commanded. ``possible``: which of these can be struck; it
+    is slower, and the check of what follows a tap is as slow, so each is asked only of what the one
+    before it has kept.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
     order = np.argsort(made.cost, kind="stable")
     order = order[np.isfinite(made.cost[order])]
     waiting, waiting_cost = order[:0], made.cost[:0]
-    start = 0
+    start, least = 0, LEAST
     while start < order.size:
         parts, count = [], 0
-        while start < order.size and count < LEAST:
+        while start < order.size and count < least:
             block = order[start : start + CHUNK]
             start += CHUNK
             parts.append(block if safe is None else block[safe(made.commanded[block])])
             count += parts[-1].size
+        least *= 2
         part = np.concatenate(parts)
+        if possible is not None:
+            part = part[possible(made.commanded[part])]
         cost = made.cost[part] + indirect(made.after[part], goal, number, planner, strikeable)
         if visited is not None:
             cost += visited.extra(made.after[part], cost)

@@ -439,13 +439,21 @@ class PositioningSession(GoalSession):
         allowed = struck = trusted = False
 
         def safe(candidates: Array) -> BoolArray:
-            nonlocal trusted
+            nonlocal allowed, trusted
             short = np.hypot(candidates[:, 0], candidates[:, 1]) * self.gains.value[0]
             fits = short <= self._longest_tap() * (1.0 + 1e-9)
             fits &= _elsewhere(candidates, missed) & self._ends_well(pose, candidates)
             if not trusted and not np.any(fits):
                 trusted = bool(np.any(self._ends_well(pose, candidates, trusting=True)))
+            allowed = allowed or bool(np.any(fits))
             return np.asarray(fits)
+
+        def possible(candidates: Array) -> BoolArray:
+            nonlocal struck
+            here = np.broadcast_to(pose, candidates.shape)
+            reached, fits = self._space.contacts(here, candidates)
+            struck = struck or bool(np.any(reached))
+            return fits
 
         for candidates, cost in alternative_taps(
             pose,
@@ -458,14 +466,12 @@ class PositioningSession(GoalSession):
             self._space.strikeable,
             self._visited,
             safe,
+            possible,
         ):
-            allowed = True
-            found = self._space.first_strike(Pose(*pose.tolist()), candidates)
-            if found is None:
-                struck = struck or bool(np.any(self._space.tap.reachable(candidates, pose)))
-            else:
-                self._visited.add(pose, 1.0 + float(cost[found[0]]))
-                return self._made(pose, left, candidates[found[0]], found[1], detour)
+            found = self._space.first_strike(Pose(*pose.tolist()), candidates[:1])
+            if found is not None:
+                self._visited.add(pose, 1.0 + float(cost[0]))
+                return self._made(pose, left, candidates[0], found[1], detour)
         if missed:
             return self._strike(pose, left, missed=())
         return self._no_strike(pose, detour, allowed, struck, trusted)

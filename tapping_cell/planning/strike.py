@@ -161,14 +161,14 @@ class StrikeSpace:
         """
         start = np.asarray(object_pose, dtype=float)
         moved = np.asarray(displacement, dtype=float)
+        length = np.hypot(moved[..., 0], moved[..., 1])
         if spread is None:
-            reach = self.settings.footprint
-            aside = reach * self.scatter.direction
+            reach, size = self.settings.footprint, np.maximum(length, 1e-6)
+            aside = reach * self.scatter.across(size) / size
             spread = Spread(
-                np.full(moved.shape[:-1], 1.0 + reach * self.scatter.distance),
-                np.broadcast_to([-aside, aside], (*moved.shape[:-1], 2)),
+                1.0 + reach * self.scatter.along(size) / size, np.stack([-aside, aside], axis=-1)
             )
-        length = np.hypot(moved[..., 0], moved[..., 1]) * spread.longest
+        length = length * spread.longest
         heading = np.arctan2(moved[..., 1], moved[..., 0])
         right, left = spread.aside[..., :1], spread.aside[..., 1:]
         turned = np.concatenate([right, right / 2, np.zeros_like(left), left / 2, left], axis=-1)
@@ -274,14 +274,18 @@ class StrikeSpace:
 
     def strikeable(self, object_poses: Array, displacements: Array) -> BoolArray:
         """Return which displacements (n, 3) are possible, each from its own object pose (n, 3)."""
+        return self.contacts(object_poses, displacements)[1]
+
+    def contacts(self, object_poses: Array, displacements: Array) -> tuple[BoolArray, BoolArray]:
+        """Return which displacements (n, 3) some contact gives, (n,), and which of them are
+        possible for the arm, the tool and the striker as well, (n,). ``object_poses``: (n, 3)."""
         found, plan = self.tap.plan_reachable(displacements, object_poses)
-        if not np.any(found):
-            return found
-        held = object_poses[found]
-        speed = np.asarray(plan.striker_speed, dtype=float)
-        usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
-        found[found] = usable & self.tool_fits(held, plan.strike_pose)
-        return found
+        possible = found.copy()
+        if np.any(found):
+            speed = np.asarray(plan.striker_speed, dtype=float)
+            usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
+            possible[found] = usable & self.tool_fits(object_poses[found], plan.strike_pose)
+        return found, possible
 
     def tool_fits(self, object_pose: ArrayLike, contact_poses: ArrayLike) -> BoolArray:
         """Return whether the arm reaches, and the tool fits at, the rest pose of these contacts.

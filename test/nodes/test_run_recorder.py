@@ -17,8 +17,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from harness import Bench, bench
-from sensor_msgs.msg import Image
-from std_msgs.msg import String
+from sensor_msgs.msg import CompressedImage
+from std_msgs.msg import Header, String
 from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, ObjectState, PlanState, TapRecord
 
 from tapping_cell.nodes.camera import images
@@ -39,28 +39,33 @@ START, GOAL = Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)
 class FakeCell:
     """Publishes as planner, camera and arm do."""
 
-    def __init__(self, made: Bench) -> None:
+    def __init__(self, made: Bench, plan: str = "plan_state") -> None:
         self.bench = made
         node = made.probe
         assert node is not None
         self.node = node
-        self.plans = node.create_publisher(PlanState, "plan_state", LATCHED)
+        self.plans = node.create_publisher(PlanState, plan, LATCHED)
         self.reports = node.create_publisher(GoalReport, "goal_report", LATCHED)
         self.objects = node.create_publisher(ObjectState, "object_state", LATCHED)
         self.truths = node.create_publisher(PoseStamped, "ground_truth", 10)
         self.arms = node.create_publisher(ArmState, "arm_state", LATCHED)
-        self.pictures = node.create_publisher(Image, "camera/image_annotated", images.PICTURES)
+        self.pictures = node.create_publisher(
+            CompressedImage, images.ANNOTATED_COMPRESSED, images.COMPRESSED_PICTURES
+        )
         self.runs = made.listen(String, "last_run", LATCHED)
         self.diagnostics = made.listen(DiagnosticArray, "/diagnostics")
-        made.wait(lambda: self.plans.get_subscription_count() == 1, "the recorder listens")
-        made.wait(lambda: self.reports.get_subscription_count() == 1, "the recorder listens")
+        listened = (self.plans, self.reports, self.objects, self.truths, self.pictures)
+        made.wait(
+            lambda: all(topic.get_subscription_count() == 1 for topic in listened),
+            "the recorder listens",
+        )
         made.wait(lambda: self.health()[0] == DiagnosticStatus.OK, "the recorder is active")
 
     def health(self) -> tuple[bytes, str]:
         """Level and sentence of the recorder's last diagnostics."""
         for message in reversed(self.diagnostics):
             for status in message.status:
-                if status.name.endswith("run_recorder"):
+                if status.name in ("/run_recorder", "/notes"):
                     return status.level, status.message
         return DiagnosticStatus.STALE, ""
 
@@ -96,10 +101,8 @@ class FakeCell:
         self.plan(goal, PlanState.LOOKING)
         time.sleep(0.3)
         self.plan(goal, PlanState.PLACING)
-        picture = images.to_message(np.full((96, 128, 3), 80, dtype=np.uint8), "bgr8")
-        self.bench.wait(lambda: self.pictures.get_subscription_count() == 1, "pictures are kept")
-        self.bench.wait(lambda: self.truths.get_subscription_count() == 1, "the truth is received")
-        self.pictures.publish(self.stamp(picture))
+        grey = np.full((96, 128, 3), 80, dtype=np.uint8)
+        self.pictures.publish(self.stamp(images.compress_colour(grey, 128, 85, Header())))
         record = TapRecord(tap_id=9, number=1, planner="optimal", object_pose=to_message(START))
         record.measured_pose.pose = to_message(GOAL)
         record.at_rest_at = self.node.get_clock().now().to_msg()
@@ -138,9 +141,23 @@ def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> No
     assert "/camera/image_annotated/compressed" in names
     first = next(stamp for stamp, _ in bag.of("plan_state"))
     assert min(stamp for stamp, _ in bag.of("object_state")) < first
+    # Also from topics that are read only during a goal.
+    assert min(stamp for stamp, _ in bag.of("ground_truth")) < first
+    stamps = [message.stamp for message in bag.messages]
+    assert stamps == sorted(stamps)
     assert (folder / "cell.png").stat().st_size > 10_000
     assert "Goal reached in 1 tap" in (folder / "report.html").read_text()
     assert "cell.yaml" in json.dumps(json.loads((folder / "summary.json").read_text())["files"])
+
+
+def test_a_report_is_made_when_the_topics_are_remapped(tmp_path: Path) -> None:
+    values = {"folder": tmp_path / "runs", "pictures": False, "least_free": 0.0}
+    rules = ("notes:plan_state:=other/plan", "run_recorder:__node:=notes")
+    with bench(lambda: [RunRecorder()], {"notes": values}, rules) as made:
+        fake = FakeCell(made, plan="other/plan")
+        fake.follow(fake.goal())
+        (run,) = fake.recorded(1)
+    assert run.reached and len(run.taps) == 1
 
 
 def test_refused_replaced_and_lost_goals_are_told_truly(

@@ -29,15 +29,6 @@ SENT = ("feedback", "status")
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
     # With image_transport:=compressed.
     "camera_pose": {"subscribe": {"/camera/image_raw/compressed"}},
-    # While a goal is recorded.
-    "run_recorder": {
-        "subscribe": {
-            "/camera/camera_info",
-            "/camera/image_annotated",
-            "/ground_truth",
-            "/object_pose",
-        }
-    },
     # While somebody looks at the page.
     "operator_page": {
         "subscribe": {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -41,11 +41,15 @@ class Bench:
 
 @contextmanager
 def bench(
-    make_nodes: Callable[[], list[Node]], parameters: dict[str, dict[str, object]]
+    make_nodes: Callable[[], list[Node]],
+    parameters: dict[str, dict[str, object]],
+    remappings: Sequence[str] = (),
 ) -> Iterator[Bench]:
     """Run nodes with parameters by node name; everything ends with the block."""
     made = Bench()
     arguments = ["--ros-args"]
+    for rule in remappings:
+        arguments += ["-r", rule]
     for node, values in parameters.items():
         for key, value in values.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)

@@ -28,6 +28,7 @@ from tapping_cell.configuration.schema import choice, quantity, text
 from tapping_cell.logic.frames import TABLE
 from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.annotated_images import AnnotatedImages
 from tapping_cell.nodes.camera.dropped_frames import Backlog
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import (
@@ -113,6 +114,17 @@ class Parameters:
         60.0,
         default=10.0,
     )
+    compressed_rate: float = quantity(
+        "maximum rate of camera/image_annotated/compressed, which is published only while it has "
+        "subscribers, such as run_recorder",
+        "Hz",
+        0.1,
+        60.0,
+        default=1.0,
+    )
+    compressed_width: int = quantity(
+        "maximum width of camera/image_annotated/compressed", "pixels", 160, 4096, default=960
+    )
     image_transport: str = choice(
         "raw: camera/image_raw; compressed: camera/image_raw/compressed, for a camera on another "
         "computer",
@@ -141,7 +153,6 @@ class CameraPose(CellNode[Parameters]):
         self._other_states: list[ObjectState] = []
         self._received = time.monotonic()
         self._missed = 0
-        self._annotated_at = 0.0
         self._camera_told_at = 0.0
         self._backlog = Backlog()
         self._frames = 0
@@ -153,8 +164,11 @@ class CameraPose(CellNode[Parameters]):
         self._others_publisher = self.create_publisher(ObjectState, "other_objects", 10)
         self._states_publisher = self.create_publisher(ObjectStates, "object_states", LATCHED)
         self._camera_publisher = self.create_publisher(PoseStamped, "camera/pose", LATCHED)
-        self._picture_publisher = self.create_publisher(
-            Image, "camera/image_annotated", images.PICTURES
+        self._annotated = AnnotatedImages(
+            self,
+            self.settings.annotated_rate,
+            self.settings.compressed_rate,
+            self.settings.compressed_width,
         )
         self._broadcaster = FrameBroadcaster(self)
         self.create_subscription(
@@ -367,12 +381,9 @@ class CameraPose(CellNode[Parameters]):
         self._state_publisher.publish(self._last)
 
     def _annotate(self, message: Image, grey: NDArray[np.uint8], observation: Observation) -> None:
-        now = time.monotonic()
-        due = now - self._annotated_at >= 1.0 / self.settings.annotated_rate
-        if not due or self._picture_publisher.get_subscription_count() == 0:
+        if not self._annotated.is_due(time.monotonic()):
             return
         assert self._cell is not None and self._tracker is not None
-        self._annotated_at = now
         picture = annotate(
             grey,
             self._tracker.view,
@@ -381,9 +392,7 @@ class CameraPose(CellNode[Parameters]):
             self._cell.object.height,
             self._goal,
         )
-        annotated = images.to_message(picture, "bgr8")
-        annotated.header = message.header
-        self._picture_publisher.publish(annotated)
+        self._annotated.publish(picture, message.header, time.monotonic())
 
     def _watch(self) -> None:
         """Report when no image arrives."""

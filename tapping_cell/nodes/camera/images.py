@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Header
 
 from tapping_cell.vision import CameraError, CameraModel
 
@@ -25,6 +26,8 @@ COMPRESSED_PICTURES = QoSProfile(
 RAW = "camera/image_raw"
 COMPRESSED = f"{RAW}/compressed"
 """Topic name according to image_transport."""
+ANNOTATED = "camera/image_annotated"
+ANNOTATED_COMPRESSED = f"{ANNOTATED}/compressed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,26 @@ def compress(message: Image, quality: int) -> CompressedImage:
     pixels = unpack(message)[..., 0]
     _, coded = cv2.imencode(".jpg", pixels, (cv2.IMWRITE_JPEG_QUALITY, quality))
     made = CompressedImage(header=message.header, format=f"{message.encoding}; jpeg compressed ")
+    data = array.array("B")
+    data.frombytes(coded.data)
+    made.data = data
+    return made
+
+
+def compress_colour(
+    picture: NDArray[np.uint8], width: int, quality: int, header: Header
+) -> CompressedImage:
+    """Compress a colour image (BGR, height x width x 3) to JPEG, in the format of image_transport.
+
+    A wider image is reduced to ``width`` pixels. ``quality``: 1 to 100.
+    """
+    scale = width / picture.shape[1]
+    if scale < 1.0:
+        size = (width, round(scale * picture.shape[0]))
+        reduced = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        picture = np.asarray(reduced, dtype=np.uint8)
+    _, coded = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, quality))
+    made = CompressedImage(header=header, format="bgr8; jpeg compressed bgr8")
     data = array.array("B")
     data.frombytes(coded.data)
     made.data = data

@@ -103,10 +103,11 @@ class CellClient(ClientNode):
         while True:
             self.in_executor(self._watch.check)
             state = self.state()
-            rows = {row["name"]: row for row in state["nodes"]}
-            received = [row for row in rows.values() if row["life"] != "not running"]
-            known = {row["name"] for row in received if row["sentence"] != NOT_YET}
-            complete = known.issuperset(self._watch.core) and not known.isdisjoint(CAMERAS)
+            received = [row for row in state["nodes"] if row["life"] != "not running"]
+            known = {row["role"] for row in received if row["sentence"] != NOT_YET}
+            measured = self.in_executor(lambda: self._watch.has_camera)
+            has_camera = not known.isdisjoint(CAMERAS) or measured
+            complete = known.issuperset(self._watch.core) and has_camera
             if (complete and state["mode"] != "not ready") or (
                 received and time.monotonic() > deadline
             ):

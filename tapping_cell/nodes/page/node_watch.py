@@ -1,4 +1,8 @@
-"""Life-cycle state and diagnostics of every node of the cell. Active only while a page is open."""
+"""Life-cycle state and diagnostics of every node of the cell. Active only while a page is open.
+
+A node is identified by its role, which it reports on /diagnostics: with ``__node:=`` it may have
+any name.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +15,14 @@ from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 
+from tapping_cell.nodes.cell_node import ROLE
+
 ARM = "scara_arm"
-CORE = ("camera_pose", "tap_planner", ARM, "tapper_trigger")
-"""Required nodes of a cell, in addition to one of CAMERAS. ARM is not required with fixed
-tappers."""
+VISION = "camera_pose"
+CORE = (VISION, "tap_planner", ARM, "tapper_trigger")
+"""Roles that every cell needs, in addition to a camera. ARM is not required with fixed tappers."""
 CAMERAS = ("sim_world", "overhead_camera")
+"""Roles that publish images. Any other ROS driver of a camera may take their place."""
 SILENCE_LIMIT_S = 3.5
 """Maximum age of the last diagnostics, which are sent every second, before a node counts as
 silent."""
@@ -35,6 +42,7 @@ GET_STATE = "lifecycle_msgs/srv/GetState"
 class _Peer:
     """Latest information on one node."""
 
+    role: str = ""
     client: Client | None = None
     asked: Future | None = None
     asked_at: float = 0.0
@@ -101,6 +109,7 @@ class NodeWatch:
             name = self._own_name(status.name)
             if name:
                 peer = self._peers.setdefault(name, _Peer())
+                peer.role = _role(status)
                 peer.level = LEVELS.get(status.level, "error")
                 peer.sentence, peer.received_at = status.message, time.monotonic()
 
@@ -116,24 +125,46 @@ class NodeWatch:
         """Return the required nodes of this cell, except for the camera."""
         return tuple(name for name in CORE if self.has_arm or name != ARM)
 
-    def runs(self, name: str) -> bool:
-        """Return whether a node of this name is running."""
-        peer = self._peers.get(name)
+    def name_of(self, role: str) -> str:
+        """Return the name of the node with this role, of a running one if there is one; the role
+        itself if there is none."""
+        found = [(not peer.life, name) for name, peer in self._peers.items() if peer.role == role]
+        return min(found)[1] if found else role
+
+    def runs(self, role: str) -> bool:
+        """Return whether a node of this role is running."""
+        peer = self._peers.get(self.name_of(role))
         return peer is not None and bool(peer.life)
 
+    @property
+    def has_camera(self) -> bool:
+        """Whether a node of the cell publishes images, or camera_pose receives those of another
+        driver."""
+        peer = self._peers.get(self.name_of(VISION))
+        measuring = peer is not None and peer.life == "active" and peer.level == "ok"
+        return measuring or any(self.name_of(role) in self._peers for role in CAMERAS)
+
     def rows(self) -> list[dict[str, str]]:
-        """Return one row per node: name, life-cycle state, level (ok, warn, error) and message."""
-        cameras = [name for name in CAMERAS if name in self._peers] or [CAMERAS[-1]]
-        names = [*cameras, *self.core]
+        """Return one row per node: name, role, life-cycle state, level (ok, warn, error) and
+        message."""
+        cameras = [role for role in CAMERAS if self.name_of(role) in self._peers]
+        if not self.has_camera:
+            cameras = [CAMERAS[-1]]
+        names = [self.name_of(role) for role in (*cameras, *self.core)]
         names += sorted(set(self._peers) - set(names))
         return [self._row(name) for name in names]
 
     def _row(self, name: str) -> dict[str, str]:
         peer = self._peers.get(name, _Peer())
-        row = {"name": name, "life": peer.life or "not running"}
+        row = {"name": name, "role": peer.role or name, "life": peer.life or "not running"}
         if not peer.life:
             return {**row, "level": "error", "sentence": f"start {name}"}
         if time.monotonic() - peer.received_at > SILENCE_LIMIT_S:
             silent = NOT_YET if not peer.received_at else "has stopped sending"
             return {**row, "level": "warn", "sentence": silent}
         return {**row, "level": peer.level, "sentence": peer.sentence}
+
+
+def _role(status: DiagnosticStatus) -> str:
+    """Return the role in a node's diagnostics; empty if the node is not one of the cell's."""
+    return next((str(entry.value) for entry in status.values if entry.key == ROLE), "")

@@ -177,7 +177,7 @@ class OperatorPage(CellNode[Parameters]):
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
         self._enabling = self.create_publisher(Bool, enabling.TOPIC, COMMAND)
         self._confirm_client = self.create_client(ConfirmTap, "confirm_tap")
-        self._set_client = self.create_client(SetParameters, "tap_planner/set_parameters")
+        self._set_client = self._parameter_client("tap_planner")
         self._queue = GoalQueue()
         self._named_file = KeptContent(state_folder(key_of(self)) / "named_goals.json")
         self._named = NamedGoals(self._named_file.recall())
@@ -392,6 +392,7 @@ class OperatorPage(CellNode[Parameters]):
         self._view.held_by_page = self._stop is not None and self._stop.held
         self._view.simulated = self._watch.runs("sim_world")
         self._watch.has_arm = self._view.has_arm
+        self._follow_planner(self._watch.name_of("tap_planner"))
         state = self._view.state()
         state["nodes"] = self._watch.rows()
         state["placeable"] = self._ghost is not None
@@ -539,6 +540,15 @@ class OperatorPage(CellNode[Parameters]):
             parameters=[Parameter(name, value=value).to_parameter_msg()]
         )
         self._call(self._set_client, request, "settings", "the planner", answer, told)
+
+    def _parameter_client(self, node: str) -> Client:
+        return self.create_client(SetParameters, f"{node}/set_parameters")
+
+    def _follow_planner(self, name: str) -> None:
+        """Use the parameter service of the planner's node, which has the name of the node."""
+        if self._set_client.srv_name != f"{name}/set_parameters":
+            self.destroy_client(self._set_client)
+            self._set_client = self._parameter_client(name)
 
     def _change_lists(
         self, request: QueueGoal | Unqueue | NameGoal | ForgetGoal, answer: server.Answer

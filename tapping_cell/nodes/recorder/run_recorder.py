@@ -6,26 +6,22 @@ continues. Messages of the last seconds are buffered, so that a bag starts befor
 
 from __future__ import annotations
 
-import array
 import json
 import os
 import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
-from rclpy.subscription import Subscription
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, JointState
+from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 from std_msgs.msg import Bool, String
 from tapping_cell_msgs.msg import (
     ArmState,
@@ -45,6 +41,7 @@ from tapping_cell.logic.planner import FINAL_STATES
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
+from tapping_cell.nodes.recorder.polled_topics import PolledTopics
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
     CannotRecord,
@@ -74,11 +71,16 @@ SILENCE_S = 30.0
 goal."""
 END_PATIENCE_S = 4.0
 WRITE_PERIOD_S = 0.5
+POLL_PERIOD_S = 0.1
 REPEATED_WITHIN_S = 10.0
 """A refusal that is repeated within this time gets no folder of its own."""
+RATE_SHARE = 0.8
+"""Share of the period of recorded images after which an image is recorded. Images arrive in the
+period of the camera, so a full period would skip every second image of the same rate."""
 LONGEST_PATH = 1024
 DEPTH = 200
-"""Maximum number of queued messages while a busy machine delays this node."""
+"""Maximum number of messages of a topic between two polls, and in FRAMES before a goal. A camera at
+30 Hz fills it in 6.7 s."""
 
 _STREAM = QoSProfile(
     depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
@@ -110,7 +112,7 @@ FRAMES: dict[str, type] = {
     "ground_truth": PoseStamped,
     "object_pose": PoseWithCovarianceStamped,
 }
-"""Topics with a message per image: subscribed to only while a goal is active."""
+"""Topics with a message per image: read only while a goal is active."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,13 +127,13 @@ class Parameters:
     folder: str = text("folder in which a subfolder is created for each run", default="runs")
     name: str = text("name of the run's folder; if empty, made from time and goal", default="")
     picture_rate: float = quantity(
-        "rate at which images of camera/image_annotated are recorded; 0 for none",
+        "maximum rate at which images of camera/image_annotated/compressed are recorded; 0 for "
+        "none; camera_pose publishes them at its rate compressed_rate",
         "Hz",
         0.0,
         10.0,
         default=1.0,
     )
-    picture_width: int = quantity("width of a recorded image", "pixels", 160, 4096, default=960)
     pictures: bool = text("draw cell.png and report.html at the end of a run", default=True)
     least_free: float = quantity(
         "free disk space below which nothing is recorded", "MB", 0.0, 1e7, default=500.0
@@ -175,8 +177,8 @@ def checked_name(name: str) -> str:
 class RunRecorder(CellNode[Parameters]):
     """See the module's docstring.
 
-    The executor's thread only queues received messages; ``_worker`` writes them, and ``_teller``
-    draws the report.
+    The executor's thread polls the topics and queues their messages; ``_worker`` writes them, and
+    ``_teller`` draws the report.
     """
 
     changeable = ("folder", "name", "picture_rate")
@@ -190,15 +192,16 @@ class RunRecorder(CellNode[Parameters]):
         self._latched: dict[str, ReceivedMessage] = {}
         self._waiting: deque[ReceivedMessage] = deque()
         self._plan: PlanState | None = None
+        self._bag_begins = 0
         self._ends_at: float | None = None
         self._end: PlanState | GoalReport | None = None
         self._recording: Recording | None = None
         self._trouble = ""
         self._runs = 0
         self._refusal: tuple[int, str, float] = (0, "", 0.0)
-        self._picture_at = 0.0
+        self._picture_at = 0
         self._planner_received = 0.0
-        self._frames: list[Subscription] = []
+        self._polled = PolledTopics(self)
         self._folder, self._name = self.settings.folder, self.settings.name
         self._picture_rate = self.settings.picture_rate
         self._worker: Worker | None = None
@@ -208,44 +211,32 @@ class RunRecorder(CellNode[Parameters]):
         self._topics: dict[str, RecordedTopic] = {}
         for name, kind in STATES.items():
             self._know(name, kind, Quality(1, latched=True))
-            self._listen(name, kind, _STATE)
+            self._polled.add(kind, name, _STATE)
         for name, kind in STREAMS.items():
             self._know(name, kind, Quality())
             # Best effort matches every publisher of goals.
-            self._listen(name, kind, BEST_EFFORT_COMMAND if name == "goal_pose" else _STREAM)
+            profile = BEST_EFFORT_COMMAND if name == "goal_pose" else _STREAM
+            self._polled.add(kind, name, profile)
         for name, kind in FRAMES.items():
             self._know(name, kind, Quality(reliable=kind is not CameraInfo))
-        self._picture_topic = self.resolve_topic_name(PICTURES)
-        self._topics[self._picture_topic] = RecordedTopic(
-            "sensor_msgs/msg/CompressedImage", Quality(reliable=False)
-        )
-        self._notes_topic = self.resolve_topic_name(NOTES)
+            self._polled.add(kind, name, images.PICTURES if kind is CameraInfo else _STREAM)
+        self._know(PICTURES, CompressedImage, Quality())
+        self._polled.add(CompressedImage, PICTURES, images.COMPRESSED_PICTURES)
+        self._notes_topic = self._recorded_name(NOTES)
         self._topics[self._notes_topic] = RecordedTopic(
             "std_msgs/msg/String", Quality(1, latched=True)
         )
-        self.create_timer(0.1, self._tick)
+        self.create_timer(POLL_PERIOD_S, self._tick)
+
+    def _recorded_name(self, name: str) -> str:
+        """Return a topic's name in the bag: in this namespace, but not remapped, so that a report
+        can be made from every bag."""
+        return self.resolve_topic_name(name, only_expand=True)
 
     def _know(self, name: str, kind: type, quality: Quality) -> None:
         package = kind.__module__.partition(".")[0]
         topic = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
-        self._topics[self.resolve_topic_name(name)] = topic
-
-    def _listen(self, name: str, kind: type, profile: QoSProfile) -> Subscription:
-        topic = self.resolve_topic_name(name)
-        latched = profile is _STATE
-        readers: dict[type, Callable[[Any], None]] = {
-            PlanState: self._on_plan_state,
-            GoalReport: self._on_goal_report,
-        }
-        reader = readers.get(kind)
-        seldom = kind is CameraInfo
-
-        def on_message(data: bytes) -> None:
-            self._note(ReceivedMessage(topic, self._now(), data), latched, seldom)
-            if reader is not None:
-                reader(deserialize_message(data, kind))
-
-        return self.create_subscription(kind, name, on_message, profile, raw=True)
+        self._topics[self._recorded_name(name)] = topic
 
     # Life cycle
 
@@ -315,16 +306,41 @@ class RunRecorder(CellNode[Parameters]):
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
-    def _note(self, message: ReceivedMessage, latched: bool, seldom: bool) -> None:
+    def _receive(self, names: Iterable[str]) -> None:
+        """Process the messages that wait, in the order of their reception."""
+        now, clock = self._now(), time.time_ns()
+        waiting = [
+            (now - max(0, clock - received) if received else now, name, data)
+            for name, data, received in self._polled.take(names)
+        ]
+        for stamp, name, data in sorted(waiting, key=lambda entry: entry[0]):
+            if name == PICTURES and not self._is_picture_due(stamp):
+                continue
+            self._note(name, ReceivedMessage(self._recorded_name(name), stamp, data))
+            if name == "plan_state":
+                self._on_plan_state(deserialize_message(data, PlanState))
+            elif name == "goal_report":
+                self._on_goal_report(deserialize_message(data, GoalReport))
+
+    def _is_picture_due(self, stamp: int) -> bool:
+        rate = self._picture_rate
+        due = rate > 0 and abs(stamp - self._picture_at) >= 1e9 * RATE_SHARE / rate
+        if due:
+            self._picture_at = stamp
+        return due
+
+    def _note(self, name: str, message: ReceivedMessage) -> None:
         """Buffer a message for the current bag or the next one."""
+        seldom = name == "camera/camera_info"
         with self._lock:
             last = self._latched.get(message.topic)
             if seldom and last is not None and message.stamp - last.stamp < 1_000_000_000:
                 return
-            if latched or seldom:
+            if name in STATES or seldom:
                 self._latched[message.topic] = message
             if self._plan is not None:
-                self._waiting.append(message)
+                if message.stamp >= self._bag_begins:
+                    self._waiting.append(message)
                 return
             self._lead.append(message)
             while self._lead[0].stamp < message.stamp - 1e9 * LEAD_S:
@@ -383,6 +399,7 @@ class RunRecorder(CellNode[Parameters]):
         with self._lock:
             lead = list(self._lead)
             first = lead[0].stamp if lead else self._now()
+            self._bag_begins = first
             # Latched messages older than the lead time are written at the start of the bag.
             told = {message.topic for message in lead}
             old = [
@@ -399,26 +416,11 @@ class RunRecorder(CellNode[Parameters]):
         self._planner_received = time.monotonic()
         folder = Path(self._folder).expanduser().absolute()
         self._submit(lambda: self._open(folder, name))
-        if not refused and not self._frames:
-            self._frames = [
-                self._listen(name, kind, images.PICTURES if kind is CameraInfo else _STREAM)
-                for name, kind in FRAMES.items()
-            ]
-            if self._picture_rate > 0:
-                pictures = self.create_subscription(
-                    Image, "camera/image_annotated", self._on_picture, images.PICTURES, raw=True
-                )
-                self._frames.append(pictures)
-
-    def _on_picture(self, data: bytes) -> None:
-        now = time.monotonic()
-        if self._picture_rate <= 0 or now - self._picture_at < 1.0 / self._picture_rate:
-            return
-        self._picture_at = now
-        stamp = self._now()
-        self._submit(lambda: self._keep_picture(data, stamp))
 
     def _tick(self) -> None:
+        self._receive((*STATES, *STREAMS, PICTURES))
+        if self._plan is not None:
+            self._receive(FRAMES)
         now = time.monotonic()
         over = self._ends_at is not None and now >= self._ends_at
         if over or (self._plan is not None and now - self._planner_received > SILENCE_S):
@@ -430,11 +432,8 @@ class RunRecorder(CellNode[Parameters]):
             if self._plan is None:
                 return
             self._plan = self._ends_at = None
-            rest = list(self._waiting)
+            rest = sorted(self._waiting, key=_stamp)
             self._waiting.clear()
-        for subscription in self._frames:
-            self.destroy_subscription(subscription)
-        self._frames = []
         self._submit(lambda: self._close(rest, pictures and self.settings.pictures))
 
     def _submit(self, job: Callable[[], None]) -> None:
@@ -457,7 +456,7 @@ class RunRecorder(CellNode[Parameters]):
 
     def _write_on(self) -> None:
         with self._lock:
-            messages = list(self._waiting)
+            messages = sorted(self._waiting, key=_stamp)
             self._waiting.clear()
         self._write(messages)
 
@@ -471,34 +470,6 @@ class RunRecorder(CellNode[Parameters]):
         except (OSError, CannotRecord) as error:
             self._recording = None
             self._complain(f"recording to {recording.folder} was stopped: {error}")
-
-    def _keep_picture(self, data: bytes, stamp: int) -> None:
-        """Compress an image to JPEG here rather than in the executor's thread, which must not lose
-        messages."""
-        message = deserialize_message(data, Image)
-        try:
-            if message.encoding != "bgr8":
-                raise images.ImageRefused(f"its encoding is '{message.encoding}', not bgr8")
-            rows = np.frombuffer(message.data, dtype=np.uint8)
-            picture = rows.reshape(message.height, message.step)[:, : 3 * message.width]
-            picture = picture.reshape(message.height, message.width, 3)
-            scale = self.settings.picture_width / message.width
-            if scale < 1.0:
-                size = (round(scale * message.width), round(scale * message.height))
-                picture = np.asarray(
-                    cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8
-                )
-            coded, jpeg = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, 85))
-        except (images.ImageRefused, ValueError, cv2.error) as error:
-            self.get_logger().warning(f"an image was not recorded: {error}", once=True)
-            return
-        if coded:
-            small = CompressedImage(header=message.header, format="bgr8; jpeg compressed bgr8")
-            small.data = array.array("B", jpeg.tobytes())
-            recorded = ReceivedMessage(self._picture_topic, stamp, serialize_message(small))
-            with self._lock:
-                if self._plan is not None:
-                    self._waiting.append(recorded)
 
     def _close(self, rest: list[ReceivedMessage], pictures: bool) -> None:
         self._write(rest)
@@ -540,6 +511,10 @@ class RunRecorder(CellNode[Parameters]):
     def _complain(self, sentence: str, expected: bool = False) -> None:
         self._trouble = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
         self.get_logger().error(self._trouble)
+
+
+def _stamp(message: ReceivedMessage) -> int:
+    return message.stamp
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -31,6 +31,7 @@ from tapping_cell.configuration.cell import (
 )
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load, quantity, text
+from tapping_cell.hardware.tapper_boards import numbered
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_identity import claim, key_of
@@ -38,7 +39,7 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import SimulatedDevices
-from tapping_cell.simulation.fixed_devices import FixedDevices, numbered
+from tapping_cell.simulation.fixed_devices import FixedDevices
 from tapping_cell.simulation.pacing import Pace
 from tapping_cell.simulation.pseudo_terminal import PortTakenError
 from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
@@ -113,7 +114,7 @@ class SimWorld(CellNode[Parameters]):
         self._states_publisher = self.create_publisher(ObjectStates, "true_states", 10)
         self._contact_publisher = self.create_publisher(ObjectContact, "true_contacts", 10)
         self.create_service(ResetWorld, "reset_world", self._on_reset)
-        self.create_service(Trigger, "~/press_clear_button", self._on_clear_button)
+        self.create_service(Trigger, self.own_name("~/press_clear_button"), self._on_clear_button)
         self.create_timer(1.0 / self.settings.frame_rate, self._expose)
 
     def configure(self) -> None:

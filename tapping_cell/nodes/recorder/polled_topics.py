@@ -1,0 +1,53 @@
+"""Subscriptions that are read in turns rather than by one callback for each message."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+
+
+class _NeverCalled(CallbackGroup):
+    """Group whose subscriptions the executor does not wait for."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return False: :class:`PolledTopics` takes the messages."""
+        return False
+
+
+class PolledTopics:
+    """Subscriptions whose messages wait in the middleware until they are taken.
+
+    rclpy's executor builds its wait set anew for each message, which costs 0.1 to 0.2 ms. A node
+    that only stores messages can take many at once instead. The middleware keeps as many messages
+    of a topic as the depth of its QoS profile.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._group = _NeverCalled()
+        self._subscriptions: dict[str, Subscription] = {}
+
+    def add(self, kind: type, topic: str, profile: QoSProfile) -> None:
+        """Subscribe to a topic."""
+        self._subscriptions[topic] = self._node.create_subscription(
+            kind, topic, _ignore, profile, callback_group=self._group, raw=True
+        )
+
+    def take(self, topics: Iterable[str]) -> Iterator[tuple[str, bytes, int]]:
+        """Yield topic, serialised message and time of reception (ns, system clock; 0 if unknown)
+        of every message that waits, topic by topic."""
+        for topic in topics:
+            subscription = self._subscriptions[topic]
+            with subscription.handle:
+                while taken := subscription.handle.take_message(subscription.msg_type, True):
+                    data, info = taken
+                    yield topic, data, info["received_timestamp"]
+
+
+def _ignore(_: object) -> None:
+    """Stand for the callback that rclpy requires."""
