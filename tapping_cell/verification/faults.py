@@ -530,6 +530,20 @@ def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, "a joint_trajectory from somebody else"
 
 
+def _unheard_trajectory(rng: np.random.Generator, trial: Trial) -> Made:
+    """The arm follows somebody else's trajectory, of which the planner hears too late, so that it
+    commands a tap that the arm refuses."""
+    follow, words = _trajectory(rng, trial)
+    late, lasting = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.5, 1.0))
+
+    def strike(t: Trial) -> None:
+        t.network.faults.slow["arm_state", "tap_planner"] = late
+        t.scheduler.after(lasting, partial(t.network.hasten, "arm_state", "tap_planner"))
+        follow(t)
+
+    return strike, f"{words}, of which the planner hears {late:.2f} s late"
+
+
 def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
     node = _pick(rng, (*NODES, "camera_pose"))
     step = float(rng.choice((-1.0, 1.0))) * _duration(rng, 0.01, 3600.0)
@@ -699,6 +713,7 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "second node": _second_node,
     "second arm": _second_arm,
     "foreign trajectory": _trajectory,
+    "unheard trajectory": _unheard_trajectory,
     "clock step": _clock_step,
     "serial line": _line,
     "line at a shot": _shot_line,

@@ -274,8 +274,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "leaves before its promise is over",
         "tapping_cell.logic.arm",
-        "partial(arm_jobs.withdraw, plan=plan, not_before=self._promise_end)",
-        "partial(arm_jobs.withdraw, plan=plan, not_before=0.0)",
+        "not_before = self._free_at(now)",
+        "not_before = 0.0",
         "S1",
         kinds=("foreign withdrawal", "cancel", "heard by one"),
     ),
@@ -360,7 +360,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.planner",
         "        elif self._late(now):\n            self._fail(code, sentence",
         "        elif False:\n            self._fail(code, sentence",
-        kinds=("foreign trajectory",),
+        kinds=("unheard trajectory",),
     ),
     Mutant(
         "decides on an object that still slides",
