@@ -572,6 +572,7 @@ def _line(rng: np.random.Generator, trial: Trial) -> Made:
     drawn = random_fault(rng, direction, 0, 3000 if name == "arm" else 1500)
 
     def strike(t: Trial) -> None:
+        t.note_kind(f"serial line of the {name}")
         layer = (t.physical.arm_line if name == "arm" else t.physical.tapper_line).layer
         layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
 
@@ -597,6 +598,7 @@ def _power(rng: np.random.Generator, trial: Trial) -> Made:
     unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), _duration(rng, 0.3, 3.0)
 
     def strike(t: Trial) -> None:
+        t.note_kind(f"loss of power of the {name}")
         if name == "tapper":
             t.interrupt_tapper_power()
             return

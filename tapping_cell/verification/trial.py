@@ -604,6 +604,7 @@ class Trial:
         self.scheduler.after(away, lambda: self._start_again(node))
 
     def _lost_process(self, node: str) -> None:
+        self.note_kind(f"end of {node}")
         if node == "scara_arm":
             self.witness.word_given = False
         if node == "tap_planner":
@@ -712,6 +713,7 @@ class Trial:
 
         Marlin does not report that, so its board loses its power instead.
         """
+        self.note_kind("motors off at the arm")
         if self.cell.arm.dialect == "marlin":
             self.interrupt_arm_power()
             return
@@ -732,6 +734,7 @@ class Trial:
             self.physical.tapper_board.set_motor_power(on, self.scheduler.now)
             self.physical.tapper_line.schedule()
 
+        self.note_kind("motors off at the tapper")
         switch(False)
         self.witness.motor_weak_until = math.inf
         self.scheduler.after(duration, lambda: switch(True))
@@ -741,6 +744,7 @@ class Trial:
         process = self.processes[node]
         if process.alive and self.scheduler.now >= process.frozen_until:
             self.report.by_node[f"stop {node}"] += 1
+            self.note_kind(f"stop of {node}")
             self.witness.stopped_at.setdefault(node, self.scheduler.now)
             if node == "scara_arm":
                 self.witness.word_given = False
