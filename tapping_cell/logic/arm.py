@@ -207,6 +207,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promised_to = NOBODY
         self._promised_for = 0.0
         self._promise_end = -math.inf
+        self._let_go_of = 0
         self._longest_hold = 0.0
         self._outcome_told = 0
         self._charged_until = self._leaving_since = -math.inf
@@ -399,7 +400,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if request.key and asker == self._promised_to and is_shorter:
             # Only the tapper knows the key. It ends the promise when its striker is released or
             # discharged.
-            self._charged_until = -math.inf
+            self._let_go_of, self._charged_until = request.tap_id, -math.inf
             stands = end <= self._promise_end
             self._promise_end = min(self._promise_end, end)
             self._leave_when_free(now)
@@ -448,7 +449,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return None
 
     def _tapper_told(self, message: TapperState, now: Now) -> None:
-        if message.tap_id == self._last_tap_id and message.state in CHARGED:
+        ours = message.tap_id == self._last_tap_id and message.tap_id != self._let_go_of
+        if ours and message.state in CHARGED:
             # Anybody can publish that the striker is not charged, so such a report does not count.
             self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)

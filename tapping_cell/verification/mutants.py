@@ -312,10 +312,10 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "believes anybody that the striker is discharged",
         "tapping_cell.logic.arm",
-        "        if message.tap_id == self._last_tap_id and message.state in CHARGED:\n",
-        "        if message.tap_id == self._last_tap_id and message.state not in CHARGED:\n"
+        "        if ours and message.state in CHARGED:\n",
+        "        if ours and message.state not in CHARGED:\n"
         "            self._charged_until = -math.inf\n"
-        "        elif message.tap_id == self._last_tap_id:\n",
+        "        elif ours:\n",
         kinds=("foreign flood",),
     ),
     Mutant(

@@ -146,6 +146,16 @@ def test_the_arm_leaves_once_the_tapper_that_asked_it_to_stand_still_lets_it_go(
     assert withdraws(pair.arm.on_request("hold_still", over, 2, at(START + 0.35)))
 
 
+def test_a_report_that_arrives_after_the_tapper_has_let_the_arm_go_is_an_old_one() -> None:
+    pair = in_position()
+    for token, duration in ((1, 0.26), (2, 0.0)):
+        request = HoldStill.Request(tap_id=TAP, duration=duration, key=7)
+        pair.arm.on_request("hold_still", request, token, at(START))
+    tell(pair, TapperState.FIRING, START + 0.01)
+    command = pair.command(TapCommand.WITHDRAW, at(START + 0.1))
+    assert withdraws(pair.arm.on_message("tap_command", command, at(START + 0.1)))
+
+
 @given(
     st.floats(0.0, arms.DISCHARGED_S - 0.01),
     st.sampled_from([TapperState.SAFE, TapperState.FAULT, TapperState.DISCONNECTED]),
