@@ -357,17 +357,24 @@ def _send_withdrawal(trial: Trial, tap_id: int) -> None:
 
 def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
     """Another node publishes one state or command a hundred times a second, and may have the arm
-    leave at the end."""
+    leave at the end, of which the tapper hears late."""
     name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
     outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
     number, withdraws = 1 + round(FLOOD_HZ * _duration(rng, 0.02, 0.5)), rng.random() < 0.7
+    late = float(rng.uniform(0.03, 0.6))
 
     def strike(t: Trial) -> None:
         last = max(t.witness.commands, default=0)
         for step in range(number):
             t.scheduler.after(step / FLOOD_HZ, partial(say, t, last))
         if withdraws:
-            t.scheduler.after((number - 0.5) / FLOOD_HZ, partial(_send_withdrawal, t, last))
+            t.scheduler.after((number - 0.5) / FLOOD_HZ, partial(leave, t, last))
+
+    def leave(t: Trial, last: int) -> None:
+        for topic in ("tap_command", "arm_state"):
+            t.network.faults.slow[topic, "tapper_trigger"] = late
+            t.scheduler.after(late, partial(t.network.hasten, topic, "tapper_trigger"))
+        _send_withdrawal(t, last)
 
     def say(t: Trial, last: int) -> None:
         message: TapperState | ArmState | PlanState | TapCommand
