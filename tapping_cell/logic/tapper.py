@@ -22,7 +22,15 @@ from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import enabling, permit, tap_commands, tapper_jobs
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
-from tapping_cell.logic.effects import Call, JobEnded, LogLevel, Message, Publish, Token
+from tapping_cell.logic.effects import (
+    Call,
+    JobEnded,
+    LogLevel,
+    Message,
+    Publish,
+    SeveralServers,
+    Token,
+)
 from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_tapper
 from tapping_cell.logic.host import Configured
@@ -472,6 +480,15 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self.state is not S.CHARGED or tap is None:
             return
         if token != ("hold", tap.tap_id, self._attempts):
+            return
+        if isinstance(response, SeveralServers):
+            self._discharge(
+                (
+                    ErrorCode.CONFIGURATION_CONFLICT,
+                    f"{response.number} arms offer hold_still, but a cell has one; end the other"
+                    " scara_arm, or give each cell a namespace or a ROS domain of its own",
+                )
+            )
             return
         # The promise is counted from the call. The arm handled the call later, so the end of the
         # promise by the arm's own clock is later, too.

@@ -37,6 +37,8 @@ SHARE_AT_THE_SHOT = 0.5
 """Fraction of the goals whose faults all strike just after a certain step of a shot."""
 CLOSE_S = 0.3
 """Maximum time from a moment to its faults."""
+FLOOD_HZ = 100.0
+"""Rate at which a foreign node publishes."""
 CLOSEST_S = 2e-4
 """Minimum time from a step of a shot to its faults; the times are log-uniform up to ``CLOSE_S``."""
 
@@ -328,10 +330,7 @@ def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
         told.outcome = TapperState.NOT_FIRED
         told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
         t.network.publish("somebody_else", "tapper_state", told)
-        command = TapCommand(request=TapCommand.WITHDRAW, tap_id=number)
-        command.header.frame_id = "table"
-        command.header.stamp = to_stamp(t.clocks["tap_planner"].now().ros)
-        t.network.publish("somebody_else", "tap_command", command)
+        _send_withdrawal(t, number)
 
     return strike, (
         f"another node has the arm hold still for {duration:.3f} s, ends it after {later:.3f} s"
@@ -343,13 +342,59 @@ def _foreign_withdrawal(rng: np.random.Generator, trial: Trial) -> Made:
     """Another node withdraws the tap under way."""
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
-        command = TapCommand(request=TapCommand.WITHDRAW, tap_id=last)
-        command.header.frame_id = "table"
-        command.header.stamp = to_stamp(t.clocks["tap_planner"].now().ros)
-        t.network.publish("somebody_else", "tap_command", command)
+        _send_withdrawal(t, max(t.witness.commands, default=0))
 
     return strike, "a foreign WITHDRAW of the present tap"
+
+
+def _send_withdrawal(trial: Trial, tap_id: int) -> None:
+    """Publish a withdrawal of a tap by a node that is not part of the cell."""
+    command = TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id)
+    command.header.frame_id = "table"
+    command.header.stamp = to_stamp(trial.clocks["tap_planner"].now().ros)
+    trial.network.publish("somebody_else", "tap_command", command)
+
+
+def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
+    """Another node publishes one state or command a hundred times a second, and may have the arm
+    leave at the end, of which the tapper hears late."""
+    name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
+    outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
+    number, withdraws = 1 + round(FLOOD_HZ * _duration(rng, 0.02, 0.5)), rng.random() < 0.7
+    late = float(rng.uniform(0.03, 0.6))
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        for step in range(number):
+            t.scheduler.after(step / FLOOD_HZ, partial(say, t, last))
+        if withdraws:
+            t.scheduler.after((number - 0.5) / FLOOD_HZ, partial(leave, t, last))
+
+    def leave(t: Trial, last: int) -> None:
+        for topic in ("tap_command", "arm_state"):
+            t.network.faults.slow[topic, "tapper_trigger"] = late
+            t.scheduler.after(late, partial(t.network.hasten, topic, "tapper_trigger"))
+        _send_withdrawal(t, last)
+
+    def say(t: Trial, last: int) -> None:
+        message: TapperState | ArmState | PlanState | TapCommand
+        if name == "tapper_state":
+            message = TapperState(state=TapperState.SAFE, tap_id=last, outcome=outcome)
+        elif name == "arm_state":
+            message = ArmState(state=ArmState.IN_POSITION, tap_id=last, homed=True)
+            if last:
+                message.tip_pose = t.witness.commands[last].strike_pose
+        elif name == "plan_state":
+            message = PlanState(state=PlanState.FIRING)
+        else:
+            message = TapCommand(request=TapCommand.WITHDRAW)
+        message.header.frame_id = "table"
+        node = "tap_planner" if name in ("plan_state", "tap_command") else "scara_arm"
+        message.header.stamp = to_stamp(t.clocks[node].now().ros)
+        t.network.publish("somebody_else", name, message)
+
+    leaves = ", then withdraws the tap" if withdraws else ""
+    return strike, f"somebody else publishes {name} {number} times at 100 Hz{leaves}"
 
 
 def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
@@ -460,6 +505,21 @@ def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"a foreign {'arm_state: in position' if of_arm else 'plan_state: firing'}"
 
 
+def _second_arm(rng: np.random.Generator, trial: Trial) -> Made:
+    """The arm of another cell in the same ROS domain offers the same services. It is in position,
+    as far as it knows, and grants every request."""
+    lasting = _duration(rng, 0.2, 6.0)
+
+    def strike(t: Trial) -> None:
+        def grant(request: HoldStill.Request, answer: Callable[[HoldStill.Response], None]) -> None:
+            answer(HoldStill.Response(granted=True, duration=request.duration))
+
+        t.network.serve("scara_arm of another cell", "hold_still", grant)
+        t.scheduler.after(lasting, partial(t.network.leave, "scara_arm of another cell"))
+
+    return strike, f"the arm of another cell offers hold_still for {lasting:.1f} s"
+
+
 def _second_node(rng: np.random.Generator, trial: Trial) -> Made:
     node, lasting = _pick(rng, NODES), _duration(rng, 1.0, 20.0)
     return lambda t: t.start_second(node, lasting), f"a second {node} for {lasting:.1f} s"
@@ -475,6 +535,20 @@ def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
         t.network.publish("somebody_else", "joint_trajectory", message)
 
     return strike, "a joint_trajectory from another node"
+
+
+def _unheard_trajectory(rng: np.random.Generator, trial: Trial) -> Made:
+    """The arm follows somebody else's trajectory, of which the planner hears too late, so that it
+    commands a tap that the arm refuses."""
+    follow, words = _trajectory(rng, trial)
+    late, lasting = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.5, 1.0))
+
+    def strike(t: Trial) -> None:
+        t.network.faults.slow["arm_state", "tap_planner"] = late
+        t.scheduler.after(lasting, partial(t.network.hasten, "arm_state", "tap_planner"))
+        follow(t)
+
+    return strike, f"{words}, of which the planner hears {late:.2f} s late"
 
 
 def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
@@ -505,6 +579,7 @@ def _line(rng: np.random.Generator, trial: Trial) -> Made:
     drawn = random_fault(rng, direction, 0, 3000 if name == "arm" else 1500)
 
     def strike(t: Trial) -> None:
+        t.note_kind(f"serial line of the {name}")
         layer = (t.physical.arm_line if name == "arm" else t.physical.tapper_line).layer
         layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
 
@@ -530,6 +605,7 @@ def _power(rng: np.random.Generator, trial: Trial) -> Made:
     unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), _duration(rng, 0.3, 3.0)
 
     def strike(t: Trial) -> None:
+        t.note_kind(f"loss of power of the {name}")
         if name == "tapper":
             t.interrupt_tapper_power()
             return
@@ -638,12 +714,15 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "foreign withdrawal": _foreign_withdrawal,
     "foreign outcome": _foreign_outcome,
     "foreign hold": _foreign_hold,
+    "foreign flood": _foreign_flood,
     "repeated command": _repeated_command,
     "heard by one": _heard_by_one,
     "slow answer": _slow_answer,
     "foreign state": _foreign_state,
     "second node": _second_node,
+    "second arm": _second_arm,
     "foreign trajectory": _trajectory,
+    "unheard trajectory": _unheard_trajectory,
     "clock step": _clock_step,
     "serial line": _line,
     "line at a shot": _shot_line,
@@ -689,7 +768,7 @@ AT_A_SHOT = (
     "duplicates",
     "second client",
     "object turned",
-    *("foreign trajectory", "foreign hold") * 2,
+    *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
 """Kinds of faults around a shot. Those that make two nodes observe different states are repeated,
 so that they are drawn more often."""

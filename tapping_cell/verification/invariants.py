@@ -44,6 +44,9 @@ HOMED_S = 3.0
 last new reading reported as homed, because bytes on the line may be that late."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner exceeds the deadline of a wait."""
+HEARD_S, CARRIED_S = 0.65, 2.5
+"""Time after a report of a charged striker during which the arm must not begin to move, and time
+from the charging beyond which it need not wait any more."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
@@ -115,6 +118,8 @@ class Witness:
     """Time since which the arm has had no valid reference; inf while it has one."""
     unseen_by_tapper: float = 0.0
     """Maximum time for which the tapper itself accepts an unseen object."""
+    charge_heard: float = -math.inf
+    """Time at which the arm's process last received that the striker is charged."""
     _struck_until: float = -math.inf
     """Time at which the last released striker reaches the end of its stroke."""
     _asked_to_move: bool = True
@@ -347,6 +352,7 @@ class Witness:
                     f"the arm began to move {self._struck_until - now:.3f} s before the striker"
                     " can have completed its stroke",
                 )
+            self._check_striker()
             for tap_id, end in self.promises.items():
                 if now < end - ROUNDING_S and tap_id not in self.outcomes:
                     self.violate(
@@ -370,6 +376,19 @@ class Witness:
         if stopped is not None and now > stopped + STOP_MOTION_S:
             self.violate("moves while stopped", f"the arm moves {now - stopped:.2f} s after a stop")
             self.stopped_at["scara_arm"] = math.inf
+
+    def _check_striker(self) -> None:
+        """Check that the arm begins no motion but that to a strike pose with a charged striker."""
+        if self._charged_since is None or self._arm[0] == ArmState.MOVING:
+            return
+        now = self.scheduler.now
+        heard = now - self.charge_heard
+        if heard < HEARD_S and now - self._charged_since < CARRIED_S:
+            self.violate(
+                "carried charged",
+                f"the arm began to move with a charged striker, of which it had heard {heard:.2f} s"
+                " before",
+            )
 
     # Reports
 

@@ -19,7 +19,7 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic import arm_jobs
-from tapping_cell.logic.arm import ArmLogic, ArmOptions
+from tapping_cell.logic.arm import CHARGED, ArmLogic, ArmOptions
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Logic
@@ -617,6 +617,7 @@ class Trial:
         self.scheduler.after(away, lambda: self._start_again(node))
 
     def _lost_process(self, node: str) -> None:
+        self.note_kind(f"end of {node}")
         if node == "scara_arm":
             self.witness.word_given = False
         if node == "tap_planner":
@@ -725,6 +726,7 @@ class Trial:
 
         Marlin does not report that, so its board loses its power instead.
         """
+        self.note_kind("motors off at the arm")
         if self.cell.arm.dialect == "marlin":
             self.interrupt_arm_power()
             return
@@ -745,6 +747,7 @@ class Trial:
             self.physical.tapper_board.set_motor_power(on, self.scheduler.now)
             self.physical.tapper_line.schedule()
 
+        self.note_kind("motors off at the tapper")
         switch(False)
         self.witness.motor_weak_until = math.inf
         self.scheduler.after(duration, lambda: switch(True))
@@ -754,6 +757,7 @@ class Trial:
         process = self.processes[node]
         if process.alive and self.scheduler.now >= process.frozen_until:
             self.report.by_node[f"stop {node}"] += 1
+            self.note_kind(f"stop of {node}")
             self.witness.stopped_at.setdefault(node, self.scheduler.now)
             if node == "scara_arm":
                 self.witness.word_given = False
@@ -855,7 +859,9 @@ class Trial:
         if service == "hold_still" and request.duration > 0:
             self._reached(ARM_ASKED)
 
-    def _on_answer(self, service: str, request: Any, response: Any) -> None:
+    def _on_answer(self, node: str, service: str, request: Any, response: Any) -> None:
+        if node != "scara_arm":
+            return
         self.witness.on_answer(service, request, response)
         if service == "hold_still" and request.duration > 0:
             self._reached(ARM_PROMISED)
@@ -880,6 +886,8 @@ class Trial:
                 self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
         if process == "tap_planner" and topic == "object_state" and message.visible:
             self.witness.seen_moving = not message.at_rest
+        if process == "scara_arm" and topic == "tapper_state" and message.state in CHARGED:
+            self.witness.charge_heard = now
         if topic == "emergency_stop" and message.data:
             self.witness.stopped_at.setdefault(process, now)
             if process == "tapper_trigger":
