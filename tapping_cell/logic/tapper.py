@@ -121,7 +121,7 @@ WIRE = {
 }
 """Value of ``tapper_state`` for each state."""
 SERVING = frozenset({S.WAITING, S.CHARGING, S.CHARGED, S.FIRING, S.DISCHARGING})
-LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.BOARD_RESET)
+LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.PROTOCOL, FaultReason.BOARD_RESET)
 """Faults that a new session with the board ends."""
 OF_THE_TAP = (
     FaultReason.INTERLOCK,
@@ -129,7 +129,6 @@ OF_THE_TAP = (
     FaultReason.SHOT_SPENT,
     FaultReason.OUT_OF_RANGE,
     FaultReason.NOT_ENABLED,
-    FaultReason.PROTOCOL,
 )
 """Faults that end only the present tap. The next tap is accepted once the board has discharged."""
 STOPPED_BOARD = (FaultReason.STOPPED, FaultReason.NEEDS_PERSON)

@@ -12,6 +12,7 @@ from functools import partial
 from typing import Any
 
 import pytest
+from wrong_baud import WrongBaud
 
 from tapping_cell.cli.errors import tell_refusal
 from tapping_cell.configuration.cell import Cell
@@ -141,6 +142,29 @@ def test_ports_that_are_swapped_are_told_by_both_drivers() -> None:
     cell.trial.start()
     cell.read(ErrorCode.ARM_FIRMWARE_UNKNOWN, "answers like", "check the port")
     cell.read(ErrorCode.TAPPER_FIRMWARE_UNKNOWN, "answers like the tapper", "check the port")
+
+
+def test_an_arm_at_another_baud_rate_is_unreadable(cell: ReportedCell) -> None:
+    layer = cell.trial.physical.arm_line.layer
+    layer.emulator = WrongBaud(layer.emulator, 115200, 250000)
+    cell.trial.start()
+    cell.run(4.0)
+    cell.trial.interrupt_arm_power()  # it greets, as most boards do whenever the port is opened
+    cell.read(ErrorCode.ARM_REPLY_GARBLED, "no text", "check arm.baud")
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [("arm", ErrorCode.ARM_REPLY_GARBLED), ("tapper", ErrorCode.TAPPER_REPLY_GARBLED)],
+)
+def test_interference_on_the_line_makes_replies_unreadable(
+    ready_cell: ReportedCell, name: str, code: int
+) -> None:
+    layer, way = getattr(ready_cell.trial.physical, f"{name}_line").layer, Direction.TO_HOST
+    for number in range(2000):
+        byte = layer.count(way) + 3 * number
+        layer.add(LineFault(FaultKind.FLIP, way, byte, bit=number % 7))
+    ready_cell.read(code, f"check {name}.baud", "cable")
 
 
 def test_a_changed_setting_of_the_controller_is_a_conflict(cell: ReportedCell) -> None:
