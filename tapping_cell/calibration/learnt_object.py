@@ -19,8 +19,9 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2, t
 
 from tapping_cell.calibration.csv_table import RecordError
-from tapping_cell.calibration.estimates import Estimate
+from tapping_cell.calibration.estimates import Estimate, floor_estimates
 from tapping_cell.calibration.keep import fingerprints, now
+from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Sliding
@@ -103,6 +104,11 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
             )
     count = int(rows.sum())
     deviations = [float(np.std(error[rows], ddof=2)) for error in errors]
+    place, angle = _parts(predicted(start)[rows], [error[rows] for error in errors])
+    if place is not None and place.floor > 0.0:
+        deviations[0], deviations[2] = place.shares
+    if angle is not None and angle.floor > 0.0:
+        deviations[1] = angle.shares[0]
     weights = np.repeat([deviations[0] / _DISTANCE, deviations[1] / _ROTATION], count)
     steps = 1e-4 * np.eye(2)
     slopes = np.stack(
@@ -124,6 +130,7 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
                 ("distance", "rotation", "direction"), deviations, ("", "", "rad"), strict=True
             )
         ),
+        *floor_estimates(place, angle, content),
         _smallest(content, predicted(start)[rows]),
     )
     value = {entry.name: float(f"{entry.value:.6g}") for entry in estimates if entry.fitted}
@@ -136,6 +143,8 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
             distance=min(value["scatter_distance"], 0.5),
             rotation=min(value["scatter_rotation"], 1.0),
             direction=min(value["scatter_direction"], 0.5),
+            position_floor=min(value.get("scatter_position_floor", 0.0), 0.05),
+            angle_floor=min(value.get("scatter_angle_floor", 0.0), 0.5),
         ),
         smallest_tap=value["smallest_tap"],
         calibration=None,
@@ -172,6 +181,16 @@ def _errors(predicted: Array, measured: Array) -> tuple[Array, Array, Array]:
     cross = predicted[:, 0] * measured[:, 1] - predicted[:, 1] * measured[:, 0]
     direction = np.arctan2(cross, (predicted[:, :2] * measured[:, :2]).sum(axis=1))
     return distance, rotation, np.asarray(wrap_angle(direction))
+
+
+def _parts(predicted: Array, errors: Sequence[Array]) -> tuple[Parts | None, Parts | None]:
+    """Divide the scatter of position and angle into shares and floors."""
+    length, turn = np.hypot(predicted[:, 0], predicted[:, 1]), predicted[:, 2]
+    off = np.hypot(turn, _SLOPE / _ROTATION * length) * errors[1]
+    return (
+        scatter_parts([(np.expm1(errors[0]) * length, length), (errors[2] * length, length)]),
+        scatter_parts([(off, np.abs(turn))]),
+    )
 
 
 def _about(

@@ -53,7 +53,8 @@ class TapScatter:
     """Standard deviations of a tap and of one camera measurement.
 
     ``distance`` and ``rotation`` are relative, ``direction`` and ``camera_angle`` in rad,
-    ``camera_position`` in m.
+    ``camera_position`` in m. ``position_floor`` (m) and ``angle_floor`` (rad) are the parts that do
+    not decrease with the size of the tap.
     """
 
     distance: float
@@ -61,6 +62,8 @@ class TapScatter:
     direction: float
     camera_position: float
     camera_angle: float
+    position_floor: float = 0.0
+    angle_floor: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,16 +125,16 @@ def fit_mount(
             f"{1e3 * LEAST_MOVE:.0f} mm or more; at least {LEAST_TAPS} are needed"
         )
     speeds, before, moved, size = speeds[used], before[used], moved[used], size[used]
-    camera_noise = math.sqrt(2.0) * scatter.camera_position / size
+    place = math.hypot(math.sqrt(2.0) * scatter.camera_position, scatter.position_floor) / size
     weight = np.stack(
         [
-            np.hypot(scatter.direction, camera_noise),
+            np.hypot(scatter.direction, place),
             np.hypot(
                 math.hypot(scatter.rotation, scatter.distance)
                 * np.maximum(np.abs(moved[:, 2] / size), 0.5),
-                math.sqrt(2.0) * scatter.camera_angle / size,
+                math.hypot(math.sqrt(2.0) * scatter.camera_angle, scatter.angle_floor) / size,
             ),
-            np.hypot(scatter.distance, camera_noise),
+            np.hypot(scatter.distance, place),
         ],
         axis=-1,
     )

@@ -40,6 +40,7 @@ from typing import TYPE_CHECKING, Any
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import tell_refusal
 from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
+from tapping_cell.cli.evaluate_scatter import add_scatter_arguments, scatter_of
 
 if TYPE_CHECKING:
     from tapping_cell.cli.sweep import Point
@@ -91,15 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("MM", "DEG"),
         help="position and angle tolerance of the goal, in mm and degrees (default: 1 1)",
     )
-    numbers(
-        "--scatter",
-        type=float,
-        nargs=3,
-        default=(5.0, 15.0, 1.0),
-        metavar=("D", "R", "A"),
-        help="standard deviations of a tap: distance in percent, rotation in percent, direction "
-        "in degrees (default: 5 15 1)",
-    )
+    add_scatter_arguments(parser)
     numbers(
         "--camera-noise",
         type=float,
@@ -447,12 +440,11 @@ def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, 
 
 
 def _settings(arguments: argparse.Namespace) -> PlannerSettings:
-    from tapping_cell.planning import CameraNoise, PlannerSettings, Scatter
+    from tapping_cell.planning import CameraNoise, PlannerSettings
 
-    share, turn, direction = arguments.scatter
     line = arguments.error_line
     return PlannerSettings(
-        scatter=Scatter(share / 100.0, turn / 100.0, math.radians(direction)),
+        scatter=scatter_of(arguments),
         camera=CameraNoise(
             1e-3 * arguments.camera_noise[0], math.radians(arguments.camera_noise[1])
         ),

@@ -25,8 +25,6 @@ from tapping_cell.nodes.cell_identity import STATE, cell_key, claim
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 
-FIRST_TRIGGER = "tapper_trigger"
-
 RECORDER = "run_recorder"
 """Recorder of every goal. The cell works without it, so its end does not end the graph."""
 
@@ -47,17 +45,11 @@ _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
 
 
 def nodes_of(cell: Cell, *, hardware: bool) -> tuple[str, ...]:
-    """Return the nodes of a cell: the arm's driver if there is an arm, one ``tapper_trigger`` per
-    board."""
+    """Return the nodes of a cell: the arm's driver only if there is an arm."""
     nodes: tuple[str, ...] = HARDWARE if hardware else SIMULATED
     if cell.file.arm is None:
         nodes = tuple(name for name in nodes if name != "scara_arm")
-    return (*nodes, *(trigger(board) for board in range(1, len(cell.boards))))
-
-
-def trigger(board: int) -> str:
-    """Return the name of the node that drives a board."""
-    return f"{FIRST_TRIGGER}_{board}" if board else FIRST_TRIGGER
+    return nodes
 
 
 class GraphError(RuntimeError):
@@ -163,13 +155,9 @@ class Graph:
         self.stop()
 
     def _start(self, name: str) -> Child:
-        of_board = name.removeprefix(f"{FIRST_TRIGGER}_")
-        kind = FIRST_TRIGGER if of_board != name else name
-        command = [sys.executable, "-m", MODULES[kind], "--ros-args"]
-        if kind != name:
-            command += ["-r", f"__node:={name}", "-p", f"board:={of_board}"]
+        command = [sys.executable, "-m", MODULES[name], "--ros-args"]
         if security.is_enabled(self._environment):
-            command += ["--enclave", security.enclave_of(kind)]
+            command += ["--enclave", security.enclave_of(name)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
             # Two cells use the same frame names, so each has its own tf topics.
@@ -287,9 +275,8 @@ def with_own_ports(
     own["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
     if "scara_arm" in own:
         own["scara_arm"] |= {"port": ports / "arm", "home_on_activate": True}
-    for name in own:
-        if name.startswith(FIRST_TRIGGER):
-            own[name]["port"] = ports / name.replace(FIRST_TRIGGER, "tapper")
+    if "tapper_trigger" in own:
+        own["tapper_trigger"]["port"] = ports / "tapper"
     return own
 
 

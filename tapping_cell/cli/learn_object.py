@@ -260,8 +260,8 @@ def _numbers(entry: Estimate) -> dict[str, float | None]:
 def _line(entry: Estimate) -> str:
     unit = f" {entry.unit}" if entry.unit else ""
     if not entry.fitted:
-        return f"  {entry.name:<18} not determined by these taps; kept at {entry.value:.4g}{unit}"
+        return f"  {entry.name:<22} not determined by these taps; kept at {entry.value:.4g}{unit}"
     return (
-        f"  {entry.name:<18} {entry.value:.4g}{unit}   95 %: {entry.low:.4g} to {entry.high:.4g}"
+        f"  {entry.name:<22} {entry.value:.4g}{unit}   95 %: {entry.low:.4g} to {entry.high:.4g}"
         f"   (before: {entry.old:.4g})"
     )

@@ -25,13 +25,11 @@ from rich.markup import escape
 from tapping_cell.cli import argument_types, start_up
 from tapping_cell.cli.errors import ExitStatus, tell_error, tell_refusal
 from tapping_cell.cli.graph import (
-    FIRST_TRIGGER,
     RECORDER,
     Graph,
     GraphError,
     domain_number,
     nodes_of,
-    trigger,
     with_own_ports,
 )
 from tapping_cell.cli.session import end_on_signals
@@ -337,7 +335,7 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         "camera_pose": files,
         "tap_planner": dict(files),
         **({} if cell.file.arm is None else {"scara_arm": dict(files)}),
-        **{trigger(board): dict(place) for board in range(len(cell.boards))},
+        "tapper_trigger": dict(place),
         RECORDER: {**files, **seed},
     }
     if arguments.truth:
@@ -360,7 +358,7 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         }
     if getattr(arguments, "set_up", False):
         for name in parameters:
-            if name == "scara_arm" or name.startswith(FIRST_TRIGGER):
+            if name in ("scara_arm", "tapper_trigger"):
                 parameters[name]["set_up"] = True
     if getattr(arguments, "camera", None):
         parameters["overhead_camera"]["source"] = arguments.camera

@@ -32,6 +32,7 @@ from tapping_cell.hardware.motion import MotionSettings
 from tapping_cell.hardware.output_tapper import OutputTapperSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.serial_chain import SerialChain, pose_matrix
+from tapping_cell.hardware.tapper_boards import CHANNELS_PER_BOARD, cell_channel
 from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
@@ -569,7 +570,9 @@ class FixedTapperSection:
         "centre of the tip at rest, in the frame table: x, y", "m", -5.0, 5.0
     )
     direction: float = quantity("direction of the striker's travel, in table", "rad", -7.0, 7.0)
-    channel: int = quantity("channel of the tapper on its board", "", 0, 31, default=0)
+    channel: int = quantity(
+        "channel of the tapper on its board", "", 0, CHANNELS_PER_BOARD - 1, default=0
+    )
     port: str | None = text(
         "serial port of the tapper's board; tapper.port if left out", default=None
     )
@@ -774,6 +777,15 @@ class Cell:
             Board(port, dict(sorted(names.items(), key=lambda pair: pair[1])))
             for port, names in ports.items()
         )
+
+    @property
+    def tapper_channels(self) -> dict[str, int]:
+        """Channel number of every tapper by name, counted across the boards."""
+        return {
+            name: cell_channel(index, channel)
+            for index, board in enumerate(self.boards)
+            for name, channel in board.channels.items()
+        }
 
     @property
     def strike_height(self) -> float:

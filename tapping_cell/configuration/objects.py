@@ -136,6 +136,20 @@ class ScatterSection:
     direction: float = quantity(
         "standard deviation of the direction of a tap", "rad", 0.0, 0.5, default=math.radians(1.0)
     )
+    position_floor: float = quantity(
+        "standard deviation of the end of a tap, along and across, that remains for small taps",
+        "m",
+        0.0,
+        0.05,
+        default=0.0,
+    )
+    angle_floor: float = quantity(
+        "standard deviation of the rotation by a tap that remains for small rotations",
+        "rad",
+        0.0,
+        0.5,
+        default=0.0,
+    )
 
 
 @dataclass(frozen=True, slots=True)

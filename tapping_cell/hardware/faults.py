@@ -27,6 +27,7 @@ class FaultReason(Enum):
     POSITION_MISMATCH = "position_mismatch"
     POSITION_LOST = "position_lost"
     STRIKER_AWAY = "striker_away"
+    OTHER_ACTIVE = "other_active"
     INTERLOCK = "interlock"
     SHOT_SPENT = "shot_spent"
     NEEDS_PERSON = "needs_person"

@@ -151,6 +151,11 @@ class TapperDriver:
         return self._boot is not None and self._transport.is_open
 
     @property
+    def port(self) -> str:
+        """Name of the line, for messages."""
+        return self._transport.name
+
+    @property
     def version(self) -> str:
         """Firmware version; empty before the first connect."""
         return self._version

@@ -251,7 +251,7 @@ class PlannerLogic:
             self._configured = True
             cell = self.goals.cell
             self._has_arm = cell.file.arm is not None
-            self._monitor.expect(self._has_arm, [list(board.channels) for board in cell.boards])
+            self._monitor.expect(self._has_arm)
             if event.kept_goal is not None:
                 self._recall(event, now)
         elif isinstance(event, Activated):

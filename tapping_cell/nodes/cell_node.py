@@ -100,7 +100,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
-        self.role = self.role_of(name)
+        self.role = name
         """Name of the node unless ``__node:=`` gives it another name."""
         self.active = False
         """True while the node may act."""
@@ -132,10 +132,6 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         return super().create_subscription(*arguments, **options)
 
     # Methods that a subclass overrides
-
-    def role_of(self, executable: str) -> str:
-        """Return the node's role in the cell, given the name of its executable."""
-        return executable
 
     def configure(self) -> None:
         """Read files and open ports. Raises NotReady or ConfigurationError."""

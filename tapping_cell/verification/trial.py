@@ -94,7 +94,6 @@ HEARS = {
     "tapper_trigger": (
         "tap_command",
         "arm_state",
-        "tapper_state",
         "plan_state",
         "object_state",
         "object_states",
@@ -339,19 +338,19 @@ class Trial:
 
         limits = PeerLimits(unseen=unseen)
         programs: dict[
-            str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], SerialLine | None]
+            str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], tuple[SerialLine, ...]]
         ] = {
-            "tap_planner": (lambda: (PlannerLogic(self.settings), None), planner_connect, None),
-            "scara_arm": (arm, arm_connect, arm_line),
+            "tap_planner": (lambda: (PlannerLogic(self.settings), None), planner_connect, ()),
+            "scara_arm": (arm, arm_connect, (arm_line,)),
             "tapper_trigger": (
                 tapper,
                 lambda driver, patience, _: driver.connect(timeout=patience),
-                tapper_line,
+                (tapper_line,),
             ),
         }
         return {
-            name: Program(make, connect, cell, HEARS[name], SERVES[name], line)
-            for name, (make, connect, line) in programs.items()
+            name: Program(make, connect, cell, HEARS[name], SERVES[name], lines)
+            for name, (make, connect, lines) in programs.items()
         }
 
     # One run

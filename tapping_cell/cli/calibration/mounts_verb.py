@@ -178,6 +178,8 @@ def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
         scatter.direction,
         camera.position_noise,
         camera.angle_noise,
+        scatter.position_floor,
+        scatter.angle_floor,
     )
     fits: list[MountFit] = []
     too_few: list[str] = []

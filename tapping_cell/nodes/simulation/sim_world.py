@@ -31,6 +31,7 @@ from tapping_cell.configuration.cell import (
 )
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load, quantity, text
+from tapping_cell.hardware.tapper_boards import numbered
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_identity import claim, key_of
@@ -38,7 +39,7 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import SimulatedDevices
-from tapping_cell.simulation.fixed_devices import FixedDevices, numbered
+from tapping_cell.simulation.fixed_devices import FixedDevices
 from tapping_cell.simulation.pacing import Pace
 from tapping_cell.simulation.pseudo_terminal import PortTakenError
 from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
