@@ -1,14 +1,16 @@
 """Error codes made to happen in the simulated cell, in virtual time, as a technician reads them.
 
 Each scenario ends with a code on a published state or on a goal's result, and checks that its
-sentence names what is wrong.
+sentence names what is wrong. ``test_every_code_is_named_in_a_test`` finds codes without a test.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +20,7 @@ from tapping_cell.cli.errors import tell_refusal
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.tapper_boards import TapperBoards, cell_channel
 from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.error_codes import of_tapper
@@ -38,6 +41,7 @@ from tapping_cell.verification.serial_line import SerialLine
 from tapping_cell.verification.trial import Trial
 
 START, GOAL = Pose(0.0, 0.0, 0.0), Pose(0.04, -0.02, 0.3)
+TESTS = Path(__file__).resolve().parents[2]
 LONG_S = 90.0
 
 
@@ -268,7 +272,7 @@ def test_more_frames_than_the_camera_delivers_are_too_few(cell: ReportedCell) ->
 def test_a_tapper_that_is_charged_for_somebody_else_is_busy_for_a_goal(state: int) -> None:
     """Only the boards of a cell without an arm show it: with one, the arm is busy as well."""
     monitor = CellMonitor(silence_limit=0.5)
-    monitor.expect(False, [["east"]])
+    monitor.expect(has_arm=False)
     monitor.on_tapper(TapperState(state=state, tappers=["east"]), Now(1.0, 10**9))
     missing = monitor.missing(Now(1.1, 1_100_000_000))
     assert missing == (ErrorCode.TAPPER_BUSY, "the tapper is busy")
@@ -282,3 +286,27 @@ def test_a_planner_that_does_not_exist_is_refused_with_the_known_ones(
     tell_refusal(caught.value)
     printed = capsys.readouterr().err
     assert f"({ErrorCode.PLANNER_UNKNOWN})" in printed and "exact" in printed
+
+
+def test_a_board_that_is_charged_keeps_the_other_from_charging() -> None:
+    clock = VirtualClock()
+    layers = [FaultLayer(TapperEmulator(TapperMachine(coils=4))) for _ in range(2)]
+    drivers = [
+        TapperDriver(VirtualTransport(layer, clock, f"port {number}"))
+        for number, layer in enumerate(layers)
+    ]
+    boards = TapperBoards(drivers)
+    boards.connect()
+    boards.home()
+    drivers[0].charge(1, 0.01)
+    with pytest.raises(HardwareFault, match="port 0 is not at rest") as caught:
+        boards.charge(2, 0.01, channel=cell_channel(1, 0))
+    assert of_tapper(caught.value) == ErrorCode.TAPPER_OTHER_ACTIVE
+    assert "one tapper at a time" in str(caught.value)
+
+
+def test_every_code_is_named_in_a_test() -> None:
+    """A new code must be made to happen by a test."""
+    text = "\n".join(path.read_text() for path in TESTS.rglob("*.py"))
+    codes = {name for name, value in vars(ErrorCode).items() if isinstance(value, int)}
+    assert codes - {"NONE"} - set(re.findall(r"\b[A-Z][A-Z_]+\b", text)) == set()
