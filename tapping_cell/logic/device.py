@@ -44,8 +44,13 @@ FIRST_PATIENCE_S = 1.0
 """Timeout of the first attempt to open a port and receive a reply."""
 LONGEST_PATIENCE_S = 6.0
 """Maximum of this timeout. It is doubled after each attempt without a reply, because opening a port
-restarts many boards, and some of them take seconds to start."""
-MUTE = (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT, FaultReason.NEEDS_PERSON)
+restarts many boards, and some of them take seconds."""
+MUTE = (
+    FaultReason.UNKNOWN_FIRMWARE,
+    FaultReason.TIMEOUT,
+    FaultReason.PROTOCOL,
+    FaultReason.NEEDS_PERSON,
+)
 LOST = (FaultReason.DISCONNECTED, FaultReason.PORT_MISSING, FaultReason.PORT_BUSY)
 CONTINUE = (ErrorCode.NONE, "")
 

@@ -129,8 +129,8 @@ WIRE = {
 }
 """Value of ``tapper_state`` for each state."""
 SERVING = frozenset({S.WAITING, S.CHARGING, S.CHARGED, S.FIRING, S.DISCHARGING})
-LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.BOARD_RESET)
-"""Faults that end when a new session with the board begins."""
+LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.PROTOCOL, FaultReason.BOARD_RESET)
+"""Faults that a new session with the board ends."""
 OF_THE_TAP = (
     FaultReason.INTERLOCK,
     FaultReason.REJECTED,
@@ -138,7 +138,6 @@ OF_THE_TAP = (
     FaultReason.OUT_OF_RANGE,
     FaultReason.NOT_ENABLED,
     FaultReason.OTHER_ACTIVE,
-    FaultReason.PROTOCOL,
 )
 """Faults that end only the present tap. The next tap is accepted once the board has discharged."""
 STOPPED_BOARD = (FaultReason.STOPPED, FaultReason.NEEDS_PERSON)
