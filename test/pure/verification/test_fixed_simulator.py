@@ -28,17 +28,17 @@ def test_the_same_seed_gives_the_same_trace() -> None:
 def test_without_faults_every_goal_is_reached(seed: int) -> None:
     trial = FixedTrial(seed, faults=False, mix=MIX)
     assert len(trial.physical.boards) == 1 + seed
-    report = trial.run(3)
+    report = trial.run(2)
     assert report.violations == []
     assert trial.in_haste or {goal.code for goal in report.outcomes} == {ErrorCode.NONE}
-    assert report.releases >= 3
+    assert report.releases >= 2
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
-    report = run_trial(2000 + seed, 6, mix=MIX)
+    report = run_trial(2000 + seed, 4, mix=MIX)
     assert report.violations == []
-    assert len(report.outcomes) == 6
+    assert len(report.outcomes) == 4
 
 
 def test_the_invariants_notice_what_they_forbid() -> None:
