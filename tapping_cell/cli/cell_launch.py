@@ -1,6 +1,6 @@
 """Common parts of both files in the folder ``launch``: arguments, nodes and the arm's description.
 
-Only ``ros2 launch`` imports this module. Without it, use ``python -m tapping_cell up`` instead.
+Only ``ros2 launch`` imports this module. Without ROS's launch, use ``python -m tapping_cell up``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ COMMON = {
         "address of the page; 0.0.0.0 for the whole network, with a token",
     ),
     "page_port": ("8010", "port of the page"),
-    "page_stop_port": ("9010", "port of the page's STOP"),
+    "page_stop_port": ("9010", "port of the page's dedicated connection for STOP"),
     "description": ("true", "start robot_state_publisher with the URDF, if it is installed"),
 }
 """Arguments of every launch file: default and description."""
@@ -147,13 +147,9 @@ def _describe(
     links on /tf from its joint states, for RViz and Foxglove."""
     if not _has_state_publisher():
         return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
-    if cell.file.arm is not None and cell.arm.chain() is not None:
-        return [LogInfo(msg="the arm has a URDF of its own, which its own driver describes")]
-    text = (
-        mounted_tappers_urdf(cell.mounted_tappers())
-        if cell.file.arm is None
-        else urdf(cell.arm.geometry())
-    )
+    cell = load_cell(cell_file or None)
+    if cell.arm.chain() is not None:
+        return [LogInfo(msg="the arm has a URDF of its own, which its own driver publishes")]
     return [
         Node(
             package="robot_state_publisher",
@@ -174,5 +170,5 @@ def _has_state_publisher() -> bool:
 
 
 def _own_frames(namespace: str) -> list[tuple[str, str]]:
-    """Return remappings of /tf and /tf_static into the namespace: all cells use the same frames."""
+    """Return remappings of /tf and /tf_static into the namespace. All cells use the same frames."""
     return [("/tf", "tf"), ("/tf_static", "tf_static")] if namespace else []

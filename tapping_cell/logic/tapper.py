@@ -362,7 +362,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self._set_up and not self._enabling.held(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
-            return ErrorCode.TAPPER_COMMAND_EXPIRED, "its expiry has passed"
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, tap_commands.overdue(command, now)
         speed, curve = command.striker_speed, self._curves[tapper]
         if math.isfinite(speed) and not curve.slowest <= speed <= curve.fastest:
             return (

@@ -419,9 +419,13 @@ class Trial:
 
     def bring_up(self) -> None:
         """Start every node and wait until the cell is ready for a goal."""
+        self.start()
+        self.recover()
+
+    def start(self) -> None:
+        """Start every node."""
         for process in self.processes.values():
             process.start()
-        self.recover()
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
         """Draw a goal in the central area of the table."""

@@ -11,6 +11,7 @@ import numpy as np
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.task import End, Results
+from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
@@ -161,17 +162,9 @@ def _answer(
     hit = tapper.tap.strike(pose, line, speed)
     if bool(hit.missed) or not 0.0 <= float(hit.travel) <= tapper.stroke:
         return np.zeros(3)
-    scatter, noise = settings.scatter, rng.standard_normal(3)
-    moved = hit.displacement
-    length = float(np.hypot(moved[0], moved[1])) * (1.0 + scatter.distance * noise[0])
-    heading = math.atan2(moved[1], moved[0]) + scatter.direction * noise[2]
-    return np.array(
-        [
-            length * math.cos(heading),
-            length * math.sin(heading),
-            float(moved[2]) * (1.0 + scatter.rotation * noise[1]),
-        ]
-    )
+    gains = np.array([[1.0, 1.0, 0.0, 0.0]])
+    moved = scattered(hit.displacement[None, :], gains, pose[None, :], settings.scatter, rng)
+    return np.asarray(moved[0])
 
 
 def _decide(
