@@ -147,9 +147,13 @@ def _describe(
     links on /tf from its joint states, for RViz and Foxglove."""
     if not _has_state_publisher():
         return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
-    cell = load_cell(cell_file or None)
-    if cell.arm.chain() is not None:
+    if cell.file.arm is not None and cell.arm.chain() is not None:
         return [LogInfo(msg="the arm has a URDF of its own, which its own driver publishes")]
+    text = (
+        mounted_tappers_urdf(cell.mounted_tappers())
+        if cell.file.arm is None
+        else urdf(cell.arm.geometry())
+    )
     return [
         Node(
             package="robot_state_publisher",
