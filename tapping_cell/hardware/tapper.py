@@ -151,6 +151,10 @@ class TapperDriver:
         """True if a session is open, as far as is known."""
         return self._boot is not None and self._transport.is_open
 
+    def now(self) -> float:
+        """Return the time of the host's steady clock, s."""
+        return self._transport.now()
+
     @property
     def port(self) -> str:
         """Name of the line, for messages."""

@@ -46,10 +46,12 @@ CLOSEST_S = 2e-4
 @dataclass(frozen=True, slots=True)
 class Mix:
     """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is named
-    several times is drawn more often. ``mean``: mean number of faults per goal."""
+    several times is drawn more often. ``mean``: mean number of faults per goal. ``fixed``: whether
+    they strike a cell with fixed tappers."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
+    fixed: bool = False
 
 
 ALL = Mix()
@@ -119,21 +121,21 @@ def draw_faults(
     only, mean = mix.only, mix.mean
     number = 1 + int(rng.poisson(mean - 1)) if at_the_shot else int(rng.poisson(mean))
     place = 0.0 if at_the_shot else rng.random()
-    moment, kinds, closest = None, KINDS, 0.0
+    moment, kinds, closest = None, tuple(trial.makers), 0.0
     if place < SHARE_AT_THE_SHOT:
-        name = _pick(rng, OF_A_SHOT)
+        name = _pick(rng, trial.of_a_shot)
         times = 1 if at_the_shot or rng.random() < 0.7 else 2
-        moment, kinds, closest = Moment(name, times), AT_A_SHOT, CLOSEST_S
+        moment, kinds, closest = Moment(name, times), trial.at_a_shot, CLOSEST_S
     elif place < SHARE_AT_THE_SHOT + SHARE_AT_A_MOMENT:
-        moment = Moment(_pick(rng, MOMENTS), int(rng.integers(1, 3)))
+        moment = Moment(_pick(rng, trial.moments), int(rng.integers(1, 3)))
     if only:
         kinds = tuple(kind for kind in only if kind in kinds) or only
     faults = []
     for _ in range(number):
         kind = _pick(rng, kinds)
-        strike, words = MAKERS[kind](rng, trial)
+        strike, words = trial.makers[kind](rng, trial)
         if closest:
-            time = _duration(rng, closest, CLOSE_S)
+            time = draw_duration(rng, closest, CLOSE_S)
         else:
             time = float(rng.uniform(0.0, SPAN_S if moment is None else CLOSE_S))
         faults.append(Fault(kind, time, strike, words, moment))
@@ -141,9 +143,10 @@ def draw_faults(
 
 
 Made = tuple[Callable[["Trial"], None], str]
+Maker = Callable[[np.random.Generator, "Trial"], Made]
 
 
-def _duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
+def draw_duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
     """Draw a log-uniform duration between the two limits, s."""
     return float(math.exp(rng.uniform(math.log(shortest), math.log(longest))))
 
@@ -156,20 +159,20 @@ NODES = ("tap_planner", "scara_arm", "tapper_trigger")
 
 
 def _freeze(rng: np.random.Generator, trial: Trial) -> Made:
-    node, duration = _pick(rng, (*NODES, "camera_pose")), _duration(rng, 0.001, 5.0)
+    node, duration = _pick(rng, (*trial.nodes, "camera_pose")), draw_duration(rng, 0.001, 5.0)
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
 
 
 def _freeze_at_shot(rng: np.random.Generator, trial: Trial) -> Made:
     """Freeze a node for about as long as the arm promises to stand still."""
-    node = _pick(rng, ("tapper_trigger", "tapper_trigger", "scara_arm", "tap_planner"))
+    node = _pick(rng, ("tapper_trigger", "tapper_trigger", trial.arm_node, "tap_planner"))
     duration = float(rng.uniform(0.02, 0.6))
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
 
 
 def _freeze_before_write(rng: np.random.Generator, trial: Trial) -> Made:
-    node = _pick(rng, ("tapper_trigger", "tapper_trigger", "scara_arm"))
-    writes, duration = int(rng.integers(0, 60)), _duration(rng, 0.005, 3.0)
+    node = _pick(rng, ("tapper_trigger", "tapper_trigger", trial.arm_node))
+    writes, duration = int(rng.integers(0, 60)), draw_duration(rng, 0.005, 3.0)
 
     def strike(t: Trial) -> None:
         t.processes[node].freeze_before_write = (writes, duration)
@@ -178,7 +181,7 @@ def _freeze_before_write(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _freeze_at_write(rng: np.random.Generator, trial: Trial) -> Made:
-    writes, duration = int(rng.integers(0, 4)), _duration(rng, 0.02, 3.0)
+    writes, duration = int(rng.integers(0, 4)), draw_duration(rng, 0.02, 3.0)
 
     def strike(t: Trial) -> None:
         t.processes["tapper_trigger"].freeze_before_write = (writes, duration)
@@ -187,7 +190,7 @@ def _freeze_at_write(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _freeze_after_check(rng: np.random.Generator, trial: Trial) -> Made:
-    duration = _duration(rng, 0.005, 3.0)
+    duration = draw_duration(rng, 0.005, 3.0)
 
     def strike(t: Trial) -> None:
         t.processes["tapper_trigger"].freeze_after_check = duration
@@ -196,17 +199,17 @@ def _freeze_after_check(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _kill(rng: np.random.Generator, trial: Trial) -> Made:
-    node, away = _pick(rng, (*NODES, "camera_pose")), _duration(rng, 0.2, 25.0)
+    node, away = _pick(rng, (*trial.nodes, "camera_pose")), draw_duration(rng, 0.2, 25.0)
     return lambda t: t.kill(node, away), f"{node} killed, back after {away:.1f} s"
 
 
 def _restart(rng: np.random.Generator, trial: Trial) -> Made:
-    node, away = _pick(rng, NODES), _duration(rng, 0.2, 5.0)
-    return lambda t: t.shut_down(node, away), f"{node} shut down, back after {away:.1f} s"
+    node, away = _pick(rng, trial.nodes), draw_duration(rng, 0.2, 5.0)
+    return lambda t: t.shut_down(node, away), f"{node} ended in order, back after {away:.1f} s"
 
 
 def _deactivate(rng: np.random.Generator, trial: Trial) -> Made:
-    node, away = _pick(rng, NODES), _duration(rng, 0.05, 5.0)
+    node, away = _pick(rng, trial.nodes), draw_duration(rng, 0.05, 5.0)
 
     def strike(t: Trial) -> None:
         t.processes[node].lifecycle(Deactivated())
@@ -230,7 +233,7 @@ LINKS = {
 def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
     topic = _pick(rng, tuple(LINKS))
     towards = _pick(rng, LINKS[topic])
-    delay, lasting = _duration(rng, 0.01, 2.0), _duration(rng, 0.2, 6.0)
+    delay, lasting = draw_duration(rng, 0.01, 2.0), draw_duration(rng, 0.2, 6.0)
 
     def strike(t: Trial) -> None:
         t.network.faults.slow[topic, towards] = delay
@@ -240,7 +243,7 @@ def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _duplicates(rng: np.random.Generator, trial: Trial) -> Made:
-    lasting = _duration(rng, 0.5, 8.0)
+    lasting = draw_duration(rng, 0.5, 8.0)
 
     def strike(t: Trial) -> None:
         t.network.faults.duplicates = 0.3
@@ -311,7 +314,7 @@ def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
     """Another node has the arm hold still for a tap, ends that promise early, reports that the tap
     is over, and withdraws it; only the arm receives this withdrawal immediately."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
-    later, late = _duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
+    later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends = rng.random() < 0.7
 
     def strike(t: Trial) -> None:
@@ -413,7 +416,7 @@ def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
     delays = {("hold_still", way): float(rng.uniform(0.0, 0.2)) for way in ("request", "answer")}
     if rng.random() < 0.5:
         delays.pop(("hold_still", _pick(rng, ("request", "answer"))))
-    lasting = _duration(rng, 0.2, 6.0)
+    lasting = draw_duration(rng, 0.2, 6.0)
 
     def strike(t: Trial) -> None:
         t.network.faults.slow.update(delays)
@@ -456,7 +459,7 @@ def _motors_off(rng: np.random.Generator, trial: Trial) -> Made:
     """The motors of a board lose their power and therefore their position."""
     if rng.random() < 0.5:
         return lambda t: t.turn_arm_motors_off(), "the arm's motors lose their power"
-    lasting = _duration(rng, 0.05, 3.0)
+    lasting = draw_duration(rng, 0.05, 3.0)
     return lambda t: t.turn_tapper_motor_off(lasting), (
         f"the tapper's motor has no power for {lasting:.2f} s"
     )
@@ -471,7 +474,7 @@ def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
     kinds = (FaultKind.DROP, FaultKind.STALL, FaultKind.HANG_UP, FaultKind.DELAY, FaultKind.DELAY)
     kind = kinds[int(rng.integers(len(kinds)))]
     direction = list(Direction)[int(rng.integers(2))]
-    length, lasting = int(rng.integers(30, 2000)), _duration(rng, 0.02, 1.0)
+    length, lasting = int(rng.integers(30, 2000)), draw_duration(rng, 0.02, 1.0)
 
     def strike(t: Trial) -> None:
         layer = t.physical.tapper_line.layer
@@ -521,7 +524,7 @@ def _second_arm(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _second_node(rng: np.random.Generator, trial: Trial) -> Made:
-    node, lasting = _pick(rng, NODES), _duration(rng, 1.0, 20.0)
+    node, lasting = _pick(rng, trial.nodes), draw_duration(rng, 1.0, 20.0)
     return lambda t: t.start_second(node, lasting), f"a second {node} for {lasting:.1f} s"
 
 
@@ -552,10 +555,10 @@ def _unheard_trajectory(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
-    node = _pick(rng, (*NODES, "camera_pose"))
-    step = float(rng.choice((-1.0, 1.0))) * _duration(rng, 0.01, 3600.0)
+    node = _pick(rng, (*trial.nodes, "camera_pose"))
+    step = float(rng.choice((-1.0, 1.0))) * draw_duration(rng, 0.01, 3600.0)
 
-    lasting = _duration(rng, 0.1, 30.0)
+    lasting = draw_duration(rng, 0.1, 30.0)
 
     def strike(t: Trial) -> None:
         t.clocks[node].offset += step
@@ -602,7 +605,7 @@ def _shot_line(rng: np.random.Generator, trial: Trial) -> Made:
 def _power(rng: np.random.Generator, trial: Trial) -> Made:
     """A board loses its power for a moment; if it is unplugged, its port disappears as well."""
     name, way = _pick(rng, ("arm", "tapper")), Direction.TO_HOST
-    unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), _duration(rng, 0.3, 3.0)
+    unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), draw_duration(rng, 0.3, 3.0)
 
     def strike(t: Trial) -> None:
         t.note_kind(f"loss of power of the {name}")
@@ -622,8 +625,8 @@ def _power(rng: np.random.Generator, trial: Trial) -> Made:
 
 def _camera(rng: np.random.Generator, trial: Trial) -> Made:
     which = _pick(rng, ("lost", "late", "repeated", "hidden", "wrong"))
-    lasting = _duration(rng, 0.05, 6.0)
-    late_by = _duration(rng, 0.02, 1.5)
+    lasting = draw_duration(rng, 0.05, 6.0)
+    late_by = draw_duration(rng, 0.02, 1.5)
     off = Pose(float(rng.normal(0, 0.02)), float(rng.normal(0, 0.02)), float(rng.normal(0, 0.3)))
 
     def strike(t: Trial) -> None:
@@ -654,7 +657,7 @@ def _turn(rng: np.random.Generator, trial: Trial) -> Made:
 def _by_hand(rng: np.random.Generator, way: float) -> Made:
     """The object is moved by hand, suddenly or slowly; ``way``: standard deviation, m."""
     shift = Pose(float(rng.normal(0, way)), float(rng.normal(0, way)), float(rng.normal(0, 0.4)))
-    lasting = 0.0 if rng.random() < 0.5 else _duration(rng, 0.1, 2.0)
+    lasting = 0.0 if rng.random() < 0.5 else draw_duration(rng, 0.1, 2.0)
     return lambda t: t.move_object(shift, lasting), (
         f"the object is moved by hand by {1e3 * math.hypot(shift.x, shift.y):.0f} mm and"
         f" {math.degrees(shift.theta):.0f} deg within {lasting:.2f} s"
@@ -662,17 +665,17 @@ def _by_hand(rng: np.random.Generator, way: float) -> Made:
 
 
 def _emergency_stop(rng: np.random.Generator, trial: Trial) -> Made:
-    lasting = _duration(rng, 0.2, 5.0)
+    lasting = draw_duration(rng, 0.2, 5.0)
     return lambda t: t.press_emergency_stop(lasting), f"emergency stop held for {lasting:.1f} s"
 
 
 def _service_stop(rng: np.random.Generator, trial: Trial) -> Made:
-    node = _pick(rng, ("scara_arm", "tapper_trigger"))
+    node = _pick(rng, (trial.arm_node, "tapper_trigger"))
     return lambda t: t.call_stop(node), f"service stop of {node}"
 
 
 def _interlock(rng: np.random.Generator, trial: Trial) -> Made:
-    lasting = _duration(rng, 0.05, 4.0)
+    lasting = draw_duration(rng, 0.05, 4.0)
 
     def strike(t: Trial) -> None:
         t.physical.set_interlock(False)
@@ -698,7 +701,7 @@ def _disk_full(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, "the planner's disk is full for 20 s"
 
 
-MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
+MAKERS: dict[str, Maker] = {
     "freeze": _freeze,
     "freeze at a shot": _freeze_at_shot,
     "freeze before a write": _freeze_before_write,

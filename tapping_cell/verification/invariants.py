@@ -185,6 +185,7 @@ class Witness:
         self._check_energy(release, command)
         self._struck_until = release.time + self.physical.flight(command.striker_speed)
         self._check_permit(release)
+        self._check_last_check(release)
         self._check_time(release, command)
         gone = release.time - self.planner_gone_since
         if gone > ORPHAN_S:
@@ -252,6 +253,8 @@ class Witness:
                 f"shot {release.shot} was released {end - release.time:.3f} s before the end of"
                 " the arm's promise to stand still",
             )
+
+    def _check_last_check(self, release: Release) -> None:
         asked, reason = self.last_check
         if reason is not None:
             self.violate("against its check", f"shot {release.shot} was released against: {reason}")
@@ -326,8 +329,10 @@ class Witness:
     # States
 
     def _check_charge(self) -> None:
+        self._check_charged(self.physical.tapper_board.state in ("CHARGING", "CHARGED"))
+
+    def _check_charged(self, charged: bool) -> None:
         now = self.scheduler.now
-        charged = self.physical.tapper_board.state in ("CHARGING", "CHARGED")
         if not charged:
             self._charged_since = None
             return

@@ -31,6 +31,8 @@ class Mutant:
     """Further replacement that is needed to remove the correction."""
     kinds: tuple[str, ...] = ()
     """Kinds of faults against which the guard protects; a hunt draws its faults from these."""
+    fixed: bool = False
+    """Whether the hunt runs the cell with fixed tappers."""
 
 
 MUTANTS: tuple[Mutant, ...] = (

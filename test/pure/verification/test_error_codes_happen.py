@@ -270,7 +270,7 @@ def test_more_frames_than_the_camera_delivers_are_too_few(cell: ReportedCell) ->
 
 @pytest.mark.parametrize("state", [TapperState.CHARGING, TapperState.CHARGED])
 def test_a_tapper_that_is_charged_for_somebody_else_is_busy_for_a_goal(state: int) -> None:
-    """Only the boards of a cell without an arm show it: with one, the arm is busy as well."""
+    """Only a cell without an arm shows it: with one, the arm is busy as well."""
     monitor = CellMonitor(silence_limit=0.5)
     monitor.expect(has_arm=False)
     monitor.on_tapper(TapperState(state=state, tappers=["east"]), Now(1.0, 10**9))
