@@ -5,9 +5,9 @@ of the boards, for example that no striker is released outside the arm's promise
 moves without a person's permission. Runs continue until each node was frozen ``count`` times, and
 lost half as many times. Every violation is printed.
 
-The cost of the permit is measured in goals without faults: the time from the tapper's request to the
-arm's answer, and the time for which the arm stands still although the striker has ended its stroke
-and the tap was withdrawn. The stroke itself is not counted.
+The cost of the permit is measured in goals without faults: the time from the tapper's request to
+the arm's answer, and the time for which the arm stands still although the striker has ended its
+stroke and the tap was withdrawn. The stroke itself is not counted.
 """
 
 from __future__ import annotations

@@ -363,7 +363,7 @@ def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
     leave at the end, of which the tapper hears late."""
     name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
     outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
-    number, withdraws = 1 + round(FLOOD_HZ * _duration(rng, 0.02, 0.5)), rng.random() < 0.7
+    number, withdraws = 1 + round(FLOOD_HZ * draw_duration(rng, 0.02, 0.5)), rng.random() < 0.7
     late = float(rng.uniform(0.03, 0.6))
 
     def strike(t: Trial) -> None:
@@ -511,7 +511,7 @@ def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
 def _second_arm(rng: np.random.Generator, trial: Trial) -> Made:
     """The arm of another cell in the same ROS domain offers the same services. It is in position,
     as far as it knows, and grants every request."""
-    lasting = _duration(rng, 0.2, 6.0)
+    lasting = draw_duration(rng, 0.2, 6.0)
 
     def strike(t: Trial) -> None:
         def grant(request: HoldStill.Request, answer: Callable[[HoldStill.Response], None]) -> None:
