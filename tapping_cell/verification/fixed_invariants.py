@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import TapCommand, TapperState
 from tapping_cell.verification.fixed_cell import FixedRelease, PhysicalFixedCell
-from tapping_cell.verification.invariants import CHECK_S, Release, Witness
+from tapping_cell.verification.invariants import CHECK_S, Witness
+from tapping_cell.verification.physical_cell import Release
 
 OTHERS_ASKED_S = 0.1
 """Maximum age, at the last check, of the other boards' replies that they are at rest."""
