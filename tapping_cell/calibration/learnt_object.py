@@ -1,9 +1,10 @@
 """Fit of friction, torque factor and scatter of an object to the taps of ordinary goals.
 
-A tap commanded by the mechanics of a file launches the object with a known twist. The measured
-displacement then determines friction and torque factor. Both are fitted to all taps jointly by
-robust least squares. Restitution and contact friction are kept from the file. Their errors are
-absorbed by the friction, which becomes the value for which this cell's taps are accurate.
+A tap planned with the mechanics of an object file launches the object with a known twist. The
+measured displacement then determines friction and torque factor. Both are fitted to all taps
+jointly by robust least squares. Restitution and contact friction are kept from the file. Their
+errors are absorbed by the friction, which becomes the value for which this cell's taps are
+accurate.
 """
 
 from __future__ import annotations
@@ -37,13 +38,14 @@ _OUTLIER = 5.0
 """Number of standard deviations above which a tap is an outlier, such as a collision or a miss."""
 _BOUNDS = (np.log([0.01, 0.05]), np.log([2.0, 20.0]))
 _UNKNOWN = 0.5
-"""Relative standard deviation from which the torque factor counts as not determined."""
+"""Relative standard deviation at or above which the torque factor counts as not determined."""
 _LEAST_SCATTER = 0.002
 
 
 @dataclass(frozen=True, slots=True)
 class LearntObject:
-    """Result of the fit: ``content`` is the file with new values, ``left_out`` unused taps."""
+    """Result of the fit: ``content`` is the file with new values; ``used`` and ``left_out`` count
+    taps."""
 
     content: ObjectFile
     estimates: tuple[Estimate, ...]
@@ -52,10 +54,10 @@ class LearntObject:
 
 
 def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike) -> LearntObject:
-    """Fit an object to taps that were commanded by the mechanics of ``content``.
+    """Fit an object to taps that were planned with the mechanics of ``content``.
 
     Args:
-        content: object file with which the taps were commanded.
+        content: object file with which the taps were planned.
         commanded, measured: displacements (n, 3) in the object frame before the tap, m and rad.
 
     Raises:
@@ -67,7 +69,7 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
     asked, moved = asked[usable], moved[usable]
     if len(asked) < FEWEST_TAPS:
         raise RecordError(
-            f"{len(asked)} of {usable.size} taps moved the object, at least {FEWEST_TAPS} are "
+            f"{len(asked)} of {usable.size} taps moved the object; at least {FEWEST_TAPS} are "
             "needed; send more goals, some with --probe"
         )
     body = content.body()
@@ -211,7 +213,7 @@ def _scatter(name: str, value: float, count: int, old: float, unit: str) -> Esti
 
 
 def _smallest(content: ObjectFile, predicted: Array) -> Estimate:
-    """Return the smallest tap that had its effect, or the file's if no tap used was as small."""
+    """Return the smallest displacement of the taps used, or the file's value if that is smaller."""
     seen = float(np.hypot(predicted[:, 0], predicted[:, 1]).min())
     value = min(max(seen, 1e-4), content.smallest_tap)
     return Estimate("smallest_tap", value, 0.0, value, 0.0, content.smallest_tap, "m")

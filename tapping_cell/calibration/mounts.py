@@ -2,10 +2,10 @@
 
 A tap gives three numbers: the object's direction of travel, its rotation per distance and its
 distance. The first two depend on the offset and angle of the tapper's line, the third on the speed.
-Three unknowns per tapper (offset of the line to its left in m, its angle in rad, and the logarithm
-of the speed factor) are fitted to all of its taps by least squares. The weights come from the tap's
-scatter and the camera's noise, and the soft-l1 loss reduces the effect of outliers. Taps at one
-position determine the line there; taps at several positions along it determine its angle.
+Three unknowns per tapper (offset of the line to the left in m, angle of the line in rad, and
+logarithm of the speed factor) are fitted to all of its taps by least squares. The weights come from
+the tap's scatter and the camera's noise, and the soft-l1 loss reduces the effect of outliers. Taps
+at one position determine the line there; taps at several positions along it determine its angle.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ LEAST_MOVE = 0.003
 """Minimum displacement of a usable tap, m; in shorter taps the camera's noise dominates."""
 
 WIDEST = np.array([0.003, math.radians(2.0), 0.5])
-"""Prior standard deviations of the three unknowns (m, rad, relative): mounts that were set up with
-ruler and protractor."""
+"""Prior standard deviations of the three unknowns (m, rad, relative), for mounts set up with ruler
+and protractor."""
 
 WANTED = 0.0003
 """Maximum standard deviation of the line at the object, m, for planning."""
@@ -68,12 +68,12 @@ class TapScatter:
 
 @dataclass(frozen=True, slots=True)
 class MountFit:
-    """Result for one tapper. ``mount`` is its measured line.
+    """Result for one tapper; ``mount`` is the tapper's measured line.
 
     ``offset`` in m and ``angle`` in rad are corrections of the nominal mount. ``speed_factor`` is
-    true over commanded speed. ``line_deviation`` in m is the standard deviation of the line at the
-    object, and ``angle_deviation`` in rad that of its angle. ``residual`` is the root mean square
-    of the weighted residuals (about 1 if the assumed scatter is correct).
+    the ratio of true to commanded speed. ``line_deviation`` in m is the standard deviation of the
+    line at the object, and ``angle_deviation`` in rad that of its angle. ``residual`` is the root
+    mean square of the weighted residuals (about 1 if the assumed scatter is correct).
     """
 
     name: str

@@ -35,7 +35,7 @@ MOST_RECORDER_STARTS = 3
 """Maximum number of restarts of a recorder that keeps ending. Its log states the cause."""
 
 LAST_DOMAIN = 232
-"""Highest ROS domain. Beyond it, the middleware has no valid port numbers."""
+"""Highest ROS domain for which the middleware has valid port numbers."""
 
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is the shared
@@ -134,8 +134,8 @@ class Graph:
         if self._claim is None:
             raise GraphError(
                 f"another cell runs on this machine in ROS domain {domain}, namespace "
-                f"'/{self._namespace.strip('/')}': end it, or give this one a ROS_DOMAIN_ID or a "
-                "--namespace of its own"
+                f"'/{self._namespace.strip('/')}': end that cell, or start this cell with another "
+                "ROS_DOMAIN_ID or --namespace"
             )
         self._log_folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -190,7 +190,7 @@ class Graph:
         ]
 
     def check(self) -> None:
-        """Raise an error if a node has ended. The recorder is restarted instead, a few times.
+        """Raise an error if a node has ended. A recorder that has ended is restarted a few times.
 
         Raises:
             NodeDied: with the node's last output.
@@ -304,8 +304,8 @@ class Domain:
     def use(self) -> None:
         """Select the domain in this process and its children.
 
-        A reserved domain is free on this machine only, so that discovery is limited to it whatever
-        the shell's setting.
+        A reserved domain is known to be free only on this machine, so discovery is limited to this
+        machine, whatever the shell's setting.
         """
         os.environ["ROS_DOMAIN_ID"] = str(self.number)
         if self.held is None:
@@ -315,8 +315,8 @@ class Domain:
 
 
 def own_domain() -> Domain:
-    """Return the domain of ROS_DOMAIN_ID if it is set, otherwise a domain that no other run of any
-    user on this machine uses. It is reserved until this process ends.
+    """Return the domain of ROS_DOMAIN_ID if that is set. Otherwise reserve a domain that no other
+    run of any user on this machine uses, until this process ends.
 
     Raises:
         GraphError: every domain is in use, or ROS_DOMAIN_ID is not a domain.

@@ -66,7 +66,7 @@ def make_strike_settings(cell: Cell) -> StrikeSettings:
 
 
 def make_arm_reach(cell: Cell) -> ArmReach:
-    """Create the test of which tip poses (..., 3) in ``table`` the arm can reach for a strike.
+    """Create the function that tests which tip poses (..., 3) in ``table`` the arm can reach.
 
     The result has one column for each side of the elbow.
     """

@@ -121,12 +121,12 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self._autostart = self.create_timer(0.05, self._start) if self.settings.autostart else None
 
     def create_publisher(self, *arguments: Any, **options: Any) -> Publisher:
-        """Create a publisher without events, which :class:`ConnectionCheck` replaces."""
+        """Create a publisher without event callbacks. :class:`ConnectionCheck` replaces them."""
         options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
         return super().create_publisher(*arguments, **options)
 
     def create_subscription(self, *arguments: Any, **options: Any) -> Subscription:
-        """Create a subscription without events, which :class:`ConnectionCheck` replaces."""
+        """Create a subscription without event callbacks. :class:`ConnectionCheck` replaces them."""
         events = SubscriptionEventCallbacks(use_default_callbacks=False)
         options.setdefault("event_callbacks", events)
         return super().create_subscription(*arguments, **options)

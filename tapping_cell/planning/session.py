@@ -517,8 +517,8 @@ class PositioningSession(GoalSession):
             return Refusal(
                 RefusalReason.NO_CONTACT,
                 f"no contact of the object at {place} gives a safe tap that makes progress: "
-                f"its edges transmit only impulses within the friction cone (first: {first}); "
-                "turn the object by hand, or move it towards the middle",
+                "its edges transmit only impulses within the friction cone (the preferred tap: "
+                f"{first}); turn the object by hand, or move it towards the middle",
             )
         longest = self._longest_factor()
         if trusted and not allowed and longest > UNKNOWN:

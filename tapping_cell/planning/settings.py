@@ -80,9 +80,14 @@ class CameraNoise:
     angle: float = 0.0
 
     @property
+    def deviations(self) -> Array:
+        """Standard deviations of an observation's x, y (m) and angle (rad), (3,)."""
+        return np.array([self.position, self.position, self.angle])
+
+    @property
     def covariance(self) -> Array:
         """Covariance of an observation, (3, 3), m and rad."""
-        return np.diag([self.position**2, self.position**2, self.angle**2])
+        return np.diag(self.deviations**2)
 
     def __post_init__(self) -> None:
         """Refuse negative or absurd values (PlanningError)."""

@@ -51,7 +51,7 @@ class Parameters:
         default=0.3,
     )
     silence_limit: float = quantity(
-        "maximum age of the last message of planner and camera for charging and firing",
+        "maximum age of the last messages of planner and camera for the tapper to charge or fire",
         "s",
         0.1,
         5.0,
@@ -130,7 +130,7 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
         if self.settings.set_up:
             raise ConfigurationError(
                 "parameter set_up is true, but tapper.dialect is io: set-up mode needs the tapper's"
-                " board, which limits the energy and reads the enabling switch by itself"
+                " board, which limits the energy and reads the enabling switch"
             )
         if self._link is not None and self._linked_to != section:
             self._link.destroy()
