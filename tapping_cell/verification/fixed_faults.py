@@ -79,6 +79,25 @@ def _stays_out(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"the striker of '{name}' stays out for {lasting:.2f} s"
 
 
+def _out_in_a_freeze(rng: np.random.Generator, trial: Trial) -> Made:
+    """A striker is pulled off its mount while the tapper's process is frozen during a shot."""
+    name, writes = _any_tapper(rng, trial), int(rng.integers(0, 4))
+    frozen, later = float(rng.uniform(0.2, 0.45)), draw_duration(rng, 0.002, 0.1)
+
+    def strike(t: Trial) -> None:
+        cell = _cell_of(t)
+        for kind in ("freeze at a write", "striker stays out"):
+            t.note_kind(kind)
+        t.processes["tapper_trigger"].freeze_before_write = (writes, frozen)
+        t.scheduler.after(later, lambda: cell.keep_out(name, True))
+        t.scheduler.after(later + 2.0, lambda: cell.keep_out(name, False))
+
+    return strike, (
+        f"the striker of '{name}' out after {later:.3f} s, tapper_trigger frozen for"
+        f" {frozen:.2f} s before its write number {writes}"
+    )
+
+
 def _blocked(rng: np.random.Generator, trial: Trial) -> Made:
     """A striker does not leave its mount when it is released."""
     name, lasting = _any_tapper(rng, trial), float(rng.uniform(1.0, 8.0))
@@ -155,11 +174,13 @@ FIXED_MAKERS: dict[str, Maker] = {
     "serial line": _board_line,
     "loss of power": _board_power,
     "striker stays out": _stays_out,
+    "striker out in a freeze": _out_in_a_freeze,
     "striker blocked": _blocked,
 }
 FIXED_AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     *("striker stays out", "striker blocked", "foreign command") * 3,
+    *("striker out in a freeze",) * 2,
     *("line at a shot", "cable at a shot", "loss of power") * 2,
     *("object moved", "foreign withdrawal", "repeated command") * 2,
     *("slow topic", "kill", "restart", "deactivate", "cancel", "camera", "emergency stop"),

@@ -20,7 +20,7 @@ FIXED_MUTANTS: tuple[Mutant, ...] = (
             "            self._require_rest(self._charged)\n",
             "            pass\n",
         ),
-        kinds=("striker stays out", "freeze at a shot", "freeze at a write"),
+        kinds=("striker out in a freeze",),
         fixed=True,
     ),
     Mutant(
@@ -28,7 +28,7 @@ FIXED_MUTANTS: tuple[Mutant, ...] = (
         BOARDS,
         "driver.now() - asked_at <= OTHERS_ASKED_S and still_allowed(by)",
         "still_allowed(by)",
-        kinds=("striker stays out", "freeze at a shot", "freeze at a write"),
+        kinds=("striker out in a freeze",),
         fixed=True,
     ),
     Mutant(
