@@ -46,6 +46,7 @@ LONG_SECTIONS = (
     "two-computers",
     "unknown-objects",
     "unknown-worlds",
+    "vision-arm",
     "vision-calibrated",
     "vision-covariance",
     "vision-robustness",
@@ -57,7 +58,8 @@ RESULTS = Path(__file__).with_name("RESULTS.md")
 _HEAD = """# Benchmark results
 
 `python -m benchmarks --section NAME --write` measures a section and replaces its results on this
-page. A peer is measured in the same run; times depend on the machine and its load, errors do not.
+page. Other software that is listed for comparison was measured in the same run. Times depend on the
+machine and its load; errors do not.
 """
 
 

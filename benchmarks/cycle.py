@@ -214,7 +214,7 @@ def lines(report: dict[str, Any]) -> list[str]:
         )
     share = 1.0 - free["cycle"] / graph["cycle"]
     rows.append(
-        f"software, messages and pictures: {graph['cycle'] - free['cycle']:.2f} s a tap"
+        f"software, messages and images: {graph['cycle'] - free['cycle']:.2f} s per tap"
         f" ({100 * share:.0f} %); load {report['load']:.1f} on {os.cpu_count()} cores"
     )
     return rows

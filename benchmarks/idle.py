@@ -4,15 +4,22 @@ The cell is the complete simulated graph with recorder and operator's page and a
 The minimal pair of processes measures the cost of the messages alone: one process publishes images
 of the same size at the same rate, one subscribes, and six idle nodes publish and subscribe to two
 topics at 10 Hz each.
+
+Cell and pair run at the same time, in two ROS domains, and are measured in the same short turns: a
+second of processor time does less work while other programs share the caches and the cores, and the
+load of a machine drifts. The ratio is the median over the turns.
 """
 
 from __future__ import annotations
 
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +34,8 @@ from tapping_cell.nodes.camera.images import PICTURES, to_message
 from tapping_cell.nodes.cell_node import LATCHED, choose_transport
 
 DEFAULT_COUNT = 20
-"""Duration of each measurement, s."""
+"""Duration of the measurement, s."""
+TURN_S = 2.0
 SETTLE_S = 5.0
 """Delay after the object is stationary, and after the start of the minimal processes, s."""
 RATE_HZ = 30.0
@@ -38,22 +46,38 @@ LIMIT = 2.0
 
 def measure(seconds: int) -> dict[str, Any]:
     """Return each process's load as a share of a core, and the ratio of the two sums."""
-    domain = own_domain()
+    domain, other = own_domain(), own_domain()
     local = {"ROS_DOMAIN_ID": str(domain.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     os.environ.update(local)
     choose_transport(pictures=True)
-    cell = _cell(seconds, local)
-    pair = _pair(seconds)
+    turns = max(1, round(seconds / TURN_S))
+    with _cell(local) as graph, _pair({**os.environ, "ROS_DOMAIN_ID": str(other.number)}) as pair:
+        time.sleep(SETTLE_S)
+        groups = {"cell": graph.process_ids, "pair": {n: each.pid for n, each in pair.items()}}
+        spent = [_spent(groups, TURN_S) for _ in range(turns)]
+        graph.check()
+        for role, process in pair.items():
+            if process.poll() is not None:
+                raise RuntimeError(f"{role} of the bare pair ended with {process.returncode}")
+    ratios = [sum(turn["cell"].values()) / sum(turn["pair"].values()) for turn in spent]
+    shares = {
+        group: {
+            name: statistics.mean(turn[group][name] for turn in spent) for name in groups[group]
+        }
+        for group in groups
+    }
     return {
-        "cell": cell,
-        "pair": pair,
-        "ratio": sum(cell.values()) / sum(pair.values()),
+        **shares,
+        "ratio": statistics.median(ratios),
+        "lowest_ratio": min(ratios),
+        "highest_ratio": max(ratios),
         "limit": LIMIT,
         "load": os.getloadavg()[0],
     }
 
 
-def _cell(seconds: int, local: dict[str, str]) -> dict[str, float]:
+@contextmanager
+def _cell(local: dict[str, str]) -> Iterator[Graph]:
     nodes = (*SIMULATED, RECORDER, "operator_page")
     with tempfile.TemporaryDirectory() as folder:
         parameters = with_own_ports({name: {} for name in nodes}, Path(folder))
@@ -61,10 +85,7 @@ def _cell(seconds: int, local: dict[str, str]) -> dict[str, float]:
         parameters["operator_page"]["port"] = 0
         with Graph(nodes, parameters, Path(folder) / "logs", local) as graph:
             _wait_for_rest(graph)
-            time.sleep(SETTLE_S)
-            shares = _shares(graph.process_ids, seconds)
-            graph.check()
-            return shares
+            yield graph
 
 
 def _wait_for_rest(graph: Graph) -> None:
@@ -85,30 +106,37 @@ def _wait_for_rest(graph: Graph) -> None:
         rclpy.try_shutdown()
 
 
-def _pair(seconds: int) -> dict[str, float]:
+@contextmanager
+def _pair(environment: dict[str, str]) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
     roles = ["publisher", "subscriber", *(f"idle_{number}" for number in range(IDLE_NODES))]
     started: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for role in roles:
-            started[role] = subprocess.Popen([sys.executable, "-m", "benchmarks.idle", role])
-        time.sleep(SETTLE_S)
-        shares = _shares({role: process.pid for role, process in started.items()}, seconds)
-        for role, process in started.items():
-            if process.poll() is not None:
-                raise RuntimeError(f"{role} of the bare pair ended with {process.returncode}")
-        return shares
+            command = [sys.executable, "-m", "benchmarks.idle", role]
+            started[role] = subprocess.Popen(command, env=environment)
+        yield started
     finally:
         for process in started.values():
             process.kill()
             process.wait()
 
 
-def _shares(processes: dict[str, int], seconds: int) -> dict[str, float]:
-    before = {name: cpu_seconds(process) for name, process in processes.items()}
-    began = time.monotonic()
+def _spent(groups: dict[str, dict[str, int]], seconds: float) -> dict[str, dict[str, float]]:
+    """Return the share of a core of each process of each group during ``seconds`` from now on."""
+
+    def read() -> dict[str, dict[str, float]]:
+        return {
+            group: {name: cpu_seconds(process) for name, process in processes.items()}
+            for group, processes in groups.items()
+        }
+
+    before, began = read(), time.monotonic()
     time.sleep(seconds)
-    took = time.monotonic() - began
-    return {name: (cpu_seconds(pid) - before[name]) / took for name, pid in processes.items()}
+    after, took = read(), time.monotonic() - began
+    return {
+        group: {name: (after[group][name] - at) / took for name, at in values.items()}
+        for group, values in before.items()
+    }
 
 
 def _run_bare(role: str) -> None:
@@ -147,7 +175,9 @@ def lines(report: dict[str, Any]) -> list[str]:
         text.append(f"{name}: {100 * sum(shares.values()):.1f} % of a core ({listed})")
     return [
         *text,
-        f"ratio {report['ratio']:.2f} (limit {report['limit']:.1f}; load {report['load']:.1f})",
+        f"ratio {report['ratio']:.2f} (limit {report['limit']:.1f}; in single turns"
+        f" {report['lowest_ratio']:.2f} to {report['highest_ratio']:.2f}; load"
+        f" {report['load']:.1f})",
     ]
 
 

@@ -50,7 +50,7 @@ def measure(count: int) -> dict[str, Any]:
 
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
-    text = ["new taps in their 95 % interval at the same and at other settings"]
+    text = ["new taps within their 95 % interval, at the fitted settings and at other settings"]
     for name, row in report.items():
         held = "; ".join(
             f"{quantity} {100 * same:.0f} and {100 * other:.0f} %"

@@ -159,8 +159,8 @@ def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
     count = report["scenes"] * report["places"]
     text = [
-        f"one frame each of {count} places; mean normalised error squared: 3 for an honest "
-        f"covariance; wrong: accepted and off by more than {WRONG * 1e3:.1f} mm",
+        f"one frame at each of {count} poses; normalised: mean squared normalised error, 3 if the "
+        f"covariance is correct; wrong: poses accepted with an error above {WRONG * 1e3:.1f} mm",
         f"{'':<29}{'mm median':>10}{'p95':>8}{'deg median':>12}{'p95':>8}{'normalised':>12}"
         f"{'in 95 %':>9}{'track ms':>10}{'search ms':>11}{'missed':>8}{'wrong':>7}",
     ]

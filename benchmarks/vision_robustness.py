@@ -185,13 +185,31 @@ def _grain(stage: Stage) -> Iterator[Shot]:
 
 def _arm(stage: Stage) -> Iterator[Shot]:
     """The arm reaches over the object for a tap, from any side, and withdraws."""
+    yield from _reach(stage, Pose(*stage.place))
+
+
+def _arm_over_reference(stage: Stage) -> Iterator[Shot]:
+    """The arm reaches over a reference marker, from any side, and withdraws."""
+    marker = stage.cell.table.markers[int(stage.random.integers(len(stage.cell.table.markers)))]
+    yield from _reach(stage, Pose(marker.x, marker.y, 0.0))
+
+
+def _reach(stage: Stage, place: Pose) -> Iterator[Shot]:
+    """The striker's tip is brought to 70 mm beside a place, and back."""
     cell = load_cell()
     arm, geometry = cell.arm, cell.arm.geometry()
-    aim = Pose(*stage.place) @ Pose(0.0, 0.0, stage.random.uniform(-math.pi, math.pi))
-    tip = cell.arm_base.inverse() @ (aim @ Pose(-0.07, 0.0, 0.0))
-    reached = geometry.inverse((tip.x, tip.y, arm.strike_height, tip.theta))
+    directions = stage.random.permutation(np.linspace(-math.pi, math.pi, 24, endpoint=False))
+    tips = (
+        cell.arm_base.inverse() @ (place @ Pose(0, 0, each) @ Pose(-0.07, 0, 0))
+        for each in directions
+    )
+    reached = (
+        geometry.inverse((tip.x, tip.y, arm.strike_height, tip.theta)).joints for tip in tips
+    )
+    over = next((np.array(joints) for joints in reached if joints is not None), None)
+    if over is None:
+        return
     away = np.array(arm.park)
-    over = away if reached.joints is None else np.array(reached.joints)
     for k in range(60):
         share = min(k / 20.0, 1.0, (60 - k) / 20.0)
         joints = away + share * (over - away)
@@ -236,6 +254,12 @@ CASES = {
 }
 
 
+ARM_CASES = {
+    "arm over the object": Case(_arm),
+    "arm over a reference marker": Case(_arm_over_reference),
+}
+
+
 @dataclass(slots=True)
 class Tally:
     """Results of a case."""
@@ -251,11 +275,16 @@ class Tally:
 
 def measure(count: int) -> dict[str, Any]:
     """Run all cases with changing cameras for at least ``count`` frames."""
+    refused = _other_resolution(Cell.load())
+    return {**measure_cases(CASES, count), "other_resolution_refused": refused}
+
+
+def measure_cases(cases: dict[str, Case], count: int) -> dict[str, Any]:
+    """Run these cases in random order with changing cameras for at least ``count`` frames."""
     cv2.setNumThreads(1)
     cell = Cell.load()
-    tallies = {name: Tally() for name in CASES}
+    tallies = {name: Tally() for name in cases}
     total, number = 0, 0
-    refused = _other_resolution(cell)
     while total < count:
         random = np.random.default_rng([number, 21])
         turn = math.radians(0.3) * random.choice([-1.0, 1.0])
@@ -265,10 +294,10 @@ def measure(count: int) -> dict[str, Any]:
         )
         stage = Stage(random, scene, bumped, cell, random_place(random))
         tracker, time = PoseTracker(cell.camera, cell.table, cell.marker), 0.0
-        for name in random.permutation(list(CASES)):
+        for name in random.permutation(list(cases)):
             if total >= count:
                 break
-            case, tally = CASES[str(name)], tallies[str(name)]
+            case, tally = cases[str(name)], tallies[str(name)]
             said = not (case.problems or case.warning)
             before = tally.frames
             for part in (stage.still(SETTLE), case.play(stage), stage.still(SETTLE)):
@@ -287,7 +316,6 @@ def measure(count: int) -> dict[str, Any]:
         "frames": total,
         "wrong": sum(tally.wrong for tally in tallies.values()),
         "unrecognised": sum(tally.unrecognised for tally in tallies.values()),
-        "other_resolution_refused": refused,
         "cases": {
             name: {
                 "runs": t.runs,
@@ -332,19 +360,25 @@ def _other_resolution(cell: Cell) -> bool:
 
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
+    first, *table = lines_of_cases(report)
+    refused = "refused" if report["other_resolution_refused"] else "NOT REFUSED"
+    return [f"{first}; calibration of another resolution {refused}", *table]
+
+
+def lines_of_cases(report: dict[str, Any]) -> list[str]:
+    """Format a report of :func:`measure_cases` as lines of text."""
     width = max(len(name) for name in report["cases"])
     rows = [
         f"{report['frames']} frames, {report['wrong']} wrong (off by more than "
         f"{WRONG_SIGMAS:.0f} sigma and {WRONG_MM} mm or {WRONG_DEG} degrees), "
-        f"{report['unrecognised']} troubles not recognised; calibration of another resolution "
-        f"{'refused' if report['other_resolution_refused'] else 'NOT REFUSED'}",
+        f"{report['unrecognised']} disturbances not recognised",
         f"{'':<{width}}  {'runs':>4} {'frames':>6} {'good':>6} {'wrong':>5} {'missed':>6}"
-        f" {'worst mm':>8}  said",
+        f" {'worst mm':>8}  problems",
     ]
     for name, f in report["cases"].items():
-        said = ", ".join(f"{n} {p.lower()}" for p, n in f["problems"].items())
+        problems = ", ".join(f"{n} {p.lower()}" for p, n in f["problems"].items())
         rows.append(
             f"{name:<{width}}  {f['runs']:>4} {f['frames']:>6} {f['good']:>6} {f['wrong']:>5} "
-            f"{f['unrecognised']:>6} {f['worst_mm']:>8.3f}  {said}"
+            f"{f['unrecognised']:>6} {f['worst_mm']:>8.3f}  {problems}"
         )
     return rows

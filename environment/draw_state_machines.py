@@ -1,6 +1,7 @@
-"""Write ``docs/state_machines.md`` from the tables of the machines; a test holds it in step.
+"""Write ``docs/state_machines.md`` from the transition tables of the state machines.
 
-Run it after a change of a table: ``python environment/draw_state_machines.py``.
+After a change of a table, run ``python environment/draw_state_machines.py``; a test compares the
+page with the tables.
 """
 
 from __future__ import annotations
@@ -17,14 +18,15 @@ def page() -> str:
     """The text of the page."""
     return f"""# State machines
 
-Generated from the tables in `tapping_cell/logic` by `python environment/draw_state_machines.py`.
-What is not drawn cannot happen: an undefined transition is an error, told as code 904 in a safe
-state. Any state of arm and tapper can be left by `stop`, which `clear_fault` ends.
+`python environment/draw_state_machines.py` generates this page from the tables in
+`tapping_cell/logic`. A transition that is not drawn is not permitted: if it occurred, the node
+would enter a safe state and report code 904. `stop` leaves any state of arm and tapper;
+`clear_fault` ends the stop.
 
 ## Arm
 
-`Leaving` waits for the promise to stand still to end ([safety.md](safety.md)); `arm_state` tells
-it as WITHDRAWING. `Inactive` is told as FAULT with code 903.
+In `Leaving` the arm waits until its promise to stand still has ended ([safety.md](safety.md));
+`arm_state` reports this state as WITHDRAWING. `Inactive` is reported as FAULT with code 903.
 
 ```mermaid
 {diagram(arm.TABLE, arm.State.DISCONNECTED)}
@@ -32,8 +34,8 @@ it as WITHDRAWING. `Inactive` is told as FAULT with code 903.
 
 ## Tapper
 
-`Waiting` has a tap and waits for the arm; `tapper_state` tells it as SAFE. In `Charged` the arm is
-asked to stand still.
+In `Waiting` the tapper has a tap and waits for the arm; `tapper_state` reports this state as SAFE.
+In `Charged` the tapper requests the arm's promise to stand still.
 
 ```mermaid
 {diagram(tapper.TABLE, tapper.State.DISCONNECTED)}
@@ -41,8 +43,8 @@ asked to stand still.
 
 ## Planner
 
-The planner does not latch a stop: an emergency stop ends its goal, and arm and tapper refuse the
-next one until they are cleared.
+The planner does not latch a stop. An emergency stop ends the planner's goal, and arm and tapper
+refuse the next goal until their stops are cleared.
 
 ```mermaid
 {diagram(planner.TABLE, planner.State.IDLE)}

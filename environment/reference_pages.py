@@ -29,38 +29,38 @@ DOCS = Path(__file__).resolve().parent.parent / "docs"
 _HEAD = """# Commands
 
 `python -m tapping_cell VERB`, or `ros2 run tapping_cell cell VERB`. Every verb has `--help` with an
-example. Lengths are in mm and angles in degrees where people type them. Verbs with `--json` print
-figures for a program on standard output and words on standard error; progress is shown on a
-terminal only. Exit status: 0 done, 1 not reached or something found, 2 wrong input, 130
-interrupted.
+example. On the command line, lengths are in mm and angles in degrees. With `--json`, a verb prints
+its results for a program on standard output and its messages on standard error. Progress is shown
+only on a terminal.
 
-The tabulator key completes verbs and options after
+The Tab key completes verbs and options after the command
 
     eval "$(python -m tapping_cell completion)"
 
-in `~/.bashrc`, which also makes `cell` a short name: `cell goal 20 10 0`.
+in `~/.bashrc`. The command also makes `cell` an abbreviation: `cell goal 20 10 0`.
 
-Errors have one form, on the error output: `error: what is wrong, the value and the limit; what to
-do`, with the number of its [code](error_codes.md) where it has one. What is wrong on the command
-line or in a file is refused before anything starts. Every verb ends with one of these statuses:
+Errors are printed on standard error in the form `error: what is wrong, the value and the limit;
+what to do`, with the number of the [error code](error_codes.md) if there is one. Errors on the
+command line or in a file are reported before anything starts. Every verb ends with one of these
+exit codes:
 
-| status | meaning |
+| exit code | meaning |
 | --- | --- |
 """
 _AFTER_STATUSES = """
-A running cell needs no `ros2`: [status](#status), [watch](#watch), [home](#home), [stop](#stop),
-[clear](#clear) and [goal](#goal) speak to it in the words of the operator's page, in the ROS domain
-of `ROS_DOMAIN_ID`.
+To operate a running cell, the command `ros2` is not needed: [status](#status), [watch](#watch),
+[home](#home), [stop](#stop), [clear](#clear) and [goal](#goal) show and control the cell as the
+operator page does, in the ROS domain of `ROS_DOMAIN_ID`.
 
 `make reference` writes this page.
 """
 _ERROR_CODES = """# Error codes
 
-Every refusal and failure of the cell has a number of `tapping_cell_msgs/msg/ErrorCode` and a
-message with the value and the limit. The command line, the report of a run and the operator page
-show the remedy.
+Every refusal and failure of the cell has a number, declared in `tapping_cell_msgs/msg/ErrorCode`,
+and a message with the value and the limit. The command line, the report of a run and the operator
+page also show the remedy.
 
-`msg_defs/msg/ErrorCode.msg` declares the codes; `make reference` writes this page from it.
+`make reference` writes this page from `msg_defs/msg/ErrorCode.msg`.
 """
 _HUNDREDS = {
     1: "goals and commands",
@@ -100,7 +100,7 @@ def _tables(parser: argparse.ArgumentParser) -> Iterator[str]:
         elif not isinstance(action, argparse._HelpAction):
             rows.append(f"| {_name(action)} | {_default(action)} | {_text(action.help)} |\n")
     if rows:
-        yield "\n| option | default | what |\n| --- | --- | --- |\n"
+        yield "\n| option | default | meaning |\n| --- | --- | --- |\n"
         yield from rows
     for name, own in inner:
         yield f"\n### `{parser.prog.split(' ', 1)[1]} {name}`\n"
@@ -149,11 +149,11 @@ def _sentence(text: str) -> str:
 
 _CONFIGURATION = """# Configuration files
 
-Every key of every YAML file that the cell reads, in SI units and radians. Unknown keys, missing
-keys, wrong types and values out of range are refused with file, key, value and range;
-`python -m tapping_cell check-config` checks all files, and the consistency between them, without
-starting anything. The files of [config/](../../config) are complete examples. For the ROS
-parameters of the nodes see [nodes.md](../nodes.md).
+This page lists every key of every YAML file that the cell reads. Values are in SI units and
+radians. Unknown keys, missing keys, wrong types and values out of range are refused with a message
+that names file, key, value and range. `python -m tapping_cell check-config` checks all files, and
+the consistency between them, without starting any node. The files in [config/](../../config) are
+complete examples. [nodes.md](../nodes.md) lists the ROS parameters of the nodes.
 
 ![Dimensions of the arm and the striker](../images/arm_dimensions.svg)
 
@@ -170,7 +170,7 @@ FILES: tuple[tuple[str, str, type], ...] = (
     ("Header of an experiment", "`experiment.yaml` of a folder of single taps.", ExperimentFile),
     (
         "Simulation parameters",
-        "`truth/*.yaml`: how the simulated world differs from what the planner is told.",
+        "`truth/*.yaml`: how the simulated world differs from the configuration files.",
         TruthFile,
     ),
 )

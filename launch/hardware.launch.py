@@ -12,8 +12,11 @@ FILES = {**CELL, "object_file": "object_file"}
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Every argument is described: ``ros2 launch tapping_cell hardware.launch.py --show-args``."""
-    # What moves nothing may come back by itself; the others come back by a person's hand.
+    """Return the launch description.
+
+    ``ros2 launch tapping_cell hardware.launch.py --show-args`` describes every argument.
+    """
+    # Only nodes that move nothing are restarted automatically. A person restarts the others.
     nodes = (
         LaunchedNode(
             "overhead_camera", {**CELL, "camera": "source", "exposure": "exposure"}, respawn=True

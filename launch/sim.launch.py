@@ -15,7 +15,10 @@ WORLD = {name: name for name in ARGUMENTS}
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Every argument is described: ``ros2 launch tapping_cell sim.launch.py --show-args``."""
+    """Return the launch description.
+
+    ``ros2 launch tapping_cell sim.launch.py --show-args`` describes every argument.
+    """
     nodes = (
         LaunchedNode("sim_world", {**FILES, **WORLD}),
         LaunchedNode("camera_pose", FILES, respawn=True),
@@ -23,7 +26,7 @@ def generate_launch_description() -> LaunchDescription:
         LaunchedNode(
             "scara_arm",
             {**FILES, "arm_port": "port"},
-            # Nobody can be hurt by a simulated arm.
+            # A simulated arm cannot hurt anyone.
             parameters={"home_on_activate": True},
         ),
         LaunchedNode("tapper_trigger", {**CELL, "tapper_port": "port"}),

@@ -1,4 +1,4 @@
-/* The tapper's board: ATmega328P at 16 MHz (Arduino Nano and the like), 115200 baud on its USB port.
+/* The tapper's board: ATmega328P at 16 MHz (such as an Arduino Nano), 115200 baud on its USB port.
  *
  *   PD2  interlock, closed loop to ground, pull-up          (Nano D2)
  *   PD3  stop loop, normally closed to ground, pull-up      (D3)
@@ -9,12 +9,13 @@
  *   PB2  enabling switch to ground, pull-up                 (D10; set-up mode)
  *
  *
- * With TAPPER_CHANNELS above 1 (solenoid build) D4 enables a 74HC238 decoder whose address is D5 to D7, so
- * that no two coils can be on at once, whatever the program does; the switches at the mounts, closed to
- * ground while the striker is back, are A0 to A5 (channels 0 to 5), D9 (6) and D11 (7), with pull-ups.
+ * With TAPPER_CHANNELS above 1 (solenoid build) D4 enables a 74HC238 decoder whose address is D5 to
+ * D7, so two coils can never be on together, whatever the program does. The switches at the mounts,
+ * closed to ground while the striker is back, are A0 to A5 (channels 0 to 5), D9 (6) and D11 (7),
+ * with pull-ups.
  *
- * TAPPER_DRIVE_SPRING: a stepper draws a spring against a latch, the latch is released by a pulse.
- * TAPPER_DRIVE_SOLENOID: a coil drives the striker; the energy is the width of its pulse.
+ * TAPPER_DRIVE_SPRING: a stepper tensions a spring against a latch, which a pulse releases.
+ * TAPPER_DRIVE_SOLENOID: a coil drives the striker; the width of its pulse sets the energy.
  */
 #include <avr/eeprom.h>
 #include <avr/interrupt.h>
@@ -65,7 +66,7 @@ struct used_slot {
     uint16_t check;
 };
 
-/* The release lets go; from interrupts too. */
+/* Switch the release output off; also called in interrupts. */
 static inline void let_go(void)
 {
     PORTD &= (uint8_t)~_BV(RELEASE);
@@ -103,7 +104,7 @@ ISR(TIMER0_COMPA_vect)
         let_go();
 }
 
-/* The end of the release pulse, whatever the main loop does. */
+/* End the release pulse, independently of the main loop. */
 ISR(TIMER1_COMPA_vect)
 {
     let_go();
@@ -121,7 +122,7 @@ static enum tapper_release pulse(uint16_t microseconds, uint32_t deadline)
             TCCR1A = 0;
             TCCR1B = 0;
             TCNT1 = 0;
-            OCR1A = (uint16_t)(2u * microseconds); /* prescaler 8: 0.5 us a count, 32 ms at most */
+            OCR1A = (uint16_t)(2u * microseconds); /* prescaler 8: 0.5 us per count, up to 32 ms */
             TIFR1 = _BV(OCF1A);
             TIMSK1 = _BV(OCIE1A);
             pulse_on = true;
@@ -145,16 +146,16 @@ bool board_interlock_closed(void)
 
 #ifdef TAPPER_DRIVE_SPRING
 
-/* The mechanism; measure and set with -D at the build. */
+/* Constants of the mechanism; measure them and set them with -D at the build. */
 #ifndef SPRING_N_PER_M
 #define SPRING_N_PER_M 500ul
 #endif
 #ifndef NM_PER_STEP
-#define NM_PER_STEP 5000ul /* 8 mm lead, 200 steps, eighth steps */
+#define NM_PER_STEP 5000ul /* lead 8 mm, 200 full steps, 8 microsteps each */
 #endif
 #define LATCH_PULSE_US 20000u
 
-static struct drive drive; /* shared with the interrupts: touched in atomic blocks only */
+static struct drive drive; /* shared with the interrupts, so accessed only in atomic blocks */
 
 static inline void watch_strikers(void)
 {
@@ -206,7 +207,7 @@ static uint32_t steps_for(uint32_t energy_uj)
     return (nanometres + NM_PER_STEP / 2) / NM_PER_STEP;
 }
 
-/* What so many whole steps store must be within 3 % of what was asked. */
+/* Return whether a whole number of steps stores the requested energy within 3 %. */
 bool board_can_store(uint32_t energy_uj)
 {
     uint32_t steps = steps_for(energy_uj);
@@ -285,7 +286,7 @@ static void start_drive(void)
 
 #else
 
-/* Energy against pulse width, measured: uJ, us; rising. */
+/* Measured pairs of energy (uJ) and pulse width (us), both increasing. */
 #ifndef SOLENOID_TABLE
 #define SOLENOID_TABLE {100, 1500}, {5000, 4000}, {50000, 9000}, {200000, 20000}
 #endif
@@ -295,10 +296,10 @@ static const uint32_t TABLE[][2] = {SOLENOID_TABLE};
 static uint32_t charged_uj;
 
 #if TAPPER_CHANNELS > 1
-static struct strikers strikers; /* shared with the interrupt: touched in atomic blocks only */
+static struct strikers strikers; /* shared with the interrupt, so accessed only in atomic blocks */
 static uint8_t charged_channel;
 
-/* From the interrupt, 1 kHz. */
+/* Called by the interrupt at 1 kHz. */
 static inline void watch_strikers(void)
 {
     uint8_t open = (uint8_t)((PINC & 0x3Fu) | ((PINB & _BV(PB1)) ? 0x40u : 0u) |
@@ -405,7 +406,7 @@ void board_halt(void)
 enum tapper_release board_release(uint32_t deadline)
 {
 #if TAPPER_CHANNELS > 1
-    /* The release is off: the decoder may be addressed. */
+    /* The release output is off, so the decoder's address may be changed. */
     PORTD = (uint8_t)((PORTD & ~(7u << STEP)) | (uint8_t)(charged_channel << STEP));
     enum tapper_release outcome = pulse(width_for(charged_uj), deadline);
     if (outcome == RELEASE_BEGUN)
@@ -445,7 +446,8 @@ static uint8_t *slot_place(uint8_t index)
     return (uint8_t *)(uintptr_t)(USED_PLACE + index * sizeof(struct used_slot));
 }
 
-/* The greatest shot kept; the slots are written in turn, so that the EEPROM lasts 3 million shots. */
+/* Return the greatest stored shot. The slots are written in turn, so the EEPROM lasts 3 million
+ * shots. */
 static uint64_t read_used(void)
 {
     uint64_t greatest = 0;
@@ -480,7 +482,7 @@ uint32_t board_forget_used(void)
 {
     static const struct used_slot EMPTY = {0, 0};
     for (uint8_t index = 0; index < USED_SLOTS; index++) {
-        wdt_reset(); /* a slot takes 34 ms */
+        wdt_reset(); /* writing a slot takes 34 ms */
         eeprom_update_block(&EMPTY, slot_place(index), sizeof EMPTY);
     }
     return count_boot();
@@ -490,7 +492,7 @@ void board_send(const char *text)
 {
     while (*text) {
         while (!(UCSR0A & _BV(UDRE0)))
-            wdt_reset(); /* a byte leaves every 87 us, so this ends */
+            wdt_reset(); /* a byte is sent every 87 us, so the loop ends */
         UDR0 = (uint8_t)*text++;
     }
 }
@@ -505,7 +507,7 @@ static uint32_t now_ms(void)
     return now;
 }
 
-/* A stop that an interrupt saw; an open stop loop brings it back every millisecond. */
+/* Execute a stop detected by an interrupt; an open stop loop repeats it every millisecond. */
 static void take_stop(void)
 {
     bool seen, by_wire;
@@ -531,7 +533,7 @@ int main(void)
     OCR0A = 249;                    /* 1 kHz */
     TIMSK0 = _BV(OCIE0A);
     UCSR0A = _BV(U2X0);
-    UBRR0 = 16; /* 117647 baud, 2.1 % above 115200, as every 16 MHz board has it */
+    UBRR0 = 16; /* 117647 baud, 2.1 % above 115200, as on every 16 MHz board */
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
     start_drive();

@@ -1,6 +1,6 @@
 #include "carriage.h"
 
-#define FRONT_END (-80.0) /* the carriage stands against its end there: steps move nothing */
+#define FRONT_END (-80.0) /* mechanical end of the travel; steps beyond it have no effect */
 
 static void look(struct carriage *c)
 {

@@ -1,4 +1,4 @@
-/* The spring's carriage, its motor and its switch as a model, for the boards of the tests. */
+/* Model of the spring's carriage, its motor and its switch, for the boards of the tests. */
 #ifndef CARRIAGE_H
 #define CARRIAGE_H
 
@@ -6,15 +6,15 @@
 #include <stdint.h>
 
 struct carriage {
-    double place;        /* true place, steps from where the switch closes */
+    double place;        /* true position, steps from where the switch closes */
     bool powered;        /* the motor's supply; the emergency stop cuts it */
     bool enabled;        /* the motor's enable input */
-    double back_drive;   /* speed with which the spring pushes it back while the motor is off, steps/s */
-    uint32_t lose;       /* so many steps to come move nothing */
+    double back_drive;   /* speed at which the spring moves the carriage, motor off, steps/s */
+    uint32_t lose;       /* number of next steps that are lost */
     int stuck;           /* the switch: 0 works, 1 stuck closed, -1 stuck open */
-    double hysteresis;   /* it opens so many steps behind where it closes */
-    uint32_t bounce_us;  /* how long it bounces after a change */
-    bool closed;         /* without the bouncing */
+    double hysteresis;   /* steps from where the switch closes to where it opens */
+    uint32_t bounce_us;  /* duration of the switch's bouncing after a change */
+    bool closed;         /* state of the switch without bouncing */
     uint32_t bouncing_us;
     uint32_t noise;      /* state of the random numbers */
 };
@@ -22,7 +22,7 @@ struct carriage {
 void carriage_start(struct carriage *c, double place, uint32_t seed);
 void carriage_step(struct carriage *c, bool outward);
 void carriage_wait(struct carriage *c, uint32_t microseconds);
-/* The switch as the board's input sees it now. */
+/* Return the current level of the switch, including bouncing. */
 bool carriage_at_front(struct carriage *c);
 
 #endif

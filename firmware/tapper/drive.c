@@ -16,7 +16,7 @@ void drive_home(struct drive *d)
     if (d->phase == DRIVE_OFF)
         d->wait = DRIVE_WAKE_TICKS;
     d->steps = 0;
-    /* A closed switch is left first: that proves switch and motor. */
+    /* A closed switch is left first, which proves that switch and motor work. */
     d->phase = DRIVE_LEAVING;
 }
 
@@ -44,7 +44,7 @@ enum drive_status drive_status(const struct drive *d)
     return d->phase == DRIVE_HOLDING ? DRIVE_THERE : DRIVE_MOVING;
 }
 
-/* Takes a sample of the switch; whether its level is certain. */
+/* Take a sample of the switch; return whether its level is stable. */
 static bool settled(struct drive *d, bool front_closed)
 {
     if (front_closed != d->closed)
@@ -55,7 +55,7 @@ static bool settled(struct drive *d, bool front_closed)
     return d->equal == DRIVE_SETTLE_TICKS;
 }
 
-/* Whether a step is due, and in which direction: +1 outward, -1 to the front; 0 for none. */
+/* Return the direction of the next step: +1 outward, -1 to the front, 0 for no step. */
 static int8_t next_step(struct drive *d)
 {
     switch (d->phase) {
@@ -82,7 +82,7 @@ static int8_t next_step(struct drive *d)
     case DRIVE_OUT:
         d->opened |= !d->closed;
         if (d->closed && d->place >= FRONT_HYSTERESIS_STEPS) {
-            drive_halt(d); /* the steps moved nothing */
+            drive_halt(d); /* the steps did not move the carriage */
             return 0;
         }
         if (d->place < d->target) {
@@ -92,13 +92,14 @@ static int8_t next_step(struct drive *d)
         d->phase = DRIVE_HOLDING;
         return 0;
     case DRIVE_BACK:
-        /* After a short way out the switch may have stayed closed: then the count alone tells. */
+        /* After a short motion the switch may have stayed closed; then the step count decides. */
         if (d->closed && d->place <= (d->opened ? FRONT_SLACK_STEPS : 0)) {
             d->place = d->target = 0;
             d->phase = DRIVE_HOLDING;
             return 0;
         }
-        /* Closed too early: steps were missed on the way out. Still open: on the way back. */
+        /* Closed too early: steps were missed on the way out. Still open: steps were missed on the
+         * way back. */
         if ((d->closed && d->opened) || d->place <= -FRONT_SLACK_STEPS) {
             drive_halt(d);
             return 0;
@@ -125,7 +126,7 @@ uint8_t drive_tick(struct drive *d, bool front_closed)
         d->step_high = false;
         return outputs;
     }
-    /* No step is made while the switch bounces, so that it closes and opens at a certain place. */
+    /* No step is made while the switch bounces, so its position of closing and opening is exact. */
     int8_t direction = certain ? next_step(d) : 0;
     if (d->phase == DRIVE_OFF)
         return 0;

@@ -1,7 +1,7 @@
-/* The spring's carriage: steps, and what its front switch proves. Without a line of hardware in it.
+/* Control of the spring's carriage by steps and its front switch, independent of the hardware.
  *
- * The place is known only after homing with the motor enabled, and only until the motor is switched off
- * or the switch contradicts the count of steps. Every way back ends at the switch.
+ * The position is known only after homing with the motor enabled, and only until the motor is
+ * switched off or the switch contradicts the step count. Every return ends at the switch.
  */
 #ifndef DRIVE_H
 #define DRIVE_H
@@ -13,36 +13,36 @@
 #define LONGEST_DRAW_STEPS 12000
 #endif
 #ifndef FRONT_HYSTERESIS_STEPS
-#define FRONT_HYSTERESIS_STEPS 50 /* from where on the switch must be open */
+#define FRONT_HYSTERESIS_STEPS 50 /* position from which the switch must be open */
 #endif
 #ifndef FRONT_SLACK_STEPS
-#define FRONT_SLACK_STEPS 6 /* scatter of the switch; a motor misses full steps: 8 of these and more */
+#define FRONT_SLACK_STEPS 6 /* scatter of the switch; a missed full step is 8 of these */
 #endif
-#define DRIVE_LEAVE_STEPS 400   /* longest way off a closed switch */
-#define DRIVE_SETTLE_TICKS 16u   /* equal samples of the switch that count: 2 ms */
+#define DRIVE_LEAVE_STEPS 400   /* most steps to leave a closed switch */
+#define DRIVE_SETTLE_TICKS 16u   /* equal samples after which a level is valid: 2 ms */
 #define DRIVE_WAKE_TICKS 80u    /* from enabling the motor to its first step: 10 ms */
 
 enum drive_status {
-    DRIVE_THERE,  /* stands where it was sent, and knows it */
+    DRIVE_THERE,  /* stands at its target, at a known position */
     DRIVE_MOVING,
-    DRIVE_UNKNOWN /* motor off; where the carriage is, is not known */
+    DRIVE_UNKNOWN /* motor off, position unknown */
 };
 
 enum drive_phase { DRIVE_OFF, DRIVE_LEAVING, DRIVE_SEEKING, DRIVE_OUT, DRIVE_BACK, DRIVE_HOLDING };
 
 struct drive {
     enum drive_phase phase;
-    int16_t place;     /* steps from the front switch; valid but in OFF, LEAVING, SEEKING */
+    int16_t place;     /* steps from the front switch; invalid in OFF, LEAVING, SEEKING */
     int16_t target;
-    int16_t steps;     /* made in LEAVING and SEEKING */
+    int16_t steps;     /* number of steps made in LEAVING or SEEKING */
     uint8_t wait;      /* ticks until the motor is awake */
-    uint8_t equal;     /* samples of the switch in a row that were the same, at most SETTLE_TICKS */
-    bool closed;       /* the last of them */
+    uint8_t equal;     /* consecutive equal samples of the switch, at most DRIVE_SETTLE_TICKS */
+    bool closed;       /* last sample of the switch */
     bool opened;       /* the switch has opened on the way out */
     bool step_high;
 };
 
-/* What drive_tick returns: the outputs. */
+/* Outputs returned by drive_tick. */
 #define DRIVE_ENABLE 1u
 #define DRIVE_OUTWARD 2u
 #define DRIVE_STEP 4u
@@ -50,10 +50,10 @@ struct drive {
 void drive_start(struct drive *d);
 void drive_home(struct drive *d);
 void drive_out(struct drive *d, int16_t steps); /* only from DRIVE_THERE */
-void drive_back(struct drive *d);               /* nothing while the place is unknown */
+void drive_back(struct drive *d);               /* no effect while the position is unknown */
 void drive_halt(struct drive *d);
 enum drive_status drive_status(const struct drive *d);
-/* Call at 8 kHz, with the front switch as it is; every second call makes a step at most. */
+/* Call at 8 kHz with the level of the front switch; at most every second call makes a step. */
 uint8_t drive_tick(struct drive *d, bool front_closed);
 
 #endif

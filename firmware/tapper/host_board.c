@@ -1,5 +1,6 @@
-/* A board in memory for tests on the host: the functions that tapper.h asks for, the spring's carriage,
- * and handles to turn. Its time is the tests'; every millisecond it does what the real board does. */
+/* Emulated board for tests on the host: the functions that tapper.h requires, the spring's
+ * carriage, and functions that set the inputs. The tests set its time; each millisecond it acts as
+ * the real board. */
 #include <math.h>
 #include <string.h>
 
@@ -8,7 +9,7 @@
 #include "tapper.h"
 
 #define PULSE_MS 20u
-#define STEPS_PER_ROOT_MJ 400.0 /* 500 N/m, 5 um a step */
+#define STEPS_PER_ROOT_MJ 400.0 /* 500 N/m, 5 um per step */
 
 static struct tapper tapper;
 static struct drive drive;
@@ -18,7 +19,7 @@ static uint32_t clock_ms, pulse_until, boot_number;
 static uint32_t releases;
 static double released_from;
 static bool pulsing;
-/* Coils at fixed mounts in the place of the spring: 0 for none. */
+/* Number of coils at fixed mounts; 0 for a spring. */
 static uint8_t coils, charged_channel;
 static struct strikers strikers;
 static uint32_t flight_ms = 300;
@@ -137,14 +138,14 @@ static void millisecond(void)
     tapper_poll(&tapper, clock_ms);
 }
 
-/* Lets the board run until `now`. */
+/* Run the board until `now`. */
 void host_run(uint32_t now)
 {
     while (clock_ms != now)
         millisecond();
 }
 void host_step(void) { millisecond(); }
-/* The board is switched on, with its carriage wherever it stands. */
+/* Switch the board on, with the carriage at its present position. */
 void host_reset(uint32_t boot, uint64_t used, uint32_t now)
 {
     clock_ms = now;
@@ -156,10 +157,10 @@ void host_reset(uint32_t boot, uint64_t used, uint32_t now)
         strikers_start(&strikers, coils);
     tapper_start(&tapper, boot, used, now);
 }
-/* From the next start on: a board with so many coils; 0 for one spring. */
+/* Set the number of coils from the next start on; 0 for one spring. */
 void host_coils(int count) { coils = (uint8_t)count; }
-/* From a release to the striker's return; masks of strikers that do not move when released, that were
- * pulled off their mounts, and of switches that are stuck closed. */
+/* Set the time from a release to the striker's return, and masks of the strikers that do not move
+ * when released, of those pulled off their mounts, and of the switches that are stuck closed. */
 void host_strikers(int flight, int do_not_move, int are_pulled, int switches_stuck)
 {
     flight_ms = (uint32_t)flight;
@@ -168,7 +169,7 @@ void host_strikers(int flight, int do_not_move, int are_pulled, int switches_stu
     stuck_closed = (uint8_t)switches_stuck;
 }
 int host_channel(void) { return charged_channel; }
-/* Another board with another carriage, `place` steps out. */
+/* Start another board with another carriage, `place` steps from the front switch. */
 void host_start(uint32_t boot, uint64_t used, uint32_t now, double place, uint32_t seed)
 {
     interlock = true;

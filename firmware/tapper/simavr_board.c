@@ -1,19 +1,19 @@
-/* The AVR binary of the firmware behind a pseudo-terminal, with the mechanism around it (libsimavr).
+/* The firmware's AVR binary behind a pseudo-terminal, with a model of the mechanism (libsimavr).
  *
  *     simavr_board tapper.elf [place [seed]]
  *
- * with the carriage `place` steps out at first. Prints "PORT <path>", then at every edge of the release
- * output "RELEASE <0|1> <microseconds> <place>", and in answer to "time" "TIME <microseconds> <place>".
- * Reads on its standard input
+ * The carriage is initially `place` steps from the front switch. Prints "PORT <path>", then at
+ * every edge of the release output "RELEASE <0|1> <microseconds> <place>", and in answer to "time"
+ * "TIME <microseconds> <place>". Reads on its standard input
  *
- *     interlock 0|1      1: closed          motor 0|1        0: its supply is cut
- *     stop 0|1           1: pressed, which  lose <steps>     so many steps to come move nothing
- *                        cuts the motor's   switch -1|0|1    front: stuck open, works, stuck closed
- *                        supply too         push <steps/s>   how the spring pushes back, motor off
+ *     interlock 0|1      1: closed          motor 0|1        0: the motor's supply is cut
+ *     stop 0|1           1: pressed, which  lose <steps>     number of next steps that are lost
+ *                        also cuts the      switch -1|0|1    front: stuck open, works, stuck closed
+ *                        motor's supply     push <steps/s>   speed of the spring's push, motor off
  *     clear 0|1          1: pressed         reset, time
  *     enabling 0|1       1: held
  *
- * Keeps pace with real time as far as the machine can.
+ * Runs in real time if the computer is fast enough.
  */
 #define _GNU_SOURCE
 #include <fcntl.h>
@@ -39,7 +39,7 @@ static int master;
 static struct carriage carriage;
 static int direction, front = -1;
 
-/* Drives an input from outside: against its pull-up, and again whenever the firmware sets that. */
+/* Drive an input externally, against its pull-up, also whenever the firmware sets the pull-up. */
 static void set_pin(char port, int pin, int high)
 {
     static uint8_t masks[2], values[2];
@@ -50,7 +50,7 @@ static void set_pin(char port, int pin, int high)
         .name = (unsigned char)port, .mask = masks[which], .value = values[which]};
     avr_ioctl(avr, AVR_IOCTL_IOPORT_SET_EXTERNAL(port), &external);
     avr_irq_t *irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(port), pin);
-    avr_raise_irq(irq, (uint32_t)!high); /* a level that it has already would be ignored */
+    avr_raise_irq(irq, (uint32_t)!high); /* an unchanged level would be ignored */
     avr_raise_irq(irq, (uint32_t)high);
 }
 
@@ -60,7 +60,7 @@ static void on_uart(struct avr_irq_t *irq, uint32_t value, void *param)
     (void)param;
     uint8_t byte = (uint8_t)value;
     if (write(master, &byte, 1) < 0)
-        return; /* nobody listens: lost, as on a line */
+        return; /* no reader: the byte is lost, as on a real line */
 }
 
 static void on_release(struct avr_irq_t *irq, uint32_t value, void *param)
@@ -93,7 +93,7 @@ static void on_step(struct avr_irq_t *irq, uint32_t value, void *param)
         carriage_step(&carriage, direction);
 }
 
-/* 50 us of the mechanism. */
+/* Advance the mechanism by 50 us. */
 static void move(void)
 {
     carriage_wait(&carriage, 50);
@@ -148,7 +148,7 @@ int main(int count, char **words)
     struct termios raw;
     uint32_t flags = 0;
     memset(&firmware, 0, sizeof firmware);
-    setvbuf(stdin, NULL, _IONBF, 0); /* for poll() sees only what has not been read */
+    setvbuf(stdin, NULL, _IONBF, 0); /* poll() does not see bytes in the buffer of stdin */
     if (count < 2 || count > 4 || elf_read_firmware(words[1], &firmware) != 0) {
         fprintf(stderr, "usage: simavr_board tapper.elf [place [seed]]\n");
         return 2;

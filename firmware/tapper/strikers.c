@@ -47,7 +47,7 @@ void strikers_tick(struct strikers *s, uint8_t closed)
             s->phase = STRIKERS_AT_MOUNTS;
         else if (s->passed >= (s->phase == STRIKERS_LEAVING ? STRIKER_LEAVE_MS : STRIKER_RETURN_MS) ||
                  ((s->home | bit) & s->fitted) != s->fitted)
-            s->phase = STRIKERS_LOST; /* blocked, a stuck switch, or another one moved */
+            s->phase = STRIKERS_LOST; /* blocked, stuck switch, or another striker moved */
         break;
     case STRIKERS_AT_MOUNTS:
         if (!all_home(s))

@@ -44,7 +44,7 @@ static char *put_hex(char *to, uint16_t value)
     return to;
 }
 
-/* A decimal number of at most `digits` digits; false if there is none or it does not fit. */
+/* Read a decimal number of at most `digits` digits; false if it is missing or too large. */
 static bool take_number(const char **from, uint8_t digits, uint64_t *value)
 {
     const char *at = *from;
@@ -78,7 +78,7 @@ static void discharge(struct tapper *t)
     }
 }
 
-/* Where a movement has led to, or is leading. */
+/* Set the state according to the drive: `there` after a motion, `moving` during it. */
 static void settle(struct tapper *t, enum tapper_state there, enum tapper_state moving)
 {
     switch (board_drive()) {
@@ -100,8 +100,8 @@ void tapper_start(struct tapper *t, uint32_t boot, uint64_t used, uint32_t now)
     t->shot = used;
     t->setup = true;
     t->heard_at = now;
-    t->button = true; /* one that is stuck is for nothing */
-    /* Nothing moves by itself after a start: the spring's carriage is homed when the host asks. */
+    t->button = true; /* a button stuck since the start has no effect */
+    /* Nothing moves automatically after a start; the carriage is homed on request of the host. */
     board_halt();
     settle(t, TAPPER_SAFE, TAPPER_SAFE);
 }
@@ -115,11 +115,11 @@ void tapper_stop(struct tapper *t, bool by_wire)
     t->state = TAPPER_STOPPED;
     t->press = PRESS_FOR_NOTHING;
     t->acknowledged = false;
-    if (!by_wire) /* an open stop loop stops again every millisecond, and the host may ask meanwhile */
+    if (!by_wire) /* an open stop loop stops every millisecond; frames must still be received */
         t->inside = false;
 }
 
-/* A press counts when the button is let go: one that is held down or stuck never does. */
+/* A press takes effect when the button is released, so a button held down or stuck has none. */
 void tapper_button(struct tapper *t, bool pressed, uint32_t now)
 {
     if (pressed == t->button)
@@ -134,7 +134,7 @@ void tapper_button(struct tapper *t, bool pressed, uint32_t now)
         t->acknowledged = true;
         t->acknowledged_at = now;
     } else if (t->press == PRESS_TO_FORGET && now - t->pressed_at >= TAPPER_FORGET_MS) {
-        /* As after a start: whoever waits for an answer about an old shot must not get one. */
+        /* End the session as after a start, so that nobody gets an answer about an old shot. */
         t->boot = board_forget_used();
         t->shot = t->fired = 0;
         t->session = 0;
@@ -179,7 +179,7 @@ void tapper_poll(struct tapper *t, uint32_t now)
     case TAPPER_RELEASING:
         if (board_releasing())
             break;
-        board_discharge(); /* the carriage goes back for the striker */
+        board_discharge(); /* the carriage returns to fetch the striker */
         t->state = TAPPER_DISCHARGING;
         /* fall through */
     case TAPPER_DISCHARGING:
@@ -279,7 +279,7 @@ static const char *charge(struct tapper *t, uint64_t shot, uint64_t energy, uint
     t->timeout_ms = (uint32_t)timeout;
     t->charged_at = now;
     t->press = PRESS_FOR_NOTHING;
-    /* Kept before it is charged: after a reset this shot may have been fired. */
+    /* Store the number before charging, because after a reset this shot may have been fired. */
     board_keep_used(shot);
     t->state = TAPPER_CHARGING;
     board_charge(t->energy_uj, t->channel);
@@ -332,7 +332,7 @@ static const char *clear(struct tapper *t)
     return "OK";
 }
 
-/* Compares a word that ends at a comma or at the end; moves past it when it fits. */
+/* Compare a word that ends at a comma or at the end of the text; skip it if it matches. */
 static bool is_word(const char **from, const char *word)
 {
     size_t length = strlen(word);
@@ -370,7 +370,7 @@ static const char *act(struct tapper *t, const char *at, uint32_t now)
         if (count == 4 || !take_number(&at, 20, &numbers[count++]))
             return "UNKNOWN";
     }
-    /* A channel may follow the arguments of FIRE and CHARGE; channel 0 where none does. */
+    /* A channel may follow the arguments of FIRE and CHARGE; without it, the channel is 0. */
     bool names_channel = command >= 5 && count == ARGUMENTS[command] + 1;
     if (*at || (count != ARGUMENTS[command] && !names_channel))
         return "UNKNOWN";
@@ -399,7 +399,7 @@ static bool is_newer(const struct tapper *t, uint16_t sequence)
     return !t->has_sequence || (ahead != 0 && ahead < 0x8000);
 }
 
-/* A whole line without '@' and newline. */
+/* Process a whole line without '@' and newline. */
 static void frame(struct tapper *t, uint32_t now)
 {
     char check[5];

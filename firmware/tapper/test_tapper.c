@@ -1,4 +1,4 @@
-/* The firmware's logic on the host: `make test`. */
+/* Tests of the firmware's logic on the host (`make test`). */
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -43,7 +43,7 @@ static uint16_t sequence;
         }                                                                                          \
     } while (0)
 
-/* Sends a body with its frame; returns what came back. */
+/* Send a body in a frame; return the answer. */
 static const char *send(const char *body)
 {
     char line[120];
@@ -53,7 +53,7 @@ static const char *send(const char *body)
     return host_output();
 }
 
-/* The next request of session 7. */
+/* Send the next request of session 7; return the answer. */
 static const char *ask(const char *words)
 {
     char body[100];
@@ -74,7 +74,7 @@ static void pass(uint32_t milliseconds)
     host_run(now);
 }
 
-/* Lets time pass with a host that goes on asking. */
+/* Let time pass while the host continues to query the status. */
 static void keep(uint32_t milliseconds)
 {
     for (uint32_t end = now + milliseconds; now != end;) {
@@ -89,7 +89,7 @@ static void greet(void)
     CHECK(strstr(ask("MODE,RUN"), ",OK,"));
 }
 
-/* A board in run mode whose carriage has been homed. */
+/* Start a board in run mode and home its carriage. */
 static void homed(void)
 {
     host_start(3, 0, now, 600.0, 1);
@@ -131,7 +131,7 @@ static void test_one_shot(void)
     strcpy(first, fire(9, 40));
     CHECK(strstr(first, ",FIRED,RELEASING,9,12500,1,0,9,0,3,"));
     pass(200);
-    CHECK(strcmp(send(again), first) == 0); /* from memory, though the deadline has passed */
+    CHECK(strcmp(send(again), first) == 0); /* from memory, although the deadline has passed */
     CHECK(strstr(fire(9, 40), ",FIRED,"));
     CHECK(host_releases() == before + 1);
     host_measured(350000);
@@ -150,7 +150,7 @@ static void test_window(void)
         charged(9);
         uint32_t before = host_releases();
         CHECK(strstr(fire(9, REFUSED[i]), ",LATE,DISCHARGING,9,"));
-        /* The shot is over, whatever comes after. */
+        /* The shot has ended and cannot be fired any more. */
         CHECK(strstr(fire(9, 50), ",NOT_CHARGED,"));
         keep(600);
         CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
@@ -161,7 +161,7 @@ static void test_window(void)
     CHECK(strstr(fire(9, 1), ",FIRED,"));
     charged(9);
     CHECK(strstr(fire(9, 100), ",FIRED,"));
-    /* A repeated request does not move the deadline: the same words, late. */
+    /* Repeating a request does not change its deadline: the same frame is late. */
     charged(9);
     char body[80];
     snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", (unsigned)++sequence, (unsigned long)(now + 30));
@@ -189,9 +189,9 @@ static void test_sequence(void)
     charged(9);
     uint32_t before = host_releases();
     snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", (unsigned)sequence, (unsigned long)(now + 50));
-    CHECK(*send(body) == 0); /* the number of the last STATUS, other words */
+    CHECK(*send(body) == 0); /* the sequence number of the last STATUS with another command */
     snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", sequence - 1u, (unsigned long)(now + 50));
-    CHECK(*send(body) == 0); /* older */
+    CHECK(*send(body) == 0); /* an older sequence number */
     snprintf(body, sizeof body, "8,%u,FIRE,9,%lu", sequence + 1u, (unsigned long)(now + 50));
     CHECK(strstr(send(body), ",SESSION,"));
     CHECK(host_releases() == before);
@@ -224,14 +224,14 @@ static void test_discharging(void)
     CHECK(strstr(ask("CHARGE,10,1000,3000"), ",INTERLOCK,"));
     CHECK(strstr(ask("HOME"), ",INTERLOCK,"));
 
-    charged(9); /* the host's word */
+    charged(9); /* request of the host */
     CHECK(strstr(ask("DISCHARGE"), ",OK,DISCHARGING,"));
     CHECK(strstr(ask("CHARGE,10,1000,3000"), ",BUSY,DISCHARGING,9,"));
 
     charged(9); /* another session */
     CHECK(strstr(send("11,0,HELLO"), "@11,0,WELCOME,DISCHARGING,"));
 
-    homed(); /* in mid-charge */
+    homed(); /* while charging */
     CHECK(strstr(ask("CHARGE,9,800000,3000"), ",CHARGING,"));
     pass(300);
     CHECK(strstr(ask("DISCHARGE"), ",OK,DISCHARGING,"));
@@ -241,7 +241,7 @@ static void test_discharging(void)
 
 static void test_stop_and_clear(void)
 {
-    /* By byte, wherever it stands: the motor lets the spring down. */
+    /* The stop byte, at any position in the stream: the motor relaxes the spring. */
     charged(9);
     host_receive((const uint8_t *)"@7,2,FI!RE,9", 12, now);
     CHECK(host_state() == TAPPER_STOPPED);
@@ -251,7 +251,7 @@ static void test_stop_and_clear(void)
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,STOPPED,"));
     pass(600);
     CHECK(fabs(host_carriage()->place) < 1.5);
-    /* A short press, a press that lasts, and one that is too old do not count. */
+    /* A short press, a press that is not released, and a press too long ago have no effect. */
     press_button(300);
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
     host_button(1);
@@ -264,7 +264,7 @@ static void test_stop_and_clear(void)
     press_button(510);
     CHECK(strstr(ask("CLEAR"), ",OK,SAFE,"));
 
-    /* A press before the stop does not clear it, nor one that began before it. */
+    /* A press before the stop, or one that began before it, does not clear the stop. */
     charged(9);
     press_button(510);
     host_receive((const uint8_t *)"!", 1, now);
@@ -278,12 +278,12 @@ static void test_stop_and_clear(void)
     host_button(0);
     pass(2);
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
-    /* A press counts once. */
+    /* A press clears only one stop. */
     press_button(510);
     host_receive((const uint8_t *)"!", 1, now);
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
 
-    /* By wire: the motor is off, nothing counts until it has been homed again. */
+    /* The stop input: the motor is off, and the tapper must be homed before it charges again. */
     charged(9);
     host_wire(1);
     pass(5);
@@ -301,7 +301,7 @@ static void test_stop_and_clear(void)
     keep(500);
     CHECK(strstr(ask("CHARGE,10,1000,3000"), ",OK,CHARGING,"));
 
-    /* A stop that comes between the decision and the pulse: not fired, and not said to be. */
+    /* A stop between the decision and the pulse: nothing is fired, and FIRED is not reported. */
     charged(9);
     host_stop_wins(1);
     CHECK(strstr(fire(9, 50), ",STOPPED,CHARGED,9,12500,1,0,0,"));
@@ -309,7 +309,7 @@ static void test_stop_and_clear(void)
 
 static void test_shot_numbers(void)
 {
-    /* One that is refused changes nothing for the next. */
+    /* A refused shot has no effect on the next one. */
     homed();
     CHECK(strstr(ask("CHARGE,18446744073709551615,1000,3000"), ",JUMP,SAFE,0,"));
     CHECK(strstr(ask("CHARGE,4294967297,1000,3000"), ",JUMP,"));
@@ -317,7 +317,7 @@ static void test_shot_numbers(void)
     CHECK(strstr(ask("CHARGE,4294967296,1000,3000"), ",OK,"));
     CHECK(strstr(ask("CHARGE,18446744073709551616,1000,3000"), ",UNKNOWN,"));
 
-    /* A shot charged before a reset may have been fired: it is spent. */
+    /* A shot charged before a reset may have been fired, so its number is spent. */
     host_start(4, 9, now, 0.0, 1);
     greet();
     CHECK(strstr(ask("CHARGE,9,12500,3000"), ",SPENT,UNHOMED,9,"));
@@ -327,7 +327,7 @@ static void test_shot_numbers(void)
     CHECK(strstr(ask("CHARGE,10,12500,3000"), ",OK,CHARGING,"));
     CHECK(strstr(ask("CHARGE,11,12500,3000"), ",BUSY,"));
 
-    /* Only a person gets back from there: who holds the button for 5 s while the board is at rest. */
+    /* Only a person can reset the count: the button is held for 5 s while the board is at rest. */
     CHECK(strstr(ask("DISCHARGE"), ",OK,"));
     keep(600);
     press_button(4900);
@@ -338,7 +338,7 @@ static void test_shot_numbers(void)
     CHECK(strstr(ask("HELLO"), ",WELCOME,SAFE,0,12500,1,0,0,0,5,")); /* counts as another boot */
     ask("MODE,RUN");
     CHECK(strstr(ask("CHARGE,1,12500,3000"), ",OK,CHARGING,1,"));
-    /* Not while something is charged, nor after a stop. */
+    /* The count is not reset while a shot is charged, nor after a stop. */
     host_button(1);
     keep(5200);
     host_button(0);
@@ -348,7 +348,7 @@ static void test_shot_numbers(void)
     press_button(5200);
     CHECK(host_kept() == 1);
     CHECK(strstr(ask("CLEAR"), ",OK,"));
-    /* A button that is stuck when the board starts is for nothing. */
+    /* A button that is stuck when the board starts has no effect. */
     host_button(1);
     pass(10);
     host_reset(6, 9, now);
@@ -367,7 +367,7 @@ static void test_homing(void)
     keep(500);
     CHECK(host_state() == TAPPER_UNHOMED && host_carriage()->place == 4000.0);
     CHECK(strstr(ask("CHARGE,1,1000,3000"), ",NOT_HOMED,UNHOMED,0,"));
-    /* From outside and from the closed switch. */
+    /* Homing from outside the switch, and from the closed switch. */
     CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
     CHECK(strstr(ask("CHARGE,1,1000,3000"), ",BUSY,HOMING,"));
     keep(1200);
@@ -375,7 +375,7 @@ static void test_homing(void)
     CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
     keep(300);
     CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
-    /* Given up: by the host, by its silence, by the interlock. */
+    /* Homing ended by the host, by its silence, by the interlock. */
     for (int how = 0; how < 3; how++) {
         host_start(3, 0, now, 6000.0, 1);
         greet();
@@ -410,14 +410,14 @@ static void test_homing(void)
 
 static void test_missed_steps(void)
 {
-    /* None moves: seen while charging, because the switch stays closed. */
+    /* All steps are lost: detected while charging, because the switch stays closed. */
     homed();
     host_carriage()->lose = 100000;
     CHECK(strstr(ask("CHARGE,1,12500,3000"), ",OK,CHARGING,"));
     keep(100);
     CHECK(host_state() == TAPPER_UNHOMED);
     CHECK(strstr(fire(1, 50), ",NOT_CHARGED,UNHOMED,"));
-    /* Some, on the way out or back: seen at the switch. */
+    /* Some steps are lost, on the way out or back: detected at the switch. */
     for (int back = 0; back < 2; back++) {
         homed();
         CHECK(strstr(ask("CHARGE,1,12500,3000"), ",OK,CHARGING,"));
@@ -459,7 +459,7 @@ static void test_setup_mode(void)
     CHECK(strstr(ask("MODE,RUN"), ",OK,"));
     CHECK(strstr(ask("CHARGE,3,12500,3000"), ",OK,CHARGING,"));
     keep(400);
-    CHECK(strstr(ask("MODE,SETUP"), ",OK,")); /* what is charged is too much now */
+    CHECK(strstr(ask("MODE,SETUP"), ",OK,")); /* the stored energy now exceeds the limit */
     pass(2);
     CHECK(host_state() == TAPPER_DISCHARGING);
     CHECK(strstr(ask("MODE"), ",UNKNOWN,"));
@@ -471,7 +471,7 @@ static uint32_t draw(uint32_t below)
     return (uint32_t)rand() % below;
 }
 
-/* Resets at random moments of anything: what is released afterwards is what was asked for. */
+/* Resets at random times in any state: the energy released afterwards is as requested. */
 static void test_random_resets(void)
 {
     double worst = 0.0;
@@ -479,7 +479,7 @@ static void test_random_resets(void)
     uint64_t shot = 0;
     host_start(1, 0, now, 0.0, 5);
     for (uint32_t reset = 0; reset < 1000; reset++) {
-        /* Whatever the board is at, it is reset; the spring may push the carriage back, in part. */
+        /* Reset the board in any state; the spring may push the carriage back part of the way. */
         host_carriage()->back_drive = draw(2) ? 0.0 : (double)draw(8000);
         host_reset(reset + 1, shot, now);
         pass(draw(300));
@@ -490,7 +490,7 @@ static void test_random_resets(void)
             if (host_state() == TAPPER_UNHOMED)
                 CHECK(strstr(ask("HOME"), ",OK,"));
             if (!step && draw(3) == 0)
-                break; /* the next reset comes in mid-homing */
+                break; /* the next reset occurs during homing */
             for (int wait = 0; wait < 100 && host_state() != TAPPER_SAFE; wait++)
                 keep(50);
             CHECK(host_state() == TAPPER_SAFE);
@@ -498,7 +498,7 @@ static void test_random_resets(void)
                      (unsigned long)energy);
             CHECK(strstr(ask(words), ",OK,CHARGING,"));
             if (step)
-                break; /* or in mid-charge */
+                break; /* or while charging */
             for (int wait = 0; wait < 100 && host_state() != TAPPER_CHARGED; wait++)
                 keep(50);
             CHECK(strstr(fire(shot, 50), ",FIRED,"));
@@ -515,7 +515,7 @@ static void test_random_resets(void)
            100.0 * worst);
 }
 
-/* A FIRE that was held up for any time is released before its deadline or not at all. */
+/* However long a FIRE is delayed, it is executed before its deadline or not at all. */
 static void test_random_delays(void)
 {
     unsigned released = 0;
@@ -560,7 +560,7 @@ static void test_frames(void)
     CHECK(strstr(ask("CHARGE,1,1,10001"), ",RANGE,"));
     CHECK(*send("0,1,HELLO") == 0);
     CHECK(*send("70000,1,HELLO") == 0);
-    /* Noise of every kind leaves it listening and safe. */
+    /* After noise of any kind, the board is safe and still answers. */
     for (uint32_t i = 0; i < 3000000; i++) {
         uint8_t byte = (uint8_t)(rand() >> 7);
         if (i % 7 == 0)
@@ -576,7 +576,7 @@ static void test_frames(void)
     CHECK(strstr(send("12,1,HELLO"), ",WELCOME,"));
 }
 
-/* Eight coils at fixed mounts. */
+/* Start a board with eight coils at fixed mounts and home it. */
 static void coils_homed(void)
 {
     host_coils(8);
@@ -619,13 +619,13 @@ static void test_channels(void)
         char away[40], words[60];
         snprintf(away, sizeof away, ",%u,8,%u*", channel, 255u & ~(1u << channel));
         CHECK(strstr(ask("STATUS"), away));
-        /* Nobody else is charged while a striker is out. */
+        /* No other channel is charged while a striker is away from its mount. */
         snprintf(words, sizeof words, "CHARGE,%u,12500,3000,%u", channel + 2, (channel + 3) % 8);
         CHECK(strstr(ask(words), ",BUSY,"));
         keep(300);
         CHECK(host_state() == TAPPER_SAFE);
     }
-    /* A board without the words for channels: the first one. */
+    /* Requests without a channel use channel 0. */
     CHECK(strstr(ask("CHARGE,20,12500,3000"), ",OK,"));
     pass(2);
     CHECK(strstr(fire(20, 40), ",FIRED,"));
@@ -637,7 +637,7 @@ static void test_channels(void)
 static void test_strikers_that_fail(void)
 {
     coils_homed();
-    host_strikers(300, 1 << 3, 0, 0); /* blocked: it does not leave its switch */
+    host_strikers(300, 1 << 3, 0, 0); /* blocked: the striker does not leave its switch */
     coil_charged(1, 3);
     CHECK(strstr(coil_fire(1, 3), ",FIRED,"));
     keep(STRIKER_LEAVE_MS + 50);
@@ -645,7 +645,7 @@ static void test_strikers_that_fail(void)
     host_strikers(300, 0, 0, 0);
     CHECK(strstr(ask("HOME"), ",OK,SAFE,"));
 
-    host_strikers(100000, 0, 0, 0); /* stays out */
+    host_strikers(100000, 0, 0, 0); /* the striker does not return */
     coil_charged(2, 4);
     CHECK(strstr(coil_fire(2, 4), ",FIRED,"));
     keep(STRIKER_RETURN_MS - 100);
@@ -656,7 +656,7 @@ static void test_strikers_that_fail(void)
     CHECK(strstr(ask("HOME"), ",OK,UNHOMED,"));
 
     coils_homed();
-    host_strikers(300, 0, 1 << 6, 0); /* another one is pulled off its mount while charged */
+    host_strikers(300, 0, 1 << 6, 0); /* another striker is pulled off its mount while charged */
     coil_charged(4, 2);
     pass(10);
     CHECK(host_state() == TAPPER_UNHOMED);

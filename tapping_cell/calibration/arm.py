@@ -1,8 +1,8 @@
 """Calibration of the arm's base pose and joint offsets from measured poses of a marker on the tool,
 or from touched points.
 
-Points of the table are complex numbers. With the base position b, the base rotation c = exp(i yaw)
-and a point m in the tool frame, the predicted position is
+Points of the table are written as complex numbers. With the base position b, the base rotation c =
+exp(i yaw) and a point m in the tool frame, the predicted position is
 
     p = b + c (L1 exp(i q1) + L2 exp(i (q1 + q2)) + m exp(i (q1 + q2 + q4)))
 
@@ -42,11 +42,12 @@ RECORD_COLUMNS = (
 )
 """Columns of the record file; each row is one pose."""
 _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
-"""Maximum standard deviations; a less certain value keeps the value of the cell file."""
+"""Maximum standard deviations; a less certain value is not fitted but taken from the cell file."""
 _TIED = 0.97
 """Correlation above which two values are reported as known mainly in combination."""
 _OUTLIER = 4.5
-"""Number of robust standard deviations above which a row is an outlier; minimum values below."""
+"""Number of robust standard deviations above which a row is an outlier. The standard deviations
+used for this are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
 _POSITION_FLOOR, _ANGLE_FLOOR = 2e-5, 2e-4
 _WORST_SPREAD = 0.005
 """Standard deviation of the points, in m, above which the rows do not fit this arm."""
@@ -91,7 +92,7 @@ class ArmOutlier:
 
     def __str__(self) -> str:
         turn = "" if np.isnan(self.angle) else f" and {np.degrees(self.angle):.2f} deg"
-        return f"row {self.row}: {self.distance * 1e3:.2f} mm{turn} off the other poses"
+        return f"row {self.row} deviates by {self.distance * 1e3:.2f} mm{turn} from the other poses"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,9 +101,9 @@ class ArmCalibration:
 
     ``values`` are in m and rad, by name (NAMES, LINKS). ``deviations`` are the standard deviations
     of the fitted values; ``held`` names the values that were not fitted. ``residuals`` (N, 2) in m
-    and ``turns`` (N,) in rad are those of the rows used. ``wrist_deviation`` in m and
-    ``heading_deviation`` in rad are the standard deviations of the wrist position and the forearm's
-    heading over the recorded poses.
+    and ``turns`` (N,) in rad are the position and angle residuals of the rows used.
+    ``wrist_deviation`` in m and ``heading_deviation`` in rad are the standard deviations of the
+    wrist position and the forearm's heading over the recorded poses.
     """
 
     values: dict[str, float]
@@ -137,7 +138,7 @@ def calibrate_arm(
     different = len(np.unique(np.round(record.joints / _ALIKE), axis=0))
     if different < LEAST_POSES:
         raise CalibrationRefused(
-            f"{different} different poses are too few: at least {LEAST_POSES} are needed, 20 "
+            f"{different} different poses are too few: at least {LEAST_POSES} are needed; 20 "
             "are recommended"
         )
     start, used = _begin(record, geometry)
@@ -176,7 +177,7 @@ def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
 
 
 def wrist(joints: Array, values: dict[str, float]) -> Complex:
-    """Compute the quill axis (N,) in the arm's base frame for controller joints (N, 3)."""
+    """Compute the position (N,) of the quill axis in the arm's base frame for joints (N, 3)."""
     reach = joints[:, 0] + joints[:, 1] + values["elbow_zero"]
     return np.asarray(
         values["upper_arm"] * np.exp(1j * joints[:, 0]) + values["forearm"] * np.exp(1j * reach)
@@ -309,7 +310,7 @@ def _robust(
     if turns is not None:
         squares += float((turns[used] ** 2).sum() / sigma[1] ** 2)
         number += int(used.sum())
-    # Noise below the minimum values is chance, so it must not reduce the covariance.
+    # Noise below the minimum values is due to chance, so it must not reduce the covariance.
     factor = max(1.0, squares / max(number - len(free), 1))
     return values, factor * _inverse(jacobian.T @ jacobian), sigma, used
 
@@ -411,7 +412,8 @@ def _notes(
     covariance: Array,
     used: NDArray[np.bool_],
 ) -> list[str]:
-    """Describe what the record does not determine, and which poses would."""
+    """Describe the values that the record does not determine, and poses that would determine
+    them."""
     said = [
         "the shoulder's zero offset and the base's yaw have the same effect; their sum is "
         "stored as the base's yaw"
@@ -432,15 +434,15 @@ def _notes(
             if abs(correlation[a, b]) > _TIED:
                 said.append(
                     f"{_IN_WORDS[free[b]]} and {_IN_WORDS[free[a]]} are known mainly together"
-                    f" (correlation {correlation[a, b]:+.3f}); what they do to the wrist is known"
-                    " better than each"
+                    f" (correlation {correlation[a, b]:+.3f}); their combined effect on the wrist"
+                    " is known better than each value"
                 )
     elbow = record.joints[used, 1] + values["elbow_zero"]
     if not (elbow.min() < -0.1 and elbow.max() > 0.1):
         said.append(
-            "all poses bend the elbow to one side; poses on both sides separate its zero "
-            "offset from the base better"
+            "all poses bend the elbow to one side; poses on both sides separate the elbow's "
+            "zero offset from the base pose better"
         )
     if int(used.sum()) < 15:
-        said.append(f"{int(used.sum())} poses are few: 20 over the whole table are good")
+        said.append(f"{int(used.sum())} poses are few: 20 over the whole table are better")
     return said

@@ -1,11 +1,12 @@
 """Bootstrap confidence intervals over trials, for estimates that solve a sum of scores.
 
-An estimate t solves sum_i s_i(t) = 0 over the trials. Near it, s_i(t) = s_i + H_i (t - t_0), with
-the score s_i and the information H_i of the fit. One Newton step gives the estimate of a resample
-and its standard error, so thousands of resamples cost only a matrix product. Trials are resampled
-within each run, as in the experiment. The interval is the studentised one (percentile-t; Davison
-and Hinkley, Bootstrap Methods and their Application, 1997, section 5.2.1). Its coverage holds for
-few trials, for which the plain percentile interval is too short.
+An estimate t solves sum_i s_i(t) = 0 over the trials. Near the fitted estimate t_0, s_i(t) = s_i +
+H_i (t - t_0), with the score s_i and the information H_i of the fit. One Newton step gives the
+estimate of a resample and its standard error, so thousands of resamples cost only a matrix product.
+Trials are resampled within each run, so every run keeps its number of trials. The interval is the
+studentised one (percentile-t; Davison and Hinkley, Bootstrap Methods and their Application, 1997,
+section 5.2.1). Its coverage is correct even for few trials, for which the plain percentile interval
+is too short.
 """
 
 from __future__ import annotations

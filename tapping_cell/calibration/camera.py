@@ -21,7 +21,7 @@ from tapping_cell.calibration.target import Target, TargetView
 from tapping_cell.vision.camera import Array, CameraError, CameraModel
 
 LEAST_VIEWS = 6
-"""Minimum number of views for a calibration; about 20 are good."""
+"""Minimum number of views for a calibration; about 20 are recommended."""
 _LEAST_TURN = np.radians(10.0)
 """Minimum of the largest angle between the target planes of two views."""
 _WORST_FOCAL = 0.01
@@ -91,7 +91,7 @@ class CameraCalibration:
 
     @property
     def focal_deviation(self) -> float:
-        """Relative standard deviation of the focal length, the larger of x and y."""
+        """Relative standard deviation of fx or fy, whichever is larger."""
         d, m = self.deviations, self.model
         return max(d["fx"] / m.fx, d["fy"] / m.fy)
 
@@ -156,7 +156,7 @@ def calibrate_camera(
         rejected.append(
             Rejected(
                 view.name,
-                f"outlier: reprojection error {error:.2f} pixels where the others have "
+                f"outlier: reprojection error {error:.2f} pixels; in the other views it is "
                 f"{usual:.2f} (another target, a bent target or swapped corners)",
             )
         )
@@ -170,7 +170,7 @@ def _check_number(views: Sequence[TargetView], rejected: Sequence[Rejected]) -> 
         return
     out = "; ".join(f"{entry.name}: {entry.reason}" for entry in rejected[:4])
     raise CalibrationRefused(
-        f"{len(views)} usable views are too few: at least {LEAST_VIEWS} are needed, 20 are "
+        f"{len(views)} usable views are too few: at least {LEAST_VIEWS} are needed; 20 are "
         "recommended. Take more photographs with the target tilted to all sides and in every "
         "part of the image"
         + (f" (left out: {out}{'; ...' if len(rejected) > 4 else ''})" if out else "")
@@ -190,7 +190,7 @@ def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
         depths.append(float(scale.max() / scale.min()) - 1.0 if scale.min() > 0 else 1.0)
     if not depths or np.quantile(depths, 0.75) < 0.03:
         raise CalibrationRefused(
-            "the target faces the camera in nearly all views (one end of it at most "
+            "the target faces the camera in nearly all views (one end is at most "
             f"{100 * max(depths, default=0.0):.1f} % nearer than the other); such views "
             "cannot separate the focal length from the distance. Tilt the target by 20 to 40 "
             "degrees, to a different side each time"
@@ -305,8 +305,8 @@ def _choose(
 ) -> tuple[Lens, dict[str, float]]:
     """Choose the simplest lens model that no other model surpasses in cross-validation.
 
-    A more complex model must reduce the squared error by a quarter, or by both a fiftieth and two
-    standard errors of the difference over the views. It must also be invertible over the whole
+    A more complex model must reduce the squared error by a quarter, or by at least a fiftieth and
+    two standard errors of the difference over the views. It must also be invertible over the whole
     image.
     """
     order = np.random.default_rng(1).permutation(len(views))
@@ -417,7 +417,7 @@ def _result(
     worst = max(deviations["fx"] / model.fx, deviations["fy"] / model.fy)
     if worst > _WORST_FOCAL:
         raise CalibrationRefused(
-            f"these views leave the focal length unsure by {100 * worst:.1f} % (one standard"
+            f"these views leave the focal length uncertain by {100 * worst:.1f} % (one standard"
             f" deviation; at most {100 * _WORST_FOCAL:g} % is accepted): tilt the target more, fill"
             " the image with it, take more views"
         )
@@ -460,11 +460,11 @@ def _warnings(
             "model is only extrapolated; take views with the target there"
         )
     if len(used) < 12:
-        said.append(f"{len(used)} views are few: 20 make the standard deviations believable")
+        said.append(f"{len(used)} views are few: 20 make the standard deviations reliable")
     if worst > 0.003:
         said.append(
-            f"the focal length is unsure by {100 * worst:.2f} %: tilt the target more and fill the"
-            " image with it"
+            f"the focal length is uncertain by {100 * worst:.2f} %: tilt the target more and fill"
+            " the image with it"
         )
     if np.max([entry.tilt for entry in used]) < np.radians(15.0):
         said.append(

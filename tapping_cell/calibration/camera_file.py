@@ -40,7 +40,8 @@ def camera_record(
 
 
 def camera_info_yaml(model: CameraModel, name: str, record: Provenance) -> str:
-    """Format the file. As in ROS, the projection matrix contains only valid image pixels."""
+    """Format the file. As in ROS, the image rectified by the projection matrix contains only valid
+    pixels."""
     size = (model.width, model.height)
     projection, _ = cv2.getOptimalNewCameraMatrix(model.matrix, model.coefficients, size, 0.0)
     lines = [

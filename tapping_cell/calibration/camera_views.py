@@ -44,7 +44,7 @@ def screen(
             rejected.append(
                 Rejected(
                     view.name,
-                    f"blurred: edges spread over {view.blur:.1f} pixels (standard deviation), the"
+                    f"blurred: edges spread over {view.blur:.1f} pixels (standard deviation); the"
                     f" median of all views is {usual:.1f}",
                 )
             )

@@ -48,8 +48,8 @@ class RecordError(ValueError):
 class Column:
     """A column of numbers with its SI ``unit`` (a key of ``UNITS``) and its closed range.
 
-    ``least_largest`` is the minimum of the largest magnitude in the column. Smaller columns are
-    assumed to have the wrong unit (metres in a column of millimetres).
+    ``least_largest`` is the lowest plausible value of the largest magnitude in the column. A column
+    below it is assumed to have the wrong unit (metres in a column of millimetres).
     """
 
     name: str
@@ -214,7 +214,7 @@ def _find(path: Path, header: Sequence[str], column: Column) -> _Place | None:
     found = [(index, name) for index, name in enumerate(header) if name in known]
     if len(found) > 1:
         raise RecordError(
-            f"{path}: the column {column.name} is there {len(found)} times"
+            f"{path}: the column {column.name} appears {len(found)} times"
             f" ({', '.join(name for _, name in found)}); keep one of them"
         )
     if not found:

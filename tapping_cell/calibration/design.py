@@ -4,7 +4,7 @@ A run repeats taps with one striker speed and one incidence (section 3.1 of the 
 of ten trials). At small incidences the contact sticks, which determines the impact constants. At
 large incidences it slides throughout, which determines the contact friction. Two speeds separate
 speed-dependent effects from others. The start pose varies on purpose: from the middle of the table
-the object is tapped outwards in varying directions, from elsewhere back to the middle. So the
+the object is tapped outwards in varying directions, and from elsewhere back to the middle. So the
 effect of the table's tilt cancels in each pair of trials, and nobody has to return the object.
 """
 
@@ -131,7 +131,7 @@ def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[
 
 
 def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
-    """Return the trial with its outcome: whether a single tap explains the observed motion.
+    """Return the trial with its outcome, which states whether a single tap explains the motion.
 
     ``expected`` is the expected displacement in m. The outcome of a lost trial (no pose after the
     tap) is unchanged.
@@ -143,7 +143,7 @@ def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
         return replace(
             trial,
             outcome="missed",
-            note=f"moved {1000 * moved:.2f} mm where {1000 * expected:.1f} mm expected",
+            note=f"moved {1000 * moved:.2f} mm; {1000 * expected:.1f} mm was expected",
         )
     rate = trial.camera_rate_hz
     if not math.isfinite(rate):

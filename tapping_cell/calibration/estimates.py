@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.impact_fit import ImpactFit
 from tapping_cell.calibration.model_error import ModelError
 from tapping_cell.calibration.prediction import Launches
+from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.calibration.sliding_fit import SlideFit
 from tapping_cell.configuration.objects import ObjectFile
 
@@ -132,9 +133,16 @@ def scatter_estimates(
     """Estimate the scatter of launches (speed, spin, direction) and displacements.
 
     The scatter of distance and rotation includes the model's ``errors``, because a planner should
-    expect both.
+    expect both. Where small taps scatter more than in proportion, it is divided into a share and a
+    floor.
     """
     expected = {entry.quantity: entry.total for entry in errors}
+    place, angle = _parts(measured, tapped, impact, runs)
+    between = {entry.quantity: entry.error for entry in errors}
+    if place is not None and place.floor > 0.0:
+        expected["distance"] = math.hypot(place.shares[0], between.get("distance", 0.0))
+    if angle is not None and angle.floor > 0.0:
+        expected["rotation"] = math.hypot(angle.shares[0], between.get("rotation", 0.0))
     # The relative scatter of the rotation is meaningless for taps that hardly turn the object.
     clear = np.abs(tapped.rotation) > 0.2 * tapped.distance
     rotation = np.where(clear, tapped.rotation, 1.0)
@@ -148,7 +156,7 @@ def scatter_estimates(
         "scatter_direction": (
             impact.deviations[:, 2],
             content.scatter.direction,
-            impact.scatter[2],
+            impact.scatter[2] if place is None or place.floor == 0.0 else place.shares[1],
         ),
         "scatter_distance": (
             measured.distance / tapped.distance - 1,
@@ -180,4 +188,54 @@ def scatter_estimates(
         )
         low, high = (value * math.exp(float(end[0])) for end in (width.low, width.high))
         found.append(Estimate(name, value, low, high, value * float(width.std[0]), old, unit))
-    return found
+    return [*found, *floor_estimates(place, angle, content)]
+
+
+def floor_estimates(
+    place: Parts | None, angle: Parts | None, content: ObjectFile
+) -> Iterator[Estimate]:
+    """Yield estimates of the floors of the scatter that the taps determine.
+
+    A floor that is not significant is 0, without an interval.
+    """
+    for name, parts, unit in (("position_floor", place, "m"), ("angle_floor", angle, "rad")):
+        if parts is not None:
+            factor = math.exp(1.96 * parts.floor_std / parts.floor) if parts.floor > 0.0 else 1.0
+            yield Estimate(
+                f"scatter_{name}",
+                parts.floor,
+                parts.floor / factor,
+                parts.floor * factor,
+                parts.floor_std,
+                getattr(content.scatter, name),
+                unit,
+            )
+
+
+def _parts(
+    measured: Launches, tapped: Launches, impact: ImpactFit, runs: Sequence[int]
+) -> tuple[Parts | None, Parts | None]:
+    """Divide the scatter within the runs into shares and floors: position and angle."""
+    labels = np.asarray(runs)
+    return (
+        scatter_parts(
+            [
+                (_within(measured.distance - tapped.distance, labels), tapped.distance),
+                (_within(impact.deviations[:, 2] * tapped.distance, labels), tapped.distance),
+            ]
+        ),
+        scatter_parts(
+            [(_within(measured.rotation - tapped.rotation, labels), np.abs(tapped.rotation))]
+        ),
+    )
+
+
+def _within(off: Array, runs: NDArray[np.int_]) -> Array:
+    """Return deviations from the means of their runs, with the variance of single taps."""
+    made = np.full(off.size, math.nan)
+    for run in np.unique(runs):
+        own = (runs == run) & np.isfinite(off)
+        count = int(own.sum())
+        if count > 1:
+            made[own] = (off[own] - off[own].mean()) * math.sqrt(count / (count - 1))
+    return made

@@ -56,7 +56,7 @@ def identifiability(
 ) -> Identifiability:
     """Analyse how well the trials determine all parameters of the impact.
 
-    ``speed_known`` is the relative standard deviation of the common factor of the striker speeds;
+    ``speed_known`` is the relative standard deviation of the factor common to all striker speeds;
     it is inf if only the commanded speeds are known.
     """
     information = _information(model, values, scatter, speed_known)
@@ -126,7 +126,7 @@ def _confounded(information: Array, speed_known: float) -> list[str]:
         sentences.append(
             "The striker's speed was not measured, so the restitution assumes exactly the "
             "commanded speed. Friction, torque factor, contact friction and predictions for "
-            "the same tapper do not depend on it."
+            "the same tapper do not depend on this assumption."
         )
     return sentences
 

@@ -1,14 +1,14 @@
 """Fit of restitution, contact friction and the scales of B1, B2 and B3 to measured launches.
 
 A trial gives the striker's speed, contact point, incidence and launch: speed, spin over speed, and
-direction relative to the contact normal. The residuals to the impact model (``mechanics.impact``)
+direction relative to the contact normal. The residuals of the impact model (``mechanics.impact``)
 are divided by the scatter of a tap. This scatter is estimated together with the parameters.
 
 The data decide which parameters are free. Restitution is free, and contact friction is free if the
 contact slid in enough trials. The scale of B1 (and of B3 if B3 varies) is free only if the Bayesian
 information criterion supports it. B2 and the restitution only act in combination, as (1 + e) / B2.
-Therefore B2 keeps its model value. Only if no restitution from 0 to 1 explains the launches, B2 is
-fitted instead of the restitution.
+Therefore B2 keeps its model value. B2 is fitted instead of the restitution only if no restitution
+from 0 to 1 explains the launches.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ class ImpactModel:
         return np.asarray(point - values["restitution"] * s.speed * np.cos(s.incidence))
 
     def with_free(self, free: Sequence[str], x: Array) -> dict[str, float]:
-        """Return all parameters; ``x`` are the logarithms of the ``free`` ones."""
+        """Return all parameters; ``x`` are the logarithms of the ``free`` parameters."""
         values = dict(self.known)
         for name, value in zip(free, x.tolist(), strict=True):
             values[name] = _outside(name, value)
@@ -261,7 +261,8 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
 def _scatter(
     model: ImpactModel, off: Array, launch: Array, used: int
 ) -> tuple[float, float, float]:
-    """Estimate the scatter of a tap: the variance of the residuals minus the measurement's."""
+    """Estimate the scatter of a tap: the variance of the residuals minus the variance of the
+    measurement."""
     measured = model.measured_std()
     size = np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
     values = []
@@ -282,10 +283,10 @@ def _scatter(
 
 
 def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
-    """Fix the contact friction, because contacts that stick explain the launches as well.
+    """Fix the contact friction, because contacts that stick explain the launches equally well.
 
     The file's friction is kept unless it explains the launches worse. This gives no bound on the
-    friction: an error elsewhere in the model can make sliding contacts appear to stick.
+    friction, because an error elsewhere in the model can make sliding contacts appear to stick.
     """
     known = model.known["contact_friction"]
     said = (
@@ -301,7 +302,7 @@ def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[s
     needed = float(np.max(np.abs(hits.tangential_impulse / hits.normal_impulse)))
     kept = min(base.values["contact_friction"], 1.01 * needed)
     notes.append(
-        f"{said}, but with the file's {known:.3g} the launches fit worse; {kept:.3g} is used, "
+        f"{said}, but the file's value, {known:.3g}, explains them worse; {kept:.3g} is used, "
         "which is not a measurement"
     )
     return model.with_known(contact_friction=kept)
@@ -360,8 +361,8 @@ def _result(model: ImpactModel, fit: _Fit, notes: tuple[str, ...]) -> ImpactFit:
 def contact_frame(body: Body, contact_angle: Array) -> tuple[Array, Array]:
     """Compute (c_n, c_t) of contacts (n, 2) and the directions (n,) of their normals, body frame.
 
-    For a NaN contact angle, the contact is that at angle 0 (exact for round bodies), and the
-    direction is NaN.
+    For a NaN contact angle, the contact at angle 0 is returned (exact for round bodies), with a NaN
+    direction.
     """
     angle = np.nan_to_num(contact_angle)
     point, outward = body.boundary(angle), body.normal(angle)

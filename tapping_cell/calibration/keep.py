@@ -2,8 +2,8 @@
 
 1. If there is no file, the new file is written.
 2. If there is a file, writing is refused unless ``force`` is given.
-3. With ``force``, the old file's record of the same verb is compared. If its residual or its
-   uncertainty is smaller than the new one, writing is refused unless ``accept_worse`` is given. A
+3. With ``force``, the old file's record of the same verb is compared with the new record. If the
+   old residual or uncertainty is smaller, writing is refused unless ``accept_worse`` is given. A
    file without such a record (written by hand) cannot be compared, and ``force`` replaces it.
 
 Before the new text replaces the old file, the nodes' reader checks it. A text that this reader
@@ -23,7 +23,8 @@ from tapping_cell.configuration.provenance import Provenance, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
 
 _SLACK = 1.01
-"""Maximum ratio of new to old value that is not worse: files hold six digits, and fits vary."""
+"""Maximum ratio of the new to the old value at which the new file does not count as worse, because
+files hold six digits and fits vary."""
 
 
 class KeptFile(ValueError):
@@ -75,7 +76,7 @@ def refuse_better(output: Output, new: Provenance) -> None:
     if old is None or old.by != new.by:
         return
     worse = [
-        f"its {what} is {before:.4g} and the new one {after:.4g}"
+        f"its {what} is {before:.4g} (new: {after:.4g})"
         for what, same, before, after in (
             (old.residual_of, old.residual_of == new.residual_of, old.residual, new.residual),
             (
@@ -96,7 +97,7 @@ def refuse_better(output: Output, new: Provenance) -> None:
 
 
 def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path], object]) -> None:
-    """Write ``text``, which contains ``new``, by the rules of this module.
+    """Write ``text``, which includes the calibration record ``new``, by the rules of this module.
 
     ``read`` is the nodes' reader of such files. It reads a draft in the folder of the output.
 

@@ -1,9 +1,10 @@
 """Fit of friction, torque factor and scatter of an object to the taps of ordinary goals.
 
-A tap commanded by the mechanics of a file launches the object with a known twist. The measured
-displacement then determines friction and torque factor. Both are fitted to all taps jointly by
-robust least squares. Restitution and contact friction are kept from the file. Their errors are
-absorbed by the friction, which becomes the value for which this cell's taps are accurate.
+A tap planned with the mechanics of an object file launches the object with a known twist. The
+measured displacement then determines friction and torque factor. Both are fitted to all taps
+jointly by robust least squares. Restitution and contact friction are kept from the file. Their
+errors are absorbed by the friction, which becomes the value for which this cell's taps are
+accurate.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2, t
 
 from tapping_cell.calibration.csv_table import RecordError
-from tapping_cell.calibration.estimates import Estimate
+from tapping_cell.calibration.estimates import Estimate, floor_estimates
 from tapping_cell.calibration.keep import fingerprints, now
+from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Sliding
@@ -36,13 +38,14 @@ _OUTLIER = 5.0
 """Number of standard deviations above which a tap is an outlier, such as a collision or a miss."""
 _BOUNDS = (np.log([0.01, 0.05]), np.log([2.0, 20.0]))
 _UNKNOWN = 0.5
-"""Relative standard deviation from which the torque factor counts as not determined."""
+"""Relative standard deviation at or above which the torque factor counts as not determined."""
 _LEAST_SCATTER = 0.002
 
 
 @dataclass(frozen=True, slots=True)
 class LearntObject:
-    """Result of the fit: ``content`` is the file with new values, ``left_out`` unused taps."""
+    """Result of the fit: ``content`` is the file with new values; ``used`` and ``left_out`` count
+    taps."""
 
     content: ObjectFile
     estimates: tuple[Estimate, ...]
@@ -51,10 +54,10 @@ class LearntObject:
 
 
 def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike) -> LearntObject:
-    """Fit an object to taps that were commanded by the mechanics of ``content``.
+    """Fit an object to taps that were planned with the mechanics of ``content``.
 
     Args:
-        content: object file with which the taps were commanded.
+        content: object file with which the taps were planned.
         commanded, measured: displacements (n, 3) in the object frame before the tap, m and rad.
 
     Raises:
@@ -66,7 +69,7 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
     asked, moved = asked[usable], moved[usable]
     if len(asked) < FEWEST_TAPS:
         raise RecordError(
-            f"{len(asked)} of {usable.size} taps moved the object, at least {FEWEST_TAPS} are "
+            f"{len(asked)} of {usable.size} taps moved the object; at least {FEWEST_TAPS} are "
             "needed; send more goals, some with --probe"
         )
     body = content.body()
@@ -103,6 +106,11 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
             )
     count = int(rows.sum())
     deviations = [float(np.std(error[rows], ddof=2)) for error in errors]
+    place, angle = _parts(predicted(start)[rows], [error[rows] for error in errors])
+    if place is not None and place.floor > 0.0:
+        deviations[0], deviations[2] = place.shares
+    if angle is not None and angle.floor > 0.0:
+        deviations[1] = angle.shares[0]
     weights = np.repeat([deviations[0] / _DISTANCE, deviations[1] / _ROTATION], count)
     steps = 1e-4 * np.eye(2)
     slopes = np.stack(
@@ -124,6 +132,7 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
                 ("distance", "rotation", "direction"), deviations, ("", "", "rad"), strict=True
             )
         ),
+        *floor_estimates(place, angle, content),
         _smallest(content, predicted(start)[rows]),
     )
     value = {entry.name: float(f"{entry.value:.6g}") for entry in estimates if entry.fitted}
@@ -136,6 +145,8 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
             distance=min(value["scatter_distance"], 0.5),
             rotation=min(value["scatter_rotation"], 1.0),
             direction=min(value["scatter_direction"], 0.5),
+            position_floor=min(value.get("scatter_position_floor", 0.0), 0.05),
+            angle_floor=min(value.get("scatter_angle_floor", 0.0), 0.5),
         ),
         smallest_tap=value["smallest_tap"],
         calibration=None,
@@ -174,6 +185,16 @@ def _errors(predicted: Array, measured: Array) -> tuple[Array, Array, Array]:
     return distance, rotation, np.asarray(wrap_angle(direction))
 
 
+def _parts(predicted: Array, errors: Sequence[Array]) -> tuple[Parts | None, Parts | None]:
+    """Divide the scatter of position and angle into shares and floors."""
+    length, turn = np.hypot(predicted[:, 0], predicted[:, 1]), predicted[:, 2]
+    off = np.hypot(turn, _SLOPE / _ROTATION * length) * errors[1]
+    return (
+        scatter_parts([(np.expm1(errors[0]) * length, length), (errors[2] * length, length)]),
+        scatter_parts([(off, np.abs(turn))]),
+    )
+
+
 def _about(
     name: str, value: float, spread: float, wide: float, old: float, *, fitted: bool = True
 ) -> Estimate:
@@ -192,7 +213,7 @@ def _scatter(name: str, value: float, count: int, old: float, unit: str) -> Esti
 
 
 def _smallest(content: ObjectFile, predicted: Array) -> Estimate:
-    """Return the smallest tap that had its effect, or the file's if no tap used was as small."""
+    """Return the smallest displacement of the taps used, or the file's value if that is smaller."""
     seen = float(np.hypot(predicted[:, 0], predicted[:, 1]).min())
     value = min(max(seen, 1e-4), content.smallest_tap)
     return Estimate("smallest_tap", value, 0.0, value, 0.0, content.smallest_tap, "m")

@@ -5,9 +5,10 @@ Lack of fit: the taps of a run repeat one setting, so their spread is the scatte
 that this scatter cannot explain: run means that differ from the model and, within the runs,
 deviations that depend on the contact point on the object or on the direction of travel.
 
-Prediction: the error of a new tap has two sources, the model's error at its setting, of which the
-runs are a sample, and the scatter of a tap. They are the variances of a one-way random effects
-model, with Satterthwaite's degrees of freedom. So the interval widens if the model is wrong.
+Prediction: the error of a new tap has two sources, the scatter of a tap and the model's error at
+the tap's setting. The runs are a sample of the settings, so the two variances are those of a
+one-way random effects model, with Satterthwaite's degrees of freedom. So the interval widens if the
+model is wrong.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ _LEAST_TURN = 0.2
 """Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful."""
 _CAUSES = {
     "setting": "from run to run, that is with the striker's speed and the incidence",
-    "place": "with the place of the contact on the object: is its centre of mass or of friction "
-    "off the middle?",
-    "direction": "with the direction on the table: is the table level, and is its "
+    "place": "with the contact point on the object: is the object's centre of mass or of friction "
+    "away from its middle?",
+    "direction": "with the direction on the table: is the table level, and is the table's "
     "friction the same in all directions?",
 }
 
@@ -57,7 +58,7 @@ class Misfit:
         """Describe the deviation for the user."""
         return (
             f"The model does not fit: the {self.quantity} deviates by {100 * self.size:.0f} % "
-            f"{_CAUSES[self.cause]} (probability by chance {self.probability:.1g})."
+            f"{_CAUSES[self.cause]} (p-value {self.probability:.1g})."
         )
 
 
@@ -104,7 +105,7 @@ class Taps:
 
 
 def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
-    """Return the significant deviations from the model, by increasing probability."""
+    """Return the significant deviations from the model, by increasing p-value."""
     found: list[Misfit | None] = []
     runs = np.array(taps.runs)
     sides = np.array(

@@ -2,10 +2,10 @@
 
 A tap gives three numbers: the object's direction of travel, its rotation per distance and its
 distance. The first two depend on the offset and angle of the tapper's line, the third on the speed.
-Three unknowns per tapper (offset of the line to its left in m, its angle in rad, and the logarithm
-of the speed factor) are fitted to all of its taps by least squares. The weights come from the tap's
-scatter and the camera's noise, and the soft-l1 loss reduces the effect of outliers. Taps at one
-position determine the line there; taps at several positions along it determine its angle.
+Three unknowns per tapper (offset of the line to the left in m, angle of the line in rad, and
+logarithm of the speed factor) are fitted to all of its taps by least squares. The weights come from
+the tap's scatter and the camera's noise, and the soft-l1 loss reduces the effect of outliers. Taps
+at one position determine the line there; taps at several positions along it determine its angle.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ LEAST_MOVE = 0.003
 """Minimum displacement of a usable tap, m; in shorter taps the camera's noise dominates."""
 
 WIDEST = np.array([0.003, math.radians(2.0), 0.5])
-"""Prior standard deviations of the three unknowns (m, rad, relative): mounts that were set up with
-ruler and protractor."""
+"""Prior standard deviations of the three unknowns (m, rad, relative), for mounts set up with ruler
+and protractor."""
 
 WANTED = 0.0003
 """Maximum standard deviation of the line at the object, m, for planning."""
@@ -53,7 +53,8 @@ class TapScatter:
     """Standard deviations of a tap and of one camera measurement.
 
     ``distance`` and ``rotation`` are relative, ``direction`` and ``camera_angle`` in rad,
-    ``camera_position`` in m.
+    ``camera_position`` in m. ``position_floor`` (m) and ``angle_floor`` (rad) are the parts that do
+    not decrease with the size of the tap.
     """
 
     distance: float
@@ -61,16 +62,18 @@ class TapScatter:
     direction: float
     camera_position: float
     camera_angle: float
+    position_floor: float = 0.0
+    angle_floor: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class MountFit:
-    """Result for one tapper. ``mount`` is its measured line.
+    """Result for one tapper; ``mount`` is the tapper's measured line.
 
     ``offset`` in m and ``angle`` in rad are corrections of the nominal mount. ``speed_factor`` is
-    true over commanded speed. ``line_deviation`` in m is the standard deviation of the line at the
-    object, and ``angle_deviation`` in rad that of its angle. ``residual`` is the root mean square
-    of the weighted residuals (about 1 if the assumed scatter is correct).
+    the ratio of true to commanded speed. ``line_deviation`` in m is the standard deviation of the
+    line at the object, and ``angle_deviation`` in rad that of its angle. ``residual`` is the root
+    mean square of the weighted residuals (about 1 if the assumed scatter is correct).
     """
 
     name: str
@@ -122,16 +125,16 @@ def fit_mount(
             f"{1e3 * LEAST_MOVE:.0f} mm or more; at least {LEAST_TAPS} are needed"
         )
     speeds, before, moved, size = speeds[used], before[used], moved[used], size[used]
-    camera_noise = math.sqrt(2.0) * scatter.camera_position / size
+    place = math.hypot(math.sqrt(2.0) * scatter.camera_position, scatter.position_floor) / size
     weight = np.stack(
         [
-            np.hypot(scatter.direction, camera_noise),
+            np.hypot(scatter.direction, place),
             np.hypot(
                 math.hypot(scatter.rotation, scatter.distance)
                 * np.maximum(np.abs(moved[:, 2] / size), 0.5),
-                math.sqrt(2.0) * scatter.camera_angle / size,
+                math.hypot(math.sqrt(2.0) * scatter.camera_angle, scatter.angle_floor) / size,
             ),
-            np.hypot(scatter.distance, camera_noise),
+            np.hypot(scatter.distance, place),
         ],
         axis=-1,
     )

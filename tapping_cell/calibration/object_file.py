@@ -19,8 +19,13 @@ from tapping_cell.configuration.provenance import Provenance, provenance_yaml
 _DIGITS = 6
 _VALUES = ("friction", "torque_factor", "restitution", "contact_friction")
 _SCALES = ("scale_b1", "scale_b2", "scale_b3")
-_SCATTER = ("distance", "rotation", "direction")
-_MOST_SCATTER = {"distance": 0.5, "rotation": 1.0, "direction": 0.5}
+_MOST_SCATTER = {
+    "distance": 0.5,
+    "rotation": 1.0,
+    "direction": 0.5,
+    "position_floor": 0.05,
+    "angle_floor": 0.5,
+}
 
 
 def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
@@ -28,8 +33,8 @@ def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
     found = {entry.name: _rounded(entry.value) for entry in fit.estimates if entry.fitted}
     values = {name: found[name] for name in _VALUES if name in found}
     scatter = {
-        name: min(found[f"scatter_{name}"], _MOST_SCATTER[name])
-        for name in _SCATTER
+        name: min(found[f"scatter_{name}"], most)
+        for name, most in _MOST_SCATTER.items()
         if f"scatter_{name}" in found
     }
     old: ScatterSection = replace(fit.content.scatter, **scatter)

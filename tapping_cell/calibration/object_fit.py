@@ -54,8 +54,8 @@ _AS_TOLD = 0.01  # relative error of the striker's speed that is not reported
 
 
 class SpeedPoint(NamedTuple):
-    """Speed of the tapper at one setting: its draw (m, NaN if none) or commanded speed, and the
-    mean and standard deviation of the measured speeds in m/s."""
+    """Speed of the tapper at one setting: the draw of its spring (m, NaN if none) or the commanded
+    speed, and the mean and standard deviation of the measured speeds in m/s."""
 
     draw: float
     commanded: float
@@ -174,9 +174,9 @@ def _check_range(slide: SlideFit) -> None:
     low, high = TORQUE_FACTORS
     if not 1.01 * low < slide.torque_factor < 0.99 * high:
         raise RecordError(
-            f"the trials ask for a torque factor of {slide.torque_factor:.3g} with a friction of "
-            f"{slide.friction:.3g}, the limit of what is looked for ({low:g} to {high:g}): the "
-            "units of displacement, rotation or spin are wrong, or the radius in the object file"
+            f"the best torque factor, {slide.torque_factor:.3g} with a friction of "
+            f"{slide.friction:.3g}, is at the limit of its range ({low:g} to {high:g}): the "
+            "units of displacement, rotation or spin, or the radius in the object file, are wrong"
         )
 
 
@@ -202,18 +202,18 @@ def _strangers(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
         reason = ""
         if abs(centred[index]) > _OUTLIER * width_each[index]:
             reason = (
-                f"it slows down {100 * math.expm1(centred[index]):+.0f} % beside the other trials"
+                f"its friction differs by {100 * math.expm1(centred[index]):+.0f} % from the others"
             )
         elif slide.misfit[index] > _MISFIT * usual:
             what = "track" if entry.motion.slide is not None else "launch"
             times = slide.misfit[index] / usual
-            reason = f"its {what} is {times:.0f} times as far from any slide to its end"
+            reason = f"the residual of its {what} is {times:.0f} times the usual residual"
         if reason:
             sentence = f"the object does not slide as in the other trials: {reason}"
             found[index] = LeftOut(entry.trial.file, entry.trial.row, "disturbed", sentence)
     if len(found) > _MOST_OUTLIERS * len(used):
         raise RecordError(
-            f"{len(found)} of {len(used)} trials are inconsistent with the others, the first: "
+            f"{len(found)} of {len(used)} trials are inconsistent with the others. The first is "
             f"{next(iter(found.values()))}. The records may contain several objects or "
             "tables, or wrong units; fit them separately"
         )
@@ -301,7 +301,7 @@ def _fit_impact(
     sentences: list[str],
 ) -> _Impacts | None:
     if striker is None:
-        sentences.append("No header gives the striker: the impact is not fitted.")
+        sentences.append("No header gives the striker, so the impact is not fitted.")
         return None
     body = content.body()
     strikes, known = _strikes(used, slide, body)
@@ -361,7 +361,7 @@ def _strikes(
 
 
 def _speed_known(used: Sequence[Used]) -> float:
-    """Return the relative standard deviation of the common factor of the striker speeds."""
+    """Return the relative standard deviation of the factor common to all striker speeds."""
     measured = [not math.isnan(entry.trial.striker_speed_measured) for entry in used]
     if not all(measured):
         return math.inf
@@ -419,7 +419,7 @@ def _taps(
 def _inflation(misfits: Sequence[Misfit]) -> float:
     """Return the factor by which intervals widen if the runs do not fit the model (Birge 1932).
 
-    In that case the runs are the independent samples, not the taps.
+    In that case the runs, not the taps, are the independent samples.
     """
     ratios = [misfit.inflation for misfit in misfits if misfit.cause == "setting"]
     return math.sqrt(max([1.0, *ratios]))
@@ -431,7 +431,7 @@ def _prediction_sentence(errors: Sequence[ModelError]) -> list[str]:
     widths = " and ".join(
         f"{100 * entry.half_width:.0f} % of the predicted {entry.quantity}" for entry in errors
     )
-    return [f"Of new taps with settings within those of these runs 95 % come within {widths}."]
+    return [f"Of new taps with settings within those of these runs, 95 % come within {widths}."]
 
 
 def _slide_sentences(
@@ -451,7 +451,7 @@ def _slide_sentences(
         x, y = (1e3 * offset for offset in offsets)
         sentences.append(
             f"The object's centre of pressure is off its middle by ({x:+.2f}, {y:+.2f}) mm in "
-            "its own frame, so that its rotation depends on the direction of sliding. The "
+            "its own frame, so its rotation depends on the direction of sliding. The "
             "fit accounts for this; the planner does not."
         )
     torque = next(entry for entry in estimates if entry.name == "torque_factor")
@@ -491,7 +491,8 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
 
 
 def _tapper(used: Sequence[Used]) -> tuple[SpeedPoint, ...]:
-    """Compute the measured striker speed for each draw, or for each commanded speed."""
+    """Compute the measured striker speed for each draw of the spring, or for each commanded
+    speed."""
     settings: dict[tuple[float, float], list[float]] = {}
     for entry in used:
         trial = entry.trial

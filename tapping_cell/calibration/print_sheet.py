@@ -130,7 +130,7 @@ def reference_map(
         largest = min((paper[0] - 2 * _MARGIN), (paper[1] - 2 * _MARGIN - _FOOT)) / (3 + 8 * _QUIET)
         raise SheetError(
             f"eight markers of {size * 1e3:g} mm do not fit on {paper[0] * 1e3:g} x"
-            f" {paper[1] * 1e3:g} mm; at most {largest * 1e3:.0f} mm do"
+            f" {paper[1] * 1e3:g} mm; the largest that fit have {largest * 1e3:.0f} mm"
         )
     middle = 0.5 * (top + bottom)
     places = [(-x, top), (0.0, top), (x, top), (-x, middle), (x, middle)]
@@ -206,8 +206,8 @@ def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> N
         hint = f" such as {fitting[0]}" if fitting else ""
         raise SheetError(
             f"the reference markers need a paper of {width * 1e3:.0f} x {height * 1e3:.0f} "
-            f"mm, and this one is {paper[0] * 1e3:g} x {paper[1] * 1e3:g} mm: use a larger "
-            f"one{hint}, or print the markers one by one (--what cut)"
+            f"mm, but this paper is {paper[0] * 1e3:g} x {paper[1] * 1e3:g} mm: use a larger "
+            f"paper{hint}, or print the markers one by one (--what cut)"
         )
 
 
@@ -262,8 +262,8 @@ def _cut_page(
     down = int((paper[1] - 2 * _MARGIN - _FOOT) / pitch)
     if len(ids) > across * down:
         raise SheetError(
-            f"{len(ids)} markers of {size * 1e3:g} mm do not fit on the paper, "
-            f"{across * down} do: print fewer or smaller markers"
+            f"{len(ids)} markers of {size * 1e3:g} mm do not fit on the paper; "
+            f"only {across * down} do: print fewer or smaller markers"
         )
     shapes, lines, labels = [], [], []
     for number, (marker_id, text) in enumerate(zip(ids, texts, strict=True)):

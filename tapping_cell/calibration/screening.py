@@ -81,7 +81,7 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
         for file, count in wrong.items():
             if count > total[file] / 2:
                 raise RecordError(
-                    f"{file}: {count} of {total[file]} rows have wrong units or hardly moved, "
+                    f"{file}: {count} of {total[file]} rows have wrong units or hardly any motion, "
                     f"the first in row {first[file].row} ({first[file].reason}): "
                     f"{first[file].sentence}"
                 )
@@ -145,7 +145,7 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     still = not trial.initial_speed > _LEAST_SPEED
     if still and trial.displacement < max(_LEAST_MOTION, _OTHER_NOISE * spread):
         return _Rejection(
-            "missed", f"the object moved by {1e3 * trial.displacement:.3g} mm only: a miss"
+            "missed", f"the object moved by only {1e3 * trial.displacement:.3g} mm: a miss"
         )
     radius, gamma = body.support_radius, body.gamma
     if radius * abs(trial.rotation) > 3 * gamma * trial.displacement:
@@ -180,7 +180,7 @@ def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Rejectio
     if turned > max(0.005, 0.02 * abs(trial.rotation), _OTHER_NOISE * turn_spread):
         return _Rejection(
             "inconsistent",
-            f"rotation_rad is {trial.rotation:.4g}, but the poses are turned by "
+            f"rotation_rad is {trial.rotation:.4g}, but the poses differ by "
             f"{trial.end_theta - trial.start_theta:.4g} rad; is one of them in degrees?",
         )
     return None
@@ -251,7 +251,7 @@ def _cure(speed: float, distance: float, gravity: float) -> str:
         friction = (v * speed) ** 2 / (2 * gravity * x * distance)
         if 0.02 < friction < 2.0:
             return text
-    return "check the units of both"
+    return "check the units of both columns"
 
 
 def _from_track(
@@ -264,7 +264,8 @@ def _from_track(
     if not _RATE[0] < _or(own_rate / rate, 1.0) < _RATE[1]:
         return _Rejection(
             "units",
-            f"the track has {own_rate:.4g} samples a second, the camera {rate:.4g}; is t_s in ms?",
+            f"the track has {own_rate:.4g} samples per second, but the camera has a rate of "
+            f"{rate:.4g} Hz; is t_s in ms?",
         )
     slide = slide_of(
         trial, header.track_position_std, header.track_rotation_std, rate, header.exposure
@@ -281,8 +282,8 @@ def _from_track(
         units = off > 100 * min(slide.displacement, displacement)
         return _Rejection(
             "units" if units else "disturbed",
-            f"the track ends {1e3 * slide.displacement:.4g} mm from its start, the poses at rest "
-            f"are {1e3 * displacement:.4g} mm apart"
+            f"the track ends {1e3 * slide.displacement:.4g} mm from its start, but the poses at "
+            f"rest are {1e3 * displacement:.4g} mm apart"
             + ("; is one of them in mm?" if units else "; was the object moved by hand?"),
         )
     if slide.moving < _TRACK_POINTS:

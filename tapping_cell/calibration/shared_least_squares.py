@@ -1,8 +1,9 @@
 """Least squares with local parameters of each trial and parameters shared by all trials.
 
-The residuals of a trial depend only on its own ``local`` parameters and on the ``shared`` ones. So
-the matrix of the normal equations is a bordered block-diagonal matrix. The local parameters are
-eliminated for each trial (Schur complement), and the effort is linear in the number of trials.
+The residuals of a trial depend only on its own ``local`` parameters and on the ``shared``
+parameters. So the matrix of the normal equations is a bordered block-diagonal matrix. The local
+parameters are eliminated for each trial (Schur complement), and the effort is linear in the number
+of trials.
 
 Methods: Levenberg 1944 and Marquardt 1963; for the elimination, Triggs et al., "Bundle adjustment",
 2000, section 6.
@@ -78,7 +79,7 @@ def sum_by_trial(jacobian: Array, residuals: Array, rows: Rows, count: int) -> t
 def eliminated(equations: NormalEquations) -> tuple[Array, Array]:
     """Compute gradient (n, s) and curvature (n, s, s) of each trial in the shared parameters.
 
-    The local parameters are eliminated, so they are optimal for the shared ones.
+    The local parameters are eliminated, that is, optimal for the given shared parameters.
     """
     by_shared, by_gradient = _solved(equations, equations.h_local)
     return _reduced(equations, by_shared, by_gradient)
@@ -122,7 +123,7 @@ def _step(equations: NormalEquations, damping: float, local_only: bool) -> tuple
 
 
 def _solved(equations: NormalEquations, h_local: Array) -> tuple[Array, Array]:
-    """Solve for the changes of the local parameters with the shared ones (n, p, s) and with their
+    """Compute how the local parameters change with the shared parameters (n, p, s) and with their
     own gradient (n, p)."""
     right = np.concatenate([equations.h_mixed, equations.g_local[:, :, None]], axis=2)
     solved = np.linalg.solve(h_local, right)

@@ -3,8 +3,8 @@
 The equations and tables are those of ``mechanics.sliding``, but arranged for fits, which need few
 samples of many slides with changing parameters. Slides are self-similar, and the ratio of spin and
 speed follows one curve on either side of its terminal value. So one table of that curve over the
-remaining time is sufficient for all launches. Tables exist on a grid of torque factors. Between
-them values are interpolated, which also gives the derivative.
+remaining time is sufficient for all launches. Tables exist on a grid of torque factors. Between the
+grid points, values are interpolated, which also gives the derivative.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ TORQUE_FACTORS = (0.1, 15.0)
 """Range of torque factors that a fit considers."""
 FINE, COARSE = 0.02, 0.12
 """Spacing of the tables in ln(torque factor). The interpolation errors are 3e-5 and 1e-3 of the
-rotation. A table takes a tenth of a second to compute, so a search starts with the coarse ones."""
+rotation. A table takes a tenth of a second to compute, so a search starts with the coarse
+tables."""
 _FARTHEST = 14.0  # ln of the largest ratio of spin and speed; beyond it, the motion is pure
 _NEAREST = -20.0  # ln of the smallest distance from the terminal ratio
 _KNOTS = 1000
@@ -49,7 +50,8 @@ class Slopes(NamedTuple):
 
 
 class _Curve:
-    """Slides of one support at one Lambda in reduced units: lengths times mu g, rim speeds."""
+    """Slides of one support at one Lambda, with lengths multiplied by mu g and spins as rim
+    speeds."""
 
     def __init__(self, support: str, torque_ratio: float) -> None:
         self.table = SlideTable(support, torque_ratio)
@@ -72,7 +74,8 @@ class _Curve:
         away = np.union1d(close, np.arange(width, 0.0, -_SPACING))
         ratio = self._terminal + sign * away
         rate = sign * self.table.ratio_rate(ratio)
-        # d ln(left) = d ratio / rate, integrated over ln(away), in which it is smooth
+        # d ln(left) = d ratio / rate, left being the remaining time. The integration variable is
+        # ln(away), because the integrand is smooth in it.
         slope = away / np.maximum(rate, 1e-12)
         steps = np.diff(np.log(away)) * (slope[1:] + slope[:-1]) / 2
         left = np.concatenate([[0.0], np.cumsum(steps)])

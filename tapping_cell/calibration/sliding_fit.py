@@ -9,10 +9,10 @@ causes no error, and a small displacement is weighted by its noise.
 The fit minimises the squared residuals divided by their variances (``shared_least_squares.py``).
 This module defines the residuals and their derivatives.
 
-No object has an exactly uniform pressure distribution. If the centre of pressure is beside the
-centre of mass, friction rotates the object depending on its direction of travel: half a millimetre
-changes the rotation of the paper's disk by a fifth. So the centre of pressure is also fitted, to
-first order, if the direction of travel is known in the object frame.
+No object has an exactly uniform pressure distribution. If the centre of pressure is away from the
+centre of mass, friction rotates the object by an amount that depends on the direction of travel. A
+distance of half a millimetre changes the rotation of the paper's disk by a fifth. So the centre of
+pressure is also fitted, to first order, if the direction of travel is known in the object frame.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFi
         ValueError: there are fewer than two motions.
     """
     if len(motions) < 2:
-        raise ValueError(f"{len(motions)} slides cannot be fitted; two are needed at least")
+        raise ValueError(f"{len(motions)} slides cannot be fitted; at least two are needed")
     problem = _problem(motions, body, gravity)
     fine, coarse = problem.curves, problem.curves.on(COARSE)
     problem = problem._replace(curves=coarse)
@@ -257,7 +257,8 @@ def _spread(values: Array) -> float:
 
 
 def _between(values: Array, deviations: Array) -> float:
-    """Estimate robustly the standard deviation between trials in excess of the measurement's."""
+    """Estimate robustly the standard deviation between trials in excess of that of the
+    measurement."""
     known = np.isfinite(deviations) & (deviations < 0.5 * _FREE)
     if known.sum() < 4:
         return 0.0
@@ -320,7 +321,7 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
 def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquations:
     """Linearise the problem.
 
-    ``prior`` is the standard deviation of a trial's ln friction from the shared one.
+    ``prior`` is the standard deviation of a trial's ln friction from the shared value.
     """
     misses, rows, local = _misses(problem, at), problem.samples.rows, at.local
     count = local.shape[0]
@@ -395,7 +396,7 @@ def _fitted(
 
 
 def _own_friction(problem: _Problem, at: Estimate) -> tuple[Array, Array]:
-    """Estimate ln of each trial's friction over the shared one, with standard deviations."""
+    """Estimate ln of each trial's friction over the shared friction, with standard deviations."""
     covariance = np.linalg.inv(_linearised(problem, at, _FREE).h_local)
     return at.local[:, _FRICTION], np.sqrt(covariance[:, _FRICTION, _FRICTION])
 

@@ -83,7 +83,8 @@ def observe_markers(
     dictionary: str,
     known: Sequence[int] | None = None,
 ) -> MarkerView | str:
-    """Detect the markers of an image (those in ``known``, or all); a text gives the failure."""
+    """Detect the markers of an image (those in ``known``, or all); a string is the reason for a
+    failure."""
     problem = camera.check_image(image)
     if problem:
         return problem
@@ -108,8 +109,9 @@ def _noise(edges: MarkerEdges) -> Array:
     """Compute the standard deviation (M,) of a corner in pixels.
 
     The end of a line through n points has 4 / n of the variance of one point. The ends of a side
-    are not measured, so a corner lies a tenth of the length beyond the points (5.3 / n). Also, the
-    sides are not perpendicular in the image. With rendered markers, the factor is 8 / n.
+    are not measured, so a corner lies a tenth of the length beyond the points, which increases the
+    factor to 5.3 / n. Also, the sides are not perpendicular in the image. The factor used, 8 / n,
+    was measured on rendered markers.
     """
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
     return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01))
@@ -132,8 +134,8 @@ def calibrate_table(
     views = [view for view in views if len(view.ids) >= 2]
     if len(views) < 2:
         raise CalibrationRefused(
-            f"{len(views)} images show two markers or more; at least 2 are needed, 6 from "
-            "different sides are recommended"
+            f"{len(views)} images show two markers or more; at least 2 such images are needed, and "
+            "6 from different sides are recommended"
         )
     starts = [_square_up(view, sizes) for view in views]
     ids, markers, poses = _join(views, starts)
@@ -207,7 +209,7 @@ def _turn(angle: float) -> Array:
 
 
 def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose, Array]:
-    """Estimate a camera pose over the plane from one image, and the markers' poses (M, 3) there.
+    """Estimate from one image the camera's pose over the plane and the markers' poses (M, 3) on it.
 
     Each marker gives two candidate planes. The plane on which all markers are closest to squares of
     their size is chosen and refined by this criterion.
@@ -382,7 +384,8 @@ class _Problem:
         return matrix, right, float((residual**2).sum())
 
     def solve(self, poses: Sequence[CameraPose], markers: Array) -> tuple[list[CameraPose], Array]:
-        """Minimise by Levenberg-Marquardt; the frame is not fixed, but it hardly moves."""
+        """Minimise by Levenberg-Marquardt; the frame is not fixed, but hardly moves in the
+        process."""
         poses, damping = list(poses), 1e-6
         matrix, right, cost = self._normal(poses, markers)
         for _ in range(_STEPS):

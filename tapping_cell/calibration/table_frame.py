@@ -50,7 +50,9 @@ def frame_of_markers(references: ReferenceMap, origin: int, along: int) -> Array
     places = {m.id: np.array([m.x, m.y]) for m in references.markers}
     for number in (origin, along):
         if number not in places:
-            raise CalibrationRefused(f"marker {number} was not seen; seen are {sorted(places)}")
+            raise CalibrationRefused(
+                f"marker {number} was not seen; the markers seen are {sorted(places)}"
+            )
     way = places[along] - places[origin]
     return np.array([*places[origin], np.arctan2(way[1], way[0])])
 
@@ -68,8 +70,8 @@ def frame_of_map(references: ReferenceMap, old: ReferenceMap) -> tuple[Array, fl
     both = sorted(set(before) & set(now))
     if len(both) < 2:
         raise CalibrationRefused(
-            f"only the markers {both} are seen of the old table file's {sorted(before)}; two are"
-            " needed to keep its frame"
+            f"of the old table file's markers {sorted(before)}, only {both} are seen; two are"
+            " needed to keep the file's frame"
         )
     a, b = np.array([before[i] for i in both]), np.array([now[i] for i in both])
     frame = rigid(a, b)

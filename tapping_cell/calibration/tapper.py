@@ -58,17 +58,17 @@ _NOISES = 32
 """Number of candidate values for the scatter of a tap."""
 _STRETCHES = (0.7, 1.4)
 """Candidate length scales of the deviation, as fractions of the range of ln E. The amplitudes above
-are relative. Smaller amplitudes are excluded: losses and thresholds affect every drive, and
-assuming too small a deviation costs more accuracy than it gains."""
+are relative. Smaller amplitudes are excluded, because losses and thresholds affect every drive, and
+because assuming too small a deviation costs more accuracy than it gains."""
 _ALIKE = 0.02
-"""Relative difference up to which energies count as the same draw."""
+"""Relative difference up to which energies count as the same energy level."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TapRecord:
     """Taps (N,): ``energies`` in J, ``distances`` in m, ``rotations`` in rad, ``incidences`` from
     the contact normal to the striker's axis in rad, and row numbers ``rows`` in the file.
-    ``deviations`` are the standard deviations of the distances by the camera's noise, in m.
+    ``deviations`` are the standard deviations of the distances due to the camera's noise, in m.
     """
 
     energies: Array
@@ -170,7 +170,7 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
     if usable.sum() < LEAST_TAPS:
         raise CalibrationRefused(
             f"{int(usable.sum())} taps that moved the object are too few: at least "
-            f"{LEAST_TAPS} are needed, 30 over the range are recommended"
+            f"{LEAST_TAPS} are needed; 30 over the range are recommended"
         )
     speeds = np.where(usable, striker_speeds(record, tap), 1.0)
     x, y = np.log(record.energies), np.log(speeds)
@@ -178,8 +178,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
     seen = 0.5 * record.deviations / np.maximum(record.distances, _NO_MOTION)
     if len(np.unique(groups[usable])) < 3:
         raise CalibrationRefused(
-            f"{len(np.unique(groups[usable]))} different energies are too few for a curve: "
-            "use at least 3, better 6, from the smallest tap to the largest"
+            f"only {len(np.unique(groups[usable]))} different energies were used, too few for a "
+            "curve: use at least 3, preferably 6, from the smallest tap to the largest"
         )
     while True:
         curve = _Curve(x[usable], y[usable], seen[usable])
@@ -201,8 +201,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         usable[worst] = False
         if usable.sum() < max(LEAST_TAPS, len(x) // 2):
             raise CalibrationRefused(
-                "no single curve fits the taps: more than half of them would have to be left "
-                "out. Check the columns' units and that all taps hit the object's middle"
+                "no single curve fits the taps: more than half of them would have to be "
+                "rejected. Check the columns' units and that all taps hit the object's middle"
             )
     low, high = float(record.energies[usable].min()), float(record.energies[usable].max())
     at = np.geomspace(low, high, POINTS)
@@ -230,7 +230,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
 
 
 def _groups(energies: Array) -> NDArray[np.intp]:
-    """Number the draw of each tap; taps of nearly equal energy have the same draw."""
+    """Return the number of each tap's energy level; taps of nearly equal energy have the same
+    level."""
     order = np.argsort(energies, kind="stable")
     rises = np.diff(energies[order]) > _ALIKE * energies[order][:-1]
     groups = np.empty(len(energies), dtype=np.intp)
@@ -239,10 +240,11 @@ def _groups(energies: Array) -> NDArray[np.intp]:
 
 
 def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]) -> float:
-    """Return the smallest energy, in J, from which all draws move the object reliably.
+    """Return the smallest energy, in J, from which all energy levels move the object reliably.
 
-    If a tap does not move the object but taps of similar energy move it far, the tap missed. Only
-    among short displacements does it show that the draw is too small.
+    If a tap does not move the object but taps of similar energy move it far, the tap missed. A tap
+    without motion shows that the energy is too small only if taps of similar energy move the object
+    little.
     """
     if not moves.any():
         raise CalibrationRefused(
@@ -283,11 +285,11 @@ class _Curve:
     """The smooth curve of ln speed over ln energy, with mean and standard deviation.
 
     Deviations of all amplitudes and length scales are averaged, weighted by their likelihood. So
-    the standard deviation includes the uncertainty about the form of the curve.
+    the standard deviation includes the uncertainty about the shape of the curve.
     """
 
     def __init__(self, x: Array, y: Array, seen: Array) -> None:
-        """Fit taps (N,) with ln energies, ln speeds and standard deviations by the camera."""
+        """Fit taps (N,) with ln energies, ln speeds and standard deviations due to the camera."""
         self._x = x
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x
@@ -424,18 +426,18 @@ def _notes(
     said = [
         f"assumed from the object file: friction {mu:g}, restitution {e:g}, masses"
         f" {tap.body.mass:g} and {tap.impact.striker.mass:g} kg",
-        f"1 % more friction means {by_friction:+.2f} % in all speeds, 0.01 more restitution "
-        f"{by_restitution:+.2f} %; taps on the same object are still correct, because the "
+        f"1 % more friction changes all speeds by {by_friction:+.2f} %, and 0.01 more restitution "
+        f"by {by_restitution:+.2f} %; taps on the same object are still correct, because the "
         "planner inverts the model with the same values",
     ]
     scattered = [d for d in draws if d.scatter is not None and d.scatter > 2.0 * curve.noise]
     for draw in scattered:
         said.append(
             f"taps of {draw.energy * 1e3:.4g} mJ scatter by {100 * (draw.scatter or 0):.0f} "
-            f"%, all taps by {100 * curve.noise:.1f} %: do not use that energy"
+            f"%, but all taps by {100 * curve.noise:.1f} %: do not use that energy"
         )
     if used < 20:
-        said.append(f"{used} taps are few: 30 over the range are good")
+        said.append(f"{used} taps are few: 30 over the range are better")
     if ratio < 4.0:
         said.append(
             "the largest energy is less than 4 times the smallest: the curve covers this range only"

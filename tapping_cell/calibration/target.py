@@ -66,7 +66,7 @@ class Target:
             if not 0.2 * self.square <= self.marker < self.square:
                 raise TargetError(
                     f"markers of {self.marker * 1e3:g} mm in squares of {self.square * 1e3:g} mm:"
-                    " give the markers' side in mm, smaller than the squares'"
+                    " give the markers' side in mm, smaller than the side of the squares"
                 )
             held = len(marker_dictionary(self.dictionary).bytesList)
             needed = self.columns * self.rows // 2
@@ -90,7 +90,7 @@ class Target:
 
     @property
     def clear(self) -> float:
-        """Radius around a corner that contains only the four squares, in squares."""
+        """Radius around a corner that contains only the four squares, in sides of a square."""
         if self.kind == "chessboard":
             return 0.35
         return 0.5 * (1.0 - self.marker / self.square)
@@ -124,14 +124,14 @@ class TargetView:
 
 
 def find_target(image: Image, target: Target, name: str) -> TargetView | str:
-    """Detect the target's corners in a grey image; a text gives the reason of a failure."""
+    """Detect the target's corners in a grey image; a string is the reason for a failure."""
     found = _chessboard(image, target) if target.kind == "chessboard" else _charuco(image, target)
     if isinstance(found, str):
         return found
     ids, pixels = found
     if len(ids) < target.least_corners:
         return (
-            f"too few corners: {len(ids)} of {len(target.points)} are seen, at least "
+            f"too few corners: {len(ids)} of {len(target.points)} are seen, but at least "
             f"{target.least_corners} are needed"
         )
     grid = np.stack([ids % target.inner[0], ids // target.inner[0]], axis=-1)

@@ -38,7 +38,7 @@ def hint(image: Image, target: Target) -> str | None:
         seen = {name: _markers(image, name) for name in _FAMILIES}
         best = max(seen, key=lambda name: seen[name])
         if seen[best] >= 4:
-            return f"{seen[best]} markers of {best} are seen: give their --dictionary"
+            return f"{seen[best]} markers of {best} are seen: give this --dictionary"
     return None
 
 

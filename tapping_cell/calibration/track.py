@@ -74,7 +74,7 @@ def slide_of(
     moved = end - start
     distance = float(np.hypot(*moved))
     if distance < max(_LEAST_MOTION, floor):
-        return TrackProblem("missed", f"the object moved by {1e3 * distance:.3g} mm only")
+        return TrackProblem("missed", f"the object moved by only {1e3 * distance:.3g} mm")
     direction = moved / distance
     along = (places - start) @ direction
     across = (places - start) @ np.array([-direction[1], direction[0]])
@@ -136,8 +136,8 @@ def _disturbed(
     if longest * rate > _GAP:
         return TrackProblem(
             "gap",
-            f"the track has no sample for {1e3 * longest:.0f} ms while the object slides, "
-            f"{longest * rate:.1f} periods of the camera",
+            f"the track has no sample for {1e3 * longest:.0f} ms ({longest * rate:.1f} periods "
+            "of the camera) while the object slides",
         )
     side = float(np.max(np.abs(across)))
     reach = float(along[-1])

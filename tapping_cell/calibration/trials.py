@@ -32,9 +32,9 @@ TRACK_FOLDER = "tracks"
 OUTCOMES = ("ok", "missed", "disturbed", "lost")
 """Outcomes of a trial. ``ok``: the tap hit, and the object was measured before and after it.
 ``missed``: the striker missed. ``disturbed``: something else moved the object. ``lost``: the camera
-lost the object. Fits use only ``ok``."""
+lost the object. Fits use only the trials with the outcome ``ok``."""
 
-_TURNS = 100.0  # rad: most angles given in degrees exceed it or contradict the other columns
+_TURNS = 100.0  # rad; most angles that are wrongly in degrees exceed it or contradict other columns
 
 
 def _column(name: str, unit: str, low: float, high: float) -> Column:

@@ -1,7 +1,7 @@
-"""Command line with one module per verb, which is imported only when the verb is called.
+"""Command line with one module per verb. A module is imported only when its verb is called.
 
-A verb's module has ``add_arguments(parser)`` and ``run(arguments) -> int`` (the exit code). Its
-docstring is the verb's help.
+A verb's module has ``add_arguments(parser)`` and ``run(arguments) -> int`` (the exit code). The
+module's docstring is the verb's help.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ VERBS = {
     "fit": "fit friction and impact of an object to records of single taps",
     "new-object": "create an object file from an image of the object",
     "learn-object": "learn friction and torque factor of an object from taps",
-    "sensitivity": "sensitivity of a tap's result to errors of the striker's pose",
+    "sensitivity": "compute the sensitivity of a tap's result to errors of the striker's pose",
     "locate": "measure the object's pose in image files",
-    "calibrate": "calibrate camera, table, arm or tapper; print sheets",
+    "calibrate": "calibrate camera, table, arm or tappers; print sheets",
     "faults": "test the drivers with taps over faulty serial lines",
-    "report": "write the reports of run folders again, and compare runs",
+    "report": "rewrite the reports of run folders, and compare runs",
     "check-config": "check configuration files without starting anything",
-    "doctor": "connect to arm and tapper and check their settings, moving nothing",
+    "doctor": "check the settings of arm and tapper without moving them",
     "urdf": "write the URDF of the arm, for RViz and Foxglove",
     "completion": "print shell code that completes verbs and options",
 }
@@ -49,7 +49,7 @@ MOVED = {
     "bench": "the benchmarks are no longer part of the package; in the source tree, run  python -m "
     "benchmarks",
 }
-"""Error messages for verbs of earlier versions, which name the replacement."""
+"""Error messages for verbs of earlier versions. Each message names the replacement."""
 
 SET_UP = (
     "set this shell up first, with  . ./env.sh  in the source folder, or"
@@ -98,8 +98,8 @@ def _not_set_up(why: str) -> int:
 
 
 def _parser_of(words: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
-    """Return the parser and the run function of the verb in the first word. If it is not a verb,
-    print an error and exit."""
+    """Return the parser and the run function of the verb in the first word. If that word is not
+    a verb, print an error and exit."""
     from tapping_cell.cli.errors import Parser, suggestion
 
     verb = words[0] if words else ""
@@ -145,7 +145,7 @@ def verb_parser(verb: str) -> tuple[argparse.ArgumentParser, Execute]:
 
 
 def complete(line: str) -> None:
-    """Print the shell completions of ``line``. Only the verb that it contains is imported."""
+    """Print the shell completions of ``line``. Only the module of its verb is imported."""
     import argcomplete
 
     parser = argparse.ArgumentParser(prog="cell")

@@ -66,7 +66,7 @@ def namespace(text: str) -> str:
         return ""
     if not _NAMESPACE.fullmatch(text) or len(text) > LONGEST_NAMESPACE:
         raise argparse.ArgumentTypeError(
-            f"'{text}' is not a ROS namespace: give parts of letters, digits and _, separated "
-            "by / and not beginning with a digit, such as left or hall/cell_2"
+            f"'{text}' is not a ROS namespace: use letters, digits and _, with / between parts "
+            "and no digit at the beginning of a part, such as left or hall/cell_2"
         )
     return text.strip("/")

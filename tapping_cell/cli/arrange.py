@@ -94,10 +94,11 @@ def wait_for(
     """Wait until the cell can arrange these objects.
 
     Raises:
-        NotReadyInTime: names the missing conditions after ``patience`` seconds.
+        NotReadyInTime: the cell is not ready after ``patience`` s. The message names the missing
+            conditions.
     """
     session.wait_for(lambda: client.missing(names), patience, check, console)
-    # The planner must also have discovered this client, or its response is lost.
+    # The planner must also have discovered this client, or the response is lost.
     time.sleep(session.MUTUAL_DISCOVERY_S)
 
 
@@ -107,7 +108,7 @@ def follow(
     console: Console,
     on_tap: Callable[[], None] = lambda: None,
 ) -> ArrangementEnded:
-    """Show an arrangement's progress until it ends; ``check`` may raise to give up."""
+    """Show an arrangement's progress until it ends. ``check`` may raise an exception to abort."""
     with console.status("arrangement sent") as status:
         for event in client.events():
             check()

@@ -1,8 +1,9 @@
 """Calibrate camera, table, arm, tapper and fixed mounts; print calibration targets.
 
-Each sub-verb reads photographs or a CSV record and writes a file that the nodes read. The file
-contains residuals, standard deviations, date and inputs. An existing file is replaced only with
---force, and a file with smaller residuals or uncertainty only if --accept-worse is given as well.
+Each calibration reads images, a CSV file or run folders, and writes a file that the nodes read. The
+file contains residuals, standard deviations, date and inputs. An existing file is replaced only
+with --force. If its residuals or uncertainty are smaller than the new ones, --accept-worse is
+required as well.
 
   python -m tapping_cell calibrate print --paper a4 --output sheet.pdf
   python -m tapping_cell calibrate camera photos/*.png --target chessboard --squares 9x7 \\
@@ -42,12 +43,12 @@ class Verb(Protocol):
 
 
 SUBVERBS = {
-    "camera": "focal lengths and lens from photographs of a target",
+    "camera": "focal lengths and lens distortion, from photographs of a target",
     "table": "poses of the reference markers, from images or a printed sheet",
     "arm": "pose of the arm and zero offset of its elbow, from a record of poses",
     "mounts": "line and speed of each fixed tapper, from single taps",
     "tapper": "speed of the striker at each energy, from the distances of taps",
-    "photographs": "rendered photographs of a target or table, to try the other verbs",
+    "photographs": "rendered photographs of a target or table, for testing the other sub-verbs",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }
 

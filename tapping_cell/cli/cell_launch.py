@@ -1,6 +1,6 @@
 """Common parts of both files in the folder ``launch``: arguments, nodes and the arm's description.
 
-Only ``ros2 launch`` imports this module. Without it, use ``python -m tapping_cell up`` instead.
+Only ``ros2 launch`` imports this module. Without ROS's launch, use ``python -m tapping_cell up``.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ COMMON = {
         "address of the page; 0.0.0.0 for the whole network, with a token",
     ),
     "page_port": ("8010", "port of the page"),
-    "page_stop_port": ("9010", "port of the page's STOP"),
+    "page_stop_port": ("9010", "port of the page's dedicated connection for STOP"),
     "description": ("true", "start robot_state_publisher with the arm's URDF, if it is installed"),
 }
 """Arguments of every launch file: default and description."""
@@ -140,7 +140,7 @@ def _describe_arm(
         return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
     cell = load_cell(cell_file or None)
     if cell.arm.chain() is not None:
-        return [LogInfo(msg="the arm has a URDF of its own, which its own driver describes")]
+        return [LogInfo(msg="the arm has a URDF of its own, which its own driver publishes")]
     return [
         Node(
             package="robot_state_publisher",
@@ -161,5 +161,5 @@ def _has_state_publisher() -> bool:
 
 
 def _own_frames(namespace: str) -> list[tuple[str, str]]:
-    """Return remappings of /tf and /tf_static into the namespace: all cells use the same frames."""
+    """Return remappings of /tf and /tf_static into the namespace. All cells use the same frames."""
     return [("/tf", "tf"), ("/tf_static", "tf_static")] if namespace else []

@@ -1,4 +1,4 @@
-"""Text output of the state of a running cell, in the same words as on the page."""
+"""Text output of the state of a running cell, in the wording of the page."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Report every error in configuration files, without starting any node.
 
-For a cell file, the files that it names are checked too, and whether they fit together: marker ids,
-heights, joint limits, the tapper's speeds, the arm's reach over the table, the planner. The kind of
-a file is recognised from its keys.
+For a cell file, the files that it names are checked too. All of them must be consistent: marker
+ids, heights, joint limits, the tapper's speeds, the arm's reach over the table, the planner. The
+kind of a file is recognised from its keys.
 
     python -m tapping_cell check-config config/cell.yaml
     python -m tapping_cell check-config my/objects/*.yaml --kind object --json
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     found: list[Findings] = []
     for path in arguments.files:
         found += check(path, arguments.kind)
-    # A file that several cells name is reported once.
+    # A file that is named by several cells is reported once.
     told = list({entry.file.resolve(): entry for entry in reversed(found)}.values())[::-1]
     if arguments.drawing is not None:
         told += _draw(arguments.files, arguments.drawing)
@@ -104,8 +104,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(files: list[Path], drawing: Path) -> list[Findings]:
-    """Draw the first cell with fixed tappers. Return an error if there is none, or drawing
-    fails."""
+    """Draw the first cell with fixed tappers. Return an error if there is no such cell or
+    if the drawing fails."""
     from tapping_cell.report.layout_figure import draw_layout
 
     problems = []

@@ -1,7 +1,7 @@
 """Clear the stop and the faults of arm and tapper of a running cell. This moves nothing.
 
-The command fails while a node still holds a stop, and names that node. Press the clear button at
-the tapper first.
+Press the clear button at the tapper first. If a node remains stopped, the command fails and names
+that node.
 
     python -m tapping_cell clear
 """

@@ -20,7 +20,7 @@ def cluster_executor(address: str) -> Iterator[Executor]:
     """Connect to the scheduler at ``address`` (``tcp://host:8786`` or ``host:8786``).
 
     Raises:
-        PlanningError: Dask is not installed, or no scheduler with a worker is there.
+        PlanningError: Dask is not installed, or no scheduler with a worker answers at ``address``.
     """
     try:
         from distributed import Client

@@ -2,9 +2,10 @@
 
 The steps are: ports, controller, camera, table, homing, directions and limits, object, first tap at
 the lowest energy, arm, tapper, first goal. Until the first tap is made, the cell is in set-up mode:
-slow, weak, and moving only while the enabling device is held. The folder then contains the cell's
-files (config/), the measurements (commission.json) and a report page (commissioning.html). If the
-command is called again with the same folder, it resumes at the first unfinished step.
+it moves slowly, taps weakly, and moves only while the enabling device is held. The folder --out
+contains the cell's files (config/), the measurements (commission.json) and a report page
+(commissioning.html). If the command is called again with the same folder, it resumes at the first
+unfinished step.
 
     python -m tapping_cell commission --yes --out my_cell
     python -m tapping_cell commission --hardware --camera /dev/video0 --out my_cell
@@ -76,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if every step succeeded, 1 if a step failed, 2 for invalid input, 130
     if interrupted."""
     if arguments.yes and arguments.hardware:
-        tell_error("--yes is for the simulated cell: on hardware a person watches every step")
+        tell_error("--yes is for the simulated cell: on hardware a person must watch every step")
         return ExitStatus.REFUSED
     console = Console(highlight=False, soft_wrap=True)
     end_on_signals()
@@ -109,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
                 )
                 return ExitStatus.FAILED
             except KeyboardInterrupt:
-                console.print("interrupted; the same command continues here")
+                console.print("interrupted; the same command resumes at this step")
                 return ExitStatus.INTERRUPTED
             session.prove(step.name, proof, time.monotonic() - began)
         console.print(f"  [green]proven[/]: {escape(session.proofs[step.name]['sentence'])}")

@@ -1,13 +1,13 @@
 """Print shell code for completing verbs and options with the Tab key.
 
-It also makes `cell` a short name of `python -m tapping_cell`. Add the line to ~/.bashrc, or run it
-in a shell:
+The code also makes `cell` a short name of `python -m tapping_cell`. Add one of these lines to the
+start-up file of your shell, such as ~/.bashrc, or run it in a shell:
 
     eval "$(python -m tapping_cell completion)"
     eval "$(python -m tapping_cell completion --shell zsh)"
 
 Then type `cell de<Tab>` or `cell demo --<Tab>`. If the installed executable `cell` is on the path,
-`eval "$(register-python-argcomplete cell)"` enables its completion.
+`eval "$(register-python-argcomplete cell)"` enables the completion of that executable.
 
     python -m tapping_cell completion --shell fish
 """

@@ -1,5 +1,5 @@
-"""Confirmation of planned taps by a person in a terminal, who confirms, skips or cancels each
-tap."""
+"""Confirmation of planned taps in a terminal: a person makes or skips each tap, or cancels the
+goal."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Person:
             self._take(line)
 
     def _line(self) -> str | None:
-        """Return the next typed line, ``c`` at the end of the input, or None if there is none
+        """Return the next typed line, ``c`` at the end of the input, or None if no line was typed
         yet."""
         if b"\n" not in self._typed and select.select([self._answers], [], [], 0)[0]:
             read = os.read(self._answers, 1024)

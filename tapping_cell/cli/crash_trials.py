@@ -52,15 +52,15 @@ class Crash:
     node: str
     phase: str
     ended: str
-    """One of ``reached``, ``asked for a person`` and ``hung``."""
+    """One of ``reached``, ``needed an operator`` and ``hung``."""
     seconds: float
     sentence: str
     unsafe: tuple[str, ...]
 
     @property
     def clean(self) -> bool:
-        """Whether the trial was safe and the goal was reached. Only after a restart of the world,
-        which resets the boards, may the cell ask for a person instead."""
+        """Whether the trial was safe and the goal was reached. Only after a restart of
+        ``sim_world``, which resets the boards, may the cell need an operator instead."""
         asked = self.ended == "needed an operator" and self.node == WORLD
         return not self.unsafe and (self.ended == "reached" or asked)
 
@@ -109,7 +109,9 @@ class Witness:
             self.motions += 1
             silent = time.monotonic() - self.settled_at
             if silent > LEEWAY_S:
-                self.unsafe.append(f"the object was struck {silent:.2f} s after the arm stood")
+                self.unsafe.append(
+                    f"the object was struck {silent:.2f} s after the arm was in position"
+                )
         self.lain = pose
 
     def judge(self) -> None:
@@ -179,18 +181,18 @@ class CrashCell:
         self.graph.__exit__(kind, error, trace)
 
     def begin(self, phase: str) -> bool:
-        """Send the goal and wait for ``phase`` of a tap. Return False if the phase never comes."""
+        """Send the goal and wait for ``phase`` of a tap. Return False if it is never reached."""
         self._prepare()
         goal = PoseStamped(pose=to_message(GOAL))
         goal.header.frame_id = "table"
         self._goals.publish(goal)
         came = self.come(phase)
-        # Discard the repeated messages on the end of the previous goal.
+        # Discard the repeated messages about the end of the previous goal.
         self.seen.plans.clear()
         return came
 
     def come(self, phase: str) -> bool:
-        """Wait for ``phase`` of a tap. Return False if the phase never comes."""
+        """Wait for ``phase`` of a tap. Return False if the phase is never reached."""
         return self.wait(lambda: self._in_phase(phase), 60.0, 0.001)
 
     def kill(self, node: str) -> None:
@@ -198,7 +200,7 @@ class CrashCell:
         os.kill(self.graph.process_ids[node], signal.SIGKILL)
         time.sleep(DOWN_S)
         if node == WORLD:
-            # A new world puts the object at another place, which is not a strike.
+            # A restarted sim_world puts the object at another place. This motion is not a strike.
             self.seen.watching = False
         self.graph.restart(node)
 
@@ -212,7 +214,8 @@ class CrashCell:
         return self.finish(node, phase, time.monotonic() - began)
 
     def finish(self, node: str, phase: str, seconds: float) -> Crash:
-        """Return the outcome of the goal after comparing it with the true pose of the object."""
+        """Compare the reported end of the goal with the true pose of the object. Return the
+        result of the trial."""
         seen, end = self.seen, self.ended()
         if seen.watching:
             seen.judge()
@@ -277,7 +280,7 @@ class CrashCell:
         self.seen.watching = True
 
     def _help(self) -> None:
-        """Clear faults and home the arm, as a person does when the cell asks for it."""
+        """Clear faults and home the arm, as a person does when the cell requires it."""
         arm, tapper = self.client.arm_state, self.client.tapper_state
         if arm is not None and arm.state in (ArmState.FAULT, ArmState.STOPPED):
             self._call("scara_arm/clear_fault")

@@ -1,15 +1,15 @@
 """Position an object in the simulated world, from starting the nodes to reaching the goal.
 
 Starts every node as a separate process, waits until the cell is ready, sends one goal, shows the
-taps as they happen and stops the nodes. The recorder leaves a run folder (report.html,
-summary.json, taps.csv, cell.png, a bag of every topic), next to the nodes' logs. The exit code is 0
-only if the measured and the true pose of the object are within the tolerance.
+taps as they happen and stops the nodes. The run folder contains report.html, summary.json,
+taps.csv, cell.png, a bag of every topic and the nodes' logs. The exit code is 0 only if the
+measured and the true pose of the object are within the tolerance.
 
     python -m tapping_cell demo --move 10 0 10 --seed 1
 
-With --objects, several objects lie on the table, and each is brought to a place of its own; starts
-and places are drawn with the seed. The run folder then holds the scene's files, arrangement.json
-and arrangement.png.
+With --objects, several objects lie on the table, and each is brought to its own goal. Start and
+goal poses are random and depend on --seed. The run folder then contains the scene's files,
+arrangement.json and arrangement.png.
 
     python -m tapping_cell demo --objects 3
 """
@@ -131,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
     nodes = nodes_of(cell, hardware=False)
     if scene is None:
-        # A run folder is that of one object.
+        # The recorder supports only one object.
         nodes = (*nodes, RECORDER)
     try:
         with (
@@ -215,6 +215,6 @@ def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> i
             f"see {folder / 'report.html'}"
         )
         return 0
-    reason = record.error_msg or "the object is not truly within the tolerance"
+    reason = record.error_msg or "the object's true pose is outside the tolerance"
     tell_error(f"goal not reached: {reason}", record.error_code)
     return 1

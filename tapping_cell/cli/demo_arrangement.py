@@ -1,4 +1,4 @@
-"""The demo with several objects: each is brought to a drawn place, and the truth is told."""
+"""Demo with several objects: move each to a random goal and report the true residuals."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ PICTURE, SUMMARY = "arrangement.png", "arrangement.json"
 def arrange(
     layout: LayoutFile, cell: Cell, graph: Graph, folder: Path, console: Console, as_json: bool
 ) -> int:
-    """Arrange the objects, keep picture and summary in the folder; 0 where all truly are inside
-    their tolerances, else 1.
+    """Arrange the objects and write an image and a summary to the folder. Return 0 if the true pose
+    of every object is within its tolerance, otherwise 1.
 
     Raises:
         NotReadyInTime, GraphError: the cell did not get ready, or a node ended.
@@ -71,14 +71,13 @@ def arrange(
         print(json.dumps(summary, indent=2, allow_nan=False))
     for name, (distance, turn) in true.items():
         console.print(
-            f"'{name}' truly {1000 * distance:.3f} mm and {math.degrees(turn):.3f} deg from its "
-            "goal",
+            f"'{name}' true residual {1000 * distance:.3f} mm and {math.degrees(turn):.3f} deg",
             highlight=False,
         )
     for first, second in contacts:
-        console.print(f"'{first}' met '{second}'", highlight=False)
+        console.print(f"'{first}' touched '{second}'", highlight=False)
     if ended.error_code or not inside:
-        reason = ended.error_msg or "not every object is truly within its tolerance"
+        reason = ended.error_msg or "the true pose of at least one object is outside its tolerance"
         tell_error(f"arrangement not reached: {reason}", ended.error_code)
         return 1
     console.print(
@@ -89,7 +88,7 @@ def arrange(
 
 
 def _inside(true: dict[str, tuple[float, float]], layout: LayoutFile, cell: Cell) -> bool:
-    """Whether every object truly is where it was to go."""
+    """Return whether the true pose of every object is within the tolerance of its goal."""
     distance, angle = cell.tolerance
     return all(
         true[goal.object][0] <= (goal.position_tolerance or distance)
@@ -126,7 +125,7 @@ def _draw(
     ended: ArrangementEnded,
     file: Path,
 ) -> None:
-    """Before, between and after, with the ways of the objects."""
+    """Draw the scene at the start, between the taps and at the end, with the objects' paths."""
     goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
     outlines = {
         own.name: np.asarray(replace(cell, object=own).outline())

@@ -26,16 +26,16 @@ FIRST_MARKER = 20
 DISKS_M, SQUARES_M = (0.030, 0.026), (0.024, 0.028)
 """Alternating radii of the disks and half side lengths of the squares."""
 DENSITY = 2700 * 0.012
-"""kg/m^2 of 12 mm of aluminium, as the shipped objects."""
+"""Mass per area of 12 mm of aluminium, kg/m^2, as in the supplied objects."""
 GAP_M = 0.04
-"""Least gap of starts and of goals."""
+"""Minimum gap between objects at their start poses, and at their goals."""
 TRIES = 40
 MOST_OBJECTS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class DemoScene:
-    """Files of a scene, and what is asked."""
+    """Cell file and simulation parameter file of a scene, and the requested layout."""
 
     cell: Path
     truth: Path
@@ -45,11 +45,12 @@ class DemoScene:
 def write_scene(
     folder: Path, count: int, seed: int, cell: Path | None, own: Path | None, truth: Path | None
 ) -> DemoScene:
-    """Write the files of a scene of ``count`` objects: the cell's (``own``, where one is given) and
-    disks and squares. Starts and goals are drawn from places that the arm can serve.
+    """Write the files of a scene of ``count`` objects: the object of the cell file (or of ``own``,
+    if given) and generated disks and squares. Start and goal poses are random poses at which the
+    arm can tap.
 
     Raises:
-        ConfigurationError: a file cannot be used, or the table has no room for so many.
+        ConfigurationError: a file cannot be used, or the objects do not fit on the table.
     """
     folder.mkdir(parents=True, exist_ok=True)
     source = (cell or shared_folder() / "cell.yaml").resolve()
@@ -98,12 +99,13 @@ def _drawn(kinds: list[Kind], seed: int, source: Path) -> tuple[list[Pose], list
             return starts, goals
     raise ConfigurationError(
         f"{len(kinds)} objects with gaps of {1e3 * GAP_M:.0f} mm do not fit on the table of "
-        f"{source}; ask for fewer"
+        f"{source}; use fewer objects"
     )
 
 
 def _write_object(folder: Path, number: int) -> Path:
-    """A disk or a square of its own size, name and marker."""
+    """Write the file of disk or square ``number``, with its own size, name and marker. Return the
+    path."""
     square = number % 2 == 1
     size = (SQUARES_M if square else DISKS_M)[(number // 2) % 2]
     shipped = "aluminium_square" if square else "aluminium_disk"
@@ -131,7 +133,7 @@ def _write_object(folder: Path, number: int) -> Path:
 def _mapping(path: Path) -> dict[str, Any]:
     content = read_yaml(path)
     if not isinstance(content, dict):
-        raise ConfigurationError(f"{path}: is not a mapping of keys to values")
+        raise ConfigurationError(f"{path}: must be a mapping of keys to values")
     return content
 
 

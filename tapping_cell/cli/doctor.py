@@ -110,7 +110,7 @@ def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> l
 
 @contextmanager
 def _connection(arm: ArmSection) -> Iterator[SerialTransport | RosTrajectoryLink]:
-    """Open the connection to the arm's controller, which is closed at the end."""
+    """Open the connection to the arm's controller, and close it at the end."""
     if arm.ros2_control is None:
         transport = SerialTransport(_port(arm.port), arm.baud)
         try:
@@ -175,7 +175,7 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
             "remark",
             "the output reads back as off"
             if section.read_back
-            else "nothing reads the output back: every outcome is unknown until the camera sees it",
+            else "the output is not read back: every outcome is unknown until the camera sees it",
             True,
         ),
     ]
@@ -185,7 +185,7 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
             "other programs",
             f"{name} can switch {section.name}",
             False,
-            "end it, or take its access to the output away: nothing else may fire the tapper",
+            "end that program or revoke its access: no other program may fire the tapper",
         )
         for name in rivals
     ]
@@ -232,8 +232,8 @@ def _store(
     confirm: Callable[[Finding], bool],
     connection: Connection,
 ) -> bool:
-    """Write settings to the controller that are safe to store and that the user confirms. Return
-    whether any was stored."""
+    """Store the settings that are safe to store and that the user confirms in the controller.
+    Return whether any was stored."""
     wanted = [f for f in findings if not f.met and f.storable and confirm(f)]
     for finding in wanted:
         dialect.store(finding, connection.now() + PATIENCE)
@@ -251,7 +251,7 @@ def _confirm(finding: Finding) -> bool:
 def _port(port: str) -> str:
     if "{" in port:
         raise ValueError(
-            f"port {port} is that of a simulated cell: give the path of a device in the cell file,"
+            f"port {port} belongs to a simulated cell: give the path of a device in the cell file,"
             " such as /dev/serial/by-id/..."
         )
     return str(Path(port).expanduser())

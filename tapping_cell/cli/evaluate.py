@@ -9,7 +9,7 @@ intended displacement plus scatter; the model "physics" simulates strike, collis
 true parameters that the planner does not know (--truth; or --truth-object if the planner uses a
 fitted --object). With --table, the trials run on the cell's table, within the arm's reach, with
 edges and keep-outs; goals that are out of reach must be refused before the first tap. A cell with
-fixed tappers is evaluated on its own working area, with one row of the table for each of
+fixed tappers is evaluated on its own working area, with one row of results for each of
 --start-angles:
 
   python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
@@ -40,6 +40,7 @@ from typing import TYPE_CHECKING, Any
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import tell_refusal
 from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
+from tapping_cell.cli.evaluate_scatter import add_scatter_arguments, scatter_of
 
 if TYPE_CHECKING:
     from tapping_cell.cli.sweep import Point
@@ -91,15 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("MM", "DEG"),
         help="position and angle tolerance of the goal, in mm and degrees (default: 1 1)",
     )
-    numbers(
-        "--scatter",
-        type=float,
-        nargs=3,
-        default=(5.0, 15.0, 1.0),
-        metavar=("D", "R", "A"),
-        help="standard deviations of a tap: distance in percent, rotation in percent, direction "
-        "in degrees (default: 5 15 1)",
-    )
+    add_scatter_arguments(parser)
     numbers(
         "--camera-noise",
         type=float,
@@ -123,16 +116,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(1.0, 1.0),
         metavar=("D", "R"),
-        help="largest factors by which the distance, and the rotation per distance, are too large"
-        " or too small, drawn for each trial (default: 1 1)",
+        help="largest factors by which the gains of the distance and of the rotation per distance "
+        "are too large or too small, random in each trial (default: 1 1)",
     )
     numbers(
         "--off-centre",
         type=float,
         default=0.0,
         metavar="DEG_PER_MM",
-        help="standard deviation of the rotation per distance, in degrees per mm, of an object "
-        "that is not centred (default: 0)",
+        help="standard deviation, over the trials, of the rotation per distance that an off-centre "
+        "object adds, in degrees per mm (default: 0)",
     )
     parser.add_argument(
         "--probe",
@@ -243,7 +236,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cluster",
         metavar="ADDRESS",
         help="address of a Dask scheduler whose workers run the points, for example "
-        "tcp://192.168.1.5:8786; needs the package distributed (only with --sweep)",
+        "tcp://192.168.1.5:8786; requires the Python package 'distributed' (only with --sweep)",
     )
     add_fixed_arguments(parser)
     several = parser.add_argument_group(
@@ -391,7 +384,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     tasks = arguments.random_tasks
     if tasks is not None and len(tasks) not in (0, 2):
         raise PlanningError(
-            f"--random-tasks takes no number or two (mm, degrees), not {len(tasks)}"
+            f"--random-tasks takes no values or two values (mm, degrees), not {len(tasks)}"
         )
     if tasks == []:
         tasks = LARGE_TASKS if arguments.table else DEFAULT_TASKS
@@ -447,12 +440,11 @@ def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, 
 
 
 def _settings(arguments: argparse.Namespace) -> PlannerSettings:
-    from tapping_cell.planning import CameraNoise, PlannerSettings, Scatter
+    from tapping_cell.planning import CameraNoise, PlannerSettings
 
-    share, turn, direction = arguments.scatter
     line = arguments.error_line
     return PlannerSettings(
-        scatter=Scatter(share / 100.0, turn / 100.0, math.radians(direction)),
+        scatter=scatter_of(arguments),
         camera=CameraNoise(
             1e-3 * arguments.camera_noise[0], math.radians(arguments.camera_noise[1])
         ),
@@ -499,7 +491,7 @@ def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsW
         known = load_object(arguments.truth_object.expanduser())
         if known.shape != cell.object.shape or known.mass != cell.object.mass:
             raise ConfigurationError(
-                f"{arguments.truth_object}: has another shape or mass than the planner's "
+                f"{arguments.truth_object}: shape or mass differs from that of the planner's "
                 "object; give files of the same object"
             )
     actual = replace(
@@ -582,16 +574,16 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         f"{planner}: {figures['trials']} trials, {figures['trials_per_second']:.0f} a second",
         f"  taps              mean {taps['mean']:.3f} "
         f"(95 % interval {taps['mean_interval'][0]:.3f} to {taps['mean_interval'][1]:.3f})",
-        f"                    half within {taps['p50']}, 90 % {taps['p90']}, 99 % {taps['p99']}, "
-        f"most {taps['max']}",
+        f"                    median {taps['p50']}, 90 % within {taps['p90']}, "
+        f"99 % within {taps['p99']}, maximum {taps['max']}",
         *_seconds_text(figures),
         f"  done              {100 * figures['success_rate']:.2f} %",
-        f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of those",
+        f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of the done trials",
         f"  stopping box      {box['distance_mm']:.3f} mm, {box['rotation_deg']:.3f} degrees",
     ]
     if not box["camera_suffices"]:
         lines.append(
-            "  the camera noise is too large for this tolerance: fewer trials end truly inside"
+            "  the camera noise is too large for this tolerance, so fewer trials end truly inside"
         )
     if "planned_taps" in figures:
         lines.append(
@@ -599,7 +591,7 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
             f"({figures['planned_taps']} taps)"
         )
     for key, label in (
-        ("refused_before", "refused at once"),
+        ("refused_before", "refused early"),
         ("refused_later", "refused later"),
         ("over_edge", "over the edge"),
         ("endless", "endless"),
@@ -706,7 +698,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _arrange(arguments: argparse.Namespace) -> int:
-    """Evaluate scenes of several objects; with ``--all`` for the built-in planner and the
+    """Evaluate scenes of several objects. With ``--all``, evaluate the built-in planner and the
     baselines."""
     from tapping_cell.planning.evaluation import arrangements
 
@@ -788,7 +780,7 @@ def _arrangement_text(method: str, figures: dict[str, Any]) -> str:
     lines = [
         f"{method}: {scenes} scenes",
         f"  all truly inside    {100 * figures['success_rate']:.1f} %, "
-        f"false claims {figures['false_claims']}",
+        f"wrongly reported as reached {figures['false_claims']}",
         f"  contacts            objects in {figures['scenes_with_contact']} scenes, "
         f"tool in {figures['scenes_with_tool_contact']}",
         f"  taps                mean {figures['taps_mean']:.2f}, factor due to other objects "
@@ -796,7 +788,7 @@ def _arrangement_text(method: str, figures: dict[str, Any]) -> str:
         f"{figures['made_way_mean']:.2f}",
         f"  time of a decision  mean {figures['decision_mean_s']:.3f} s, slowest "
         f"{figures['decision_slowest_s']:.2f} s",
-        f"  refused             at once {figures['refused_before']}, "
+        f"  refused             early {figures['refused_before']}, "
         f"later {figures['refused_later']}",
     ]
     lines += [f"    {count} x {text}" for text, count in list(figures["reasons"].items())[:5]]

@@ -16,9 +16,10 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from tapping_cell.cli.evaluate_scatter import scatter_of
 from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.planning import CameraNoise, PlanningError, Scatter
+from tapping_cell.planning import CameraNoise, PlanningError
 from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluate_fixed
 from tapping_cell.planning.evaluation.summary import summarise
 
@@ -42,8 +43,8 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=(10.0, 30.0, 90.0),
         metavar="DEG",
-        help="largest rotation of the start from the goal, in degrees, one table row for each "
-        "value (only for a cell with fixed tappers; default: 10 30 90)",
+        help="largest rotations of the start relative to the goal, in degrees; each value gives "
+        "one row of the table (only for a cell with fixed tappers; default: 10 30 90)",
     )
     numbers(
         "--goal-pose",
@@ -114,8 +115,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
 
 
 def _evaluation(arguments: argparse.Namespace, cell: Cell, angle: float) -> FixedEvaluation:
-    share, turn, direction = arguments.scatter
-    scatter = Scatter(share / 100.0, turn / 100.0, math.radians(direction))
+    scatter = scatter_of(arguments)
     tolerance = 1e-3 * arguments.tolerance[0], math.radians(arguments.tolerance[1])
     camera = CameraNoise(1e-3 * arguments.camera_noise[0], math.radians(arguments.camera_noise[1]))
     settings = make_planner_settings(cell, tolerance, scatter=scatter, camera=camera)

@@ -1,7 +1,8 @@
 """Taps of the real drivers on emulated devices behind faulty lines, checked against the devices'
 true states.
 
-A tap consists of the jobs of the shipped machines (``logic.arm_jobs``, ``logic.tapper_jobs``):
+A tap consists of the jobs of the drivers' state machines (``logic.arm_jobs``,
+``logic.tapper_jobs``):
 place the striker, charge, check again that the arm is in position, fire once, withdraw. The
 drivers' reports are compared with the true states of the devices.
 """
@@ -133,7 +134,7 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Direct:
-    """``JobContext`` that runs the machines' jobs immediately, without concurrency."""
+    """``JobContext`` that runs the state machines' jobs immediately, without concurrency."""
 
     driver: Any
     transport: Transport
@@ -256,13 +257,13 @@ class TrialCell:
         try:
             arm_jobs.withdraw(self._arm_context, self._withdrawal, not_before=self.clock.now)
         except HardwareFault:
-            # The next tap recovers. By now, the striker has been released, or it certainly will not
-            # be.
+            # The next tap recovers the cell. By now, the striker either has been released or will
+            # certainly not be released.
             return outcome
         return outcome
 
     def _tap(self) -> FireOutcome:
-        """Run the jobs of the shipped machines, one after another."""
+        """Run the jobs of the drivers' state machines, one after another."""
         tip = self.random_tip()
         path = strike_path(self.geometry, self.arm.read_joints(), tip, self.motion)
         goal = path[-1].joints if path else self.arm.read_joints()
@@ -317,7 +318,7 @@ class TrialCell:
                 self.arm.clear_fault()
         except HardwareFault as fault:
             if fault.reason is FaultReason.NEEDS_PERSON:
-                # Simulates the action that the message asks of a person.
+                # Simulate the action that the message requires of a person.
                 self.tally.board_resets_asked += 1
                 with self._arm_held():
                     self.arm_device.power_cycle(self.clock.now)
@@ -364,14 +365,14 @@ class TrialCell:
             return Joints(*self.arm_device.joints(now)), self.arm_device.moving(now)
 
     def _check_place(self, reading: Reading, goal: Joints) -> None:
-        """If the arm's driver reports that the goal is reached, compare this with the true
-        joints."""
+        """If the arm's driver reports that the goal is reached, compare the report with the
+        true joints."""
         if reading.moving or not self._near(reading.joints, goal):
             return
         truth, moving = self._true_place(self.clock.now)
         if moving or not self._near(truth, goal):
             self.tally.false_reports += 1
-            self._note(f"the arm's driver reports {reading.joints}, the arm is at {truth}")
+            self._note(f"the arm's driver reports {reading.joints}, but the arm is at {truth}")
 
     def _witness(self, shot: int, energy: float, now: float) -> float:
         """Check a true release of the striker."""
@@ -382,9 +383,9 @@ class TrialCell:
         truth, moving = self._true_place(now)
         why = ""
         if not self.firing or shot != self.shot:
-            why = f"shot {shot} while shot {self.shot} was under way"
+            why = f"shot {shot} was fired while shot {self.shot} was in progress"
         elif now > self.release_by:
-            why = f"{1e3 * (now - self.release_by):.1f} ms after the window"
+            why = f"{1e3 * (now - self.release_by):.1f} ms after the end of the window"
         elif moving:
             why = "the arm was moving"
         elif self.goal is None or not self._near(truth, self.goal):
@@ -399,14 +400,15 @@ class TrialCell:
         setattr(self.tally, outcome.value, getattr(self.tally, outcome.value) + 1)
 
     def check_reports(self) -> None:
-        """Compare every report with the true shots of the tapper, including later ones."""
+        """Compare every report with the true shots of the tapper, including shots that were fired
+        after the report."""
         fired = {shot for shot, _, _ in self.tapper_device.fires}
         for shot, outcome in self.reported.items():
             if outcome is not FireOutcome.UNKNOWN and (
                 (outcome is FireOutcome.FIRED) != (shot in fired)
             ):
                 self.tally.false_reports += 1
-                self._note(f"shot {shot} was reported {outcome.value}, which is not true")
+                self._note(f"shot {shot} was falsely reported as {outcome.value}")
 
     def forget(self) -> None:
         """Discard the recorded faults, shots and reports, and cancel the scheduled faults."""
@@ -479,7 +481,7 @@ def run_taps(
     prepare: Callable[[TrialCell], None] | None = None,
     make: Callable[[Dialect, int], AbstractContextManager[TrialCell]] = virtual_cell,
 ) -> Tally:
-    """Make ``taps`` taps. ``prepare`` plans the faults before each (random faults if None)."""
+    """Make ``taps`` taps. ``prepare`` plans the faults before each tap (None: random faults)."""
     total = Tally()
     done = 0
     while done < taps:

@@ -1,4 +1,4 @@
-"""Run taps over faulty serial lines; check the drivers for unsafe actions, hangs, false reports.
+"""Test the drivers over faulty serial lines for unsafe actions, hangs and false reports.
 
 Runs the real drivers of the arm and the tapper against the emulated devices in simulated time, with
 seeded faults on the lines (bytes lost, late, doubled, flipped, split, merged; stalls; ports that
@@ -125,7 +125,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead.add_argument(
         "--every-byte",
         action="store_true",
-        help="restart and unplug a board at every byte of one tap, instead of random faults",
+        help="restart or unplug a board at every byte sent in a tap, instead of random faults",
     )
     instead.add_argument(
         "--soak",
@@ -265,8 +265,8 @@ def _crashes(arguments: argparse.Namespace) -> int:
     strange = (set(nodes) - set(SIMULATED)) | (set(phases) - set(crash_trials.PHASES))
     if strange:
         print(
-            f"{', '.join(sorted(strange))}: nodes are {', '.join(SIMULATED)}; phases are "
-            + ", ".join(crash_trials.PHASES),
+            f"unknown: {', '.join(sorted(strange))}; the nodes are {', '.join(SIMULATED)}, and the "
+            f"phases are {', '.join(crash_trials.PHASES)}",
             file=sys.stderr,
         )
         return 2

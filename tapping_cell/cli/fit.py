@@ -5,9 +5,9 @@ CSV files from another source (docs/calibration.md describes the columns). Unusa
 reported with file and row, and ignored.
 
 Shape and mass are taken from --object, or from the object in the records' header. With --output,
-the fitted values are written to an object file that the planner reads; without it, nothing is
-written. An existing file is replaced only with --force, and a file with smaller residuals or
-uncertainty only if --accept-worse is given as well.
+the fitted values are written to an object file that the planner reads; without --output, no object
+file is written. An existing file is replaced only with --force. If its residuals or uncertainty are
+smaller than the new ones, --accept-worse is required as well.
 
   python -m tapping_cell fit records/ --output config/objects/my_disk.yaml --report fit_report
   python -m tapping_cell fit mine.csv --object config/objects/aluminium_disk.yaml --json
@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.report is not None:
             print(f"report in {arguments.report / 'report.html'}")
         print(
-            "nothing written; give --output FILE to keep the values"
+            "no object file written; give --output FILE to keep the values"
             if output is None
             else f"written to {output.path}"
         )

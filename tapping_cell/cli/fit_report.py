@@ -81,8 +81,8 @@ def _run(run: RunErrors) -> RunError:
 
 
 def _shown_trials(fit: ObjectFit) -> list[int]:
-    """Return the trial with a track that rotates most, and one with medium rotation from another
-    run."""
+    """Return the indices of two trials with tracks: the trial with the largest rotation, and a
+    trial of another run with medium rotation."""
     tracked = [i for i, entry in enumerate(fit.used) if entry.motion.slide is not None]
     by_rotation = sorted(tracked, key=lambda i: -abs(fit.measured.rotation[i]))
     chosen = by_rotation[:1]
@@ -151,7 +151,7 @@ def _facts(fit: ObjectFit, record: Provenance) -> dict[str, str]:
         "by the paper's criterion": f"friction {fit.paper.friction:.4f}, torque factor "
         f"{fit.paper.torque_factor:.3f}",
         "friction from trial to trial": f"varies by {100 * slide.friction_scatter:.2f} % (one "
-        "standard deviation, beyond the measurement)",
+        "standard deviation, in excess of the measurement error)",
         f"residual of {record.residual_of}": f"{record.residual:.4f}",
     }
     if math.isfinite(slide.position_rms):

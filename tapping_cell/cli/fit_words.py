@@ -22,6 +22,8 @@ _WORDS = {
     "scatter_direction": "scatter of direction (degrees)",
     "scatter_distance": "scatter of distance (%)",
     "scatter_rotation": "scatter of rotation (%)",
+    "scatter_position_floor": "scatter of small taps (mm)",
+    "scatter_angle_floor": "scatter of small rotations (degrees)",
 }
 
 
@@ -45,5 +47,5 @@ def shown(entry: Estimate) -> tuple[str, float]:
     """Return the text for an estimate, and the factor to the unit in the text."""
     factor = 1.0
     if entry.name.startswith("scatter"):
-        factor = 180 / math.pi if entry.unit == "rad" else 100.0
+        factor = {"rad": 180 / math.pi, "m": 1e3}.get(entry.unit, 100.0)
     return _WORDS[entry.name], factor

@@ -21,7 +21,7 @@ TRACE_LINES = 60
 """Number of printed lines of a violation's trace; ``--replay`` prints the whole trace."""
 NAME_WIDTH = 52
 GOALS_IN_A_STEP = 100
-"""Number of goals between two checks whether a mutant was detected."""
+"""Number of goals between two checks of whether a mutant was detected."""
 
 
 def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -> int:
@@ -158,14 +158,14 @@ def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
 def _print(summary: Summary, wall: float, mix: Mix) -> None:
     speed = summary.cell_seconds / max(wall, 1e-9)
     print(
-        f"{summary.goals} goals, {summary.taps} taps and {summary.program_taps} of programs without"
-        f" a planner, {summary.cell_seconds / 3600:.1f} h of the"
-        f" cell in {wall:.0f} s ({speed:.0f} times real time)"
+        f"{summary.goals} goals, {summary.taps} taps and {summary.program_taps} taps of programs"
+        f" without a planner, {summary.cell_seconds / 3600:.1f} h of"
+        f" cell time in {wall:.0f} s ({speed:.0f} times real time)"
     )
     print("faults:")
     for kind, count in summary.by_fault.most_common():
         print(f"  {kind:<28} {count}")
-    print("nodes struck:")
+    print("faults by node:")
     for node, count in sorted(summary.by_node.items()):
         print(f"  {node:<28} {count}")
     print(f"releases: {summary.releases}")

@@ -25,8 +25,6 @@ from tapping_cell.nodes.cell_identity import STATE, cell_key, claim
 SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 
-FIRST_TRIGGER = "tapper_trigger"
-
 RECORDER = "run_recorder"
 """Recorder of every goal. The cell works without it, so its end does not end the graph."""
 
@@ -37,7 +35,7 @@ MOST_RECORDER_STARTS = 3
 """Maximum number of restarts of a recorder that keeps ending. Its log states the cause."""
 
 LAST_DOMAIN = 232
-"""Highest ROS domain. Beyond it, the middleware has no valid port numbers."""
+"""Highest ROS domain for which the middleware has valid port numbers."""
 
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is the shared
@@ -47,17 +45,11 @@ _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
 
 
 def nodes_of(cell: Cell, *, hardware: bool) -> tuple[str, ...]:
-    """Return the nodes of a cell: the arm's driver if there is an arm, one ``tapper_trigger`` per
-    board."""
+    """Return the nodes of a cell: the arm's driver only if there is an arm."""
     nodes: tuple[str, ...] = HARDWARE if hardware else SIMULATED
     if cell.file.arm is None:
         nodes = tuple(name for name in nodes if name != "scara_arm")
-    return (*nodes, *(trigger(board) for board in range(1, len(cell.boards))))
-
-
-def trigger(board: int) -> str:
-    """Return the name of the node that drives a board."""
-    return f"{FIRST_TRIGGER}_{board}" if board else FIRST_TRIGGER
+    return nodes
 
 
 class GraphError(RuntimeError):
@@ -142,8 +134,8 @@ class Graph:
         if self._claim is None:
             raise GraphError(
                 f"another cell runs on this machine in ROS domain {domain}, namespace "
-                f"'/{self._namespace.strip('/')}': end it, or give this one a ROS_DOMAIN_ID or a "
-                "--namespace of its own"
+                f"'/{self._namespace.strip('/')}': end that cell, or start this cell with another "
+                "ROS_DOMAIN_ID or --namespace"
             )
         self._log_folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -163,13 +155,9 @@ class Graph:
         self.stop()
 
     def _start(self, name: str) -> Child:
-        of_board = name.removeprefix(f"{FIRST_TRIGGER}_")
-        kind = FIRST_TRIGGER if of_board != name else name
-        command = [sys.executable, "-m", MODULES[kind], "--ros-args"]
-        if kind != name:
-            command += ["-r", f"__node:={name}", "-p", f"board:={of_board}"]
+        command = [sys.executable, "-m", MODULES[name], "--ros-args"]
         if security.is_enabled(self._environment):
-            command += ["--enclave", security.enclave_of(kind)]
+            command += ["--enclave", security.enclave_of(name)]
         if self._namespace:
             command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
             # Two cells use the same frame names, so each has its own tf topics.
@@ -202,7 +190,7 @@ class Graph:
         ]
 
     def check(self) -> None:
-        """Raise an error if a node has ended. The recorder is restarted instead, a few times.
+        """Raise an error if a node has ended. A recorder that has ended is restarted a few times.
 
         Raises:
             NodeDied: with the node's last output.
@@ -287,9 +275,8 @@ def with_own_ports(
     own["sim_world"] |= {"arm_port": ports / "arm", "tapper_port": ports / "tapper"}
     if "scara_arm" in own:
         own["scara_arm"] |= {"port": ports / "arm", "home_on_activate": True}
-    for name in own:
-        if name.startswith(FIRST_TRIGGER):
-            own[name]["port"] = ports / name.replace(FIRST_TRIGGER, "tapper")
+    if "tapper_trigger" in own:
+        own["tapper_trigger"]["port"] = ports / "tapper"
     return own
 
 
@@ -317,8 +304,8 @@ class Domain:
     def use(self) -> None:
         """Select the domain in this process and its children.
 
-        A reserved domain is free on this machine only, so that discovery is limited to it whatever
-        the shell's setting.
+        A reserved domain is known to be free only on this machine, so discovery is limited to this
+        machine, whatever the shell's setting.
         """
         os.environ["ROS_DOMAIN_ID"] = str(self.number)
         if self.held is None:
@@ -328,8 +315,8 @@ class Domain:
 
 
 def own_domain() -> Domain:
-    """Return the domain of ROS_DOMAIN_ID if it is set, otherwise a domain that no other run of any
-    user on this machine uses. It is reserved until this process ends.
+    """Return the domain of ROS_DOMAIN_ID if that is set. Otherwise reserve a domain that no other
+    run of any user on this machine uses, until this process ends.
 
     Raises:
         GraphError: every domain is in use, or ROS_DOMAIN_ID is not a domain.

@@ -43,7 +43,10 @@ def run(arguments: argparse.Namespace) -> int:
                 tell_error(f"the arm is {arm['state']}: {arm['sentence']}", arm["code"])
                 return ExitStatus.FAILED
             time.sleep(0.05)
-        tell_error(f"the arm was not homed within {arguments.wait:.0f} s; see its state")
+        tell_error(
+            f"the arm was not homed within {arguments.wait:.0f} s; check it with  "
+            "python -m tapping_cell status"
+        )
         return ExitStatus.FAILED
 
     return cell_arguments.with_cell(arguments, home)

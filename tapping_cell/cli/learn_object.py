@@ -1,14 +1,15 @@
 """Learn an object's friction, torque factor, smallest tap and scatter by tapping it.
 
 Starts the simulated cell (or the hardware with --hardware, or joins a running cell with --attach)
-with the object file. It sends goals around the object's position, the first with a probe of tiny
-taps, until the values are known well enough or --goals goals are made, and fits the taps.
+with the object file. Then sends goals near the object's position, the first with a probe of tiny
+taps, until the values are known well enough or --goals goals have been sent, and fits the taps.
 `new-object` makes the object file from an image.
 
   python -m tapping_cell learn-object --object bracket.yaml --output bracket_learnt.yaml
 
-With RUNS, it learns from run folders of earlier goals instead, and moves nothing; --object is the
-object file used in those runs. The learnt values are written to --output; all others are copied.
+With RUNS, the values are learnt from run folders of earlier goals, and nothing moves. --object is
+then the object file used in those runs. The learnt values are written to --output; all other values
+are copied.
 
   python -m tapping_cell learn-object runs/* --object guess.yaml --output my_disk.yaml
 """
@@ -79,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the verb. Return 0 on success, 1 if the cell stopped it, 2 for unusable runs or files."""
+    """Run the verb. Return 0 on success, 1 if the goals failed, 2 for unusable runs or files."""
     from dataclasses import replace
 
     from tapping_cell.calibration.csv_table import RecordError
@@ -129,8 +130,8 @@ LEARNT = "Learnt from taps (tapping_cell learn-object)."
 def _probed(
     arguments: argparse.Namespace, content: ObjectFile
 ) -> tuple[list[Path], list[Moves], int]:
-    """Send goals until their taps determine the object well enough. Return the folders, the taps,
-    and the exit code if that failed.
+    """Send goals until their taps determine the object well enough. Return the folders, the taps
+    and the exit code (0 on success).
 
     Raises:
         ConfigurationError: the cell's files are unusable.
@@ -210,7 +211,7 @@ def _taps(folder: Path, name: str) -> list[Moves]:
     if run_.object_name and run_.object_name != name:
         raise RecordError(
             f"{folder} is a run of '{run_.object_name}', but the object file is of '{name}'; "
-            "give the file that was in use"
+            "give the file that was used in the run"
         )
     taps: list[Moves] = []
     for tap in run_.taps:
@@ -236,7 +237,7 @@ def _arrays(taps: list[Moves]) -> tuple[Any, Any]:
     from tapping_cell.calibration.csv_table import RecordError
 
     if not taps:
-        raise RecordError("no fired tap with a measured result is in these runs")
+        raise RecordError("these runs contain no fired tap with a measured result")
     commanded, measured = zip(*taps, strict=True)
     return np.array(commanded), np.array(measured)
 
@@ -260,8 +261,8 @@ def _numbers(entry: Estimate) -> dict[str, float | None]:
 def _line(entry: Estimate) -> str:
     unit = f" {entry.unit}" if entry.unit else ""
     if not entry.fitted:
-        return f"  {entry.name:<18} not determined by these taps; kept at {entry.value:.4g}{unit}"
+        return f"  {entry.name:<22} not determined by these taps; kept at {entry.value:.4g}{unit}"
     return (
-        f"  {entry.name:<18} {entry.value:.4g}{unit}   95 %: {entry.low:.4g} to {entry.high:.4g}"
+        f"  {entry.name:<22} {entry.value:.4g}{unit}   95 %: {entry.low:.4g} to {entry.high:.4g}"
         f"   (before: {entry.old:.4g})"
     )

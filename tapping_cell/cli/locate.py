@@ -1,10 +1,10 @@
 """Find objects in image files: their poses on the table, the uncertainty and the computing time.
 
 Every image is processed independently, by the same pipeline as the live camera's frames. With
---sequence, they are consecutive frames of one fixed camera, so that the table's pose is averaged
-and frames at rest are fused. Several objects (--object given more than once) are distinguished by
-their marker ids or by their outlines. Lengths are in mm, angles in degrees, in the frame `table`.
-The exit code is 1 if no object was found in any image.
+--sequence, the images are consecutive frames of one fixed camera, so the table's pose is averaged,
+and frames in which the object is at rest are fused. Several objects (--object given more than once)
+are distinguished by their marker ids or by their outlines. Lengths are in mm, angles in degrees, in
+the frame `table`. The exit code is 1 if no object was found in any image.
 
   python -m tapping_cell locate shot1.png shot2.png --camera config/camera_info.yaml \\
       --table config/table.yaml --object config/objects/aluminium_disk.yaml --annotate pictures
@@ -61,7 +61,7 @@ FRAME_PERIOD = 1.0 / 30.0
 
 @dataclass(frozen=True, slots=True)
 class SeenObject:
-    """Part of an object file that the camera needs; its other keys are not read."""
+    """Part of an object file that is needed to detect the object. Other keys are not read."""
 
     shape: ShapeSection = section("outline of the object")
     height: float = quantity("height of the top above the table", "m", 0.0, 0.5)
@@ -187,14 +187,13 @@ def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | st
     """Return an image in grey, 8 bits, for a camera of this size (width, height), or an error
     message.
 
-    The rotation flag of the file is ignored, so that pixels are arranged as on the sensor. Only if
-    the unrotated image does not have the camera's size but the rotated one does, the latter is
-    used.
+    The rotation flag of the file is ignored, so that pixels are arranged as on the sensor. The
+    rotated image is used only if it has the camera's size and the unrotated image does not.
     """
     if not path.exists():
         return f"{path} does not exist; check the name"
     if path.is_dir():
-        return f"{path} is a folder; name the pictures in it"
+        return f"{path} is a folder; give the image files in it"
     deep = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
     image = cv2.imread(str(path), deep | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
@@ -203,7 +202,7 @@ def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | st
         turned = cv2.imread(str(path), deep)
         image = image if turned is None or turned.shape != size[::-1] else turned
     if image.dtype == np.uint16:
-        # Cameras with 10, 12 or 14 bits leave the upper bits of the file's 16 empty.
+        # In 16-bit files of cameras with 10, 12 or 14 bits, the upper bits are zero.
         bits = max(8, int(image.max()).bit_length())
         return np.asarray(image // 2 ** (bits + bits % 2 - 8), dtype=np.uint8)
     if image.dtype != np.uint8:
@@ -215,7 +214,7 @@ def load_seen_object(path: Path) -> SeenObject:
     """Read shape, height and marker or outline from an object file.
 
     Raises:
-        ConfigurationError: names file, key, value and range.
+        ConfigurationError: the file is invalid. The message names file, key, value and range.
     """
     document = read_yaml(path)
     if not isinstance(document, dict):
@@ -232,14 +231,14 @@ def load_seen_object(path: Path) -> SeenObject:
 
 
 def refuse_reference(path: Path, seen: SeenObject, table: ReferenceMap) -> None:
-    """Raise ConfigurationError if the object's marker is one of the table's."""
+    """Raise ConfigurationError if the object's marker is a reference marker of the table."""
     marker = seen.marker
     if marker is None or dictionary_name(marker.dictionary) != dictionary_name(table.dictionary):
         return
     if marker.id in {reference.id for reference in table.markers}:
         raise ConfigurationError(
-            f"{path}: key 'marker.id' is {marker.id}, which is a reference marker of the table "
-            "too; give the object another one"
+            f"{path}: key 'marker.id' is {marker.id}, which is also a reference marker of the "
+            "table; give the object another marker"
         )
 
 

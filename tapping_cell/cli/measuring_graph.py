@@ -53,7 +53,7 @@ def measuring_graph(
     ``tell`` is called with a message that names the ROS domain.
 
     Raises:
-        GraphError: it cannot be started.
+        GraphError: the graph cannot be started.
     """
     if arguments.attach:
         yield lambda: None

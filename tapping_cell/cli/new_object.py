@@ -144,7 +144,7 @@ def told(made: ObjectFile, traced: TracedObject) -> list[str]:
         assert shape.vertices is not None
         corners = ", ".join(f"({1e3 * x:.2f}, {1e3 * y:.2f})" for x, y in shape.vertices)
         text = f"polygon with the corners {corners} mm"
-    lines = [f"{text}; the rim is within {1e3 * traced.deviation:.2f} mm (rms) of it"]
+    lines = [f"{text}; the traced rim deviates from it by {1e3 * traced.deviation:.2f} mm rms"]
     if made.marker is not None:
         marker = made.marker
         x, y, _ = marker.offset

@@ -25,7 +25,8 @@ def add_output_arguments(
     parser.add_argument(
         "--accept-worse",
         action="store_true",
-        help="replace the file even if its residual or uncertainty is smaller (only with --force)",
+        help="replace the file even if its residual or uncertainty is smaller than the new one "
+        "(only with --force)",
     )
 
 

@@ -1,9 +1,9 @@
 """Rebuild the files of run folders, and compare runs.
 
 A run is a folder written by the recorder or the demo, or only the bag of a run. For each run
-folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its bag or, if the bag is
-missing, image and page from summary and taps. For several runs, a page comparison.html is also
-written.
+folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its bag. If the bag is
+missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For several
+runs, a page comparison.html is also written.
 
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
     python -m tapping_cell report runs/* --output comparison

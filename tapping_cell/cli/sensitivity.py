@@ -1,4 +1,4 @@
-"""Sensitivity of the tap's result to errors of the striker's pose: the Jacobian of section 5.1.
+"""Compute the sensitivity of a tap's result to errors of the striker's pose (paper, section 5.1).
 
 Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees, its product with an error
 of the striker's pose, its norm, and the fraction of the reachable range with a norm below one.
@@ -153,6 +153,6 @@ def _print(report: dict[str, Any]) -> None:
         f"\nOver {sweep['taps']} taps of {sweep['distance_mm'][0]:g} to "
         f"{sweep['distance_mm'][1]:g} mm inside the cone of {sweep['cone_deg_per_mm']:.3f} "
         f"degrees/mm:\n  norm below one in {100 * sweep['share_below_one']:.0f} % "
-        f"({100 * sweep['share_below_one_physical']:.0f} % with the impact's y row), in all of "
-        f"them up to {sweep['all_below_one_up_to_mm']:.0f} mm"
+        f"({100 * sweep['share_below_one_physical']:.0f} % with the impact's y row), and "
+        f"in all taps of at most {sweep['all_below_one_up_to_mm']:.0f} mm"
     )

@@ -49,7 +49,7 @@ def end_on_signals() -> None:
     """Make Ctrl-C and SIGTERM raise KeyboardInterrupt, so that the verb ends in order.
 
     Both handlers are set, because a shell starts background jobs with SIGINT ignored, and Python
-    does not change that.
+    keeps ignoring it.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
@@ -77,10 +77,11 @@ def send(
     probe: bool = False,
     ask: bool = False,
 ) -> None:
-    """Send a goal, and send it again without a response, which can be lost while nodes start.
+    """Send a goal, and send it again if no response arrives. While nodes start, responses can be
+    lost.
 
     Raises:
-        NotReadyInTime: the planner did not respond to any of them.
+        NotReadyInTime: the planner did not respond to any attempt.
     """
     for _ in range(SENDINGS):
         client.send(goal, tolerance, probe=probe, ask=ask)
@@ -91,7 +92,7 @@ def send(
                     return
                 time.sleep(0.02)
     raise NotReadyInTime(
-        f"the planner did not answer the goal within {SENDINGS * ANSWER_S:.0f} s; look at its log"
+        f"the planner did not answer the goal within {SENDINGS * ANSWER_S:.0f} s; see its log"
     )
 
 
@@ -99,14 +100,14 @@ def require_object(client: GoalClient, cell: Cell) -> None:
     """Check that the running cell tracks the object of these files.
 
     Raises:
-        ConfigurationError: it tracks another object, or none.
+        ConfigurationError: the cell tracks another object, or none.
     """
     state = client.object_state
     tracked = repr(state.object_id) if state is not None else "no object"
     if tracked != repr(cell.object.name):
         raise ConfigurationError(
             f"the running cell tracks {tracked}, but the object file {cell.object_path} is of "
-            f"'{cell.object.name}'; give --object the file that the cell was started with"
+            f"'{cell.object.name}'; with --object, give the file that the cell was started with"
         )
 
 
@@ -120,7 +121,7 @@ def wait_for_planner(client: GoalClient, patience: float, console: Console) -> N
     deadline = time.monotonic() + patience
     found = math.inf
     with console.status("waiting for the planner"):
-        # The planner must also have discovered this client, or its response is lost.
+        # The planner must also have discovered this client, or the response is lost.
         while time.monotonic() < found + MUTUAL_DISCOVERY_S:
             there = client.planner_active and client.accepts_goals()
             found = min(found, time.monotonic()) if there else math.inf
@@ -150,7 +151,7 @@ def wait_for(
     """Wait until ``missing`` returns no conditions.
 
     Raises:
-        NotReadyInTime: names the missing conditions after ``patience`` seconds.
+        NotReadyInTime: conditions are missing after ``patience`` s. The message names them.
     """
     deadline = time.monotonic() + patience
     with console.status("waiting for the cell") as status:
@@ -206,8 +207,8 @@ def wait_for_record(
             check()
             if time.monotonic() > deadline:
                 raise NotRecorded(
-                    f"the run recorder wrote no record within {patience:.0f} s; its log "
-                    "run_recorder.log says why"
+                    f"the run recorder wrote no record within {patience:.0f} s; see its log "
+                    "run_recorder.log"
                 )
             time.sleep(0.05)
     return Path(client.last_run)

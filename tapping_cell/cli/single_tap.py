@@ -188,7 +188,7 @@ def _check_ranges(arguments: argparse.Namespace) -> None:
     """Reject option values that no experiment can have.
 
     Raises:
-        ValueError: names the option, its value and the range.
+        ValueError: a value is out of range. The message names the option, value and range.
     """
     for name, low, high in RANGES:
         value = getattr(arguments, name.replace("-", "_"))
@@ -334,8 +334,8 @@ def _keep_header(folder: Path, header: ExperimentFile) -> None:
     for name in ("source", "object", "striker"):
         if getattr(kept, name) != getattr(header, name):
             raise RecordError(
-                f"{folder / HEADER_FILE}: its {name} is not that of this cell; resume with "
-                "the files with which the experiment was started, or start a new one"
+                f"{folder / HEADER_FILE}: the {name} differs from that of this cell; resume with "
+                "the files with which the experiment was started, or start a new experiment"
             )
 
 

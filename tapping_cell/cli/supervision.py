@@ -34,13 +34,13 @@ class Supervisor:
         self._restarts: dict[str, deque[float]] = {}
         self._due: dict[str, float] = {}
         self.left_alone: dict[str, str] = {}
-        """Optional nodes that ended too often, with the reasons."""
+        """Optional nodes that are no longer restarted, with the reasons."""
 
     def check(self, now: float) -> list[Incident]:
         """Return the events since the last call. ``now`` is a monotonic time in s.
 
         Raises:
-            NodeDied: a required node ended too often.
+            NodeDied: a required node ended too often, or rejected its parameters or files.
         """
         incidents = [
             self._ended(ended, now)

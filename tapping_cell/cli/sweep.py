@@ -2,8 +2,8 @@
 
 Each point of the grid is one evaluation. The points share the cores of this computer, or the
 workers of a Dask cluster (``--cluster``). Completed points are stored in the report's folder, so
-that the same command resumes after an interruption. Only the options that the points have in common
-must be unchanged.
+that the same command resumes after an interruption. The options that all points have in common must
+be unchanged.
 """
 
 from __future__ import annotations
@@ -55,6 +55,8 @@ PARAMETERS: dict[str, Callable[[argparse.Namespace, Value], None]] = {
     "distance-scatter": _entry("scatter", 0),
     "rotation-scatter": _entry("scatter", 1),
     "direction-scatter": _entry("scatter", 2),
+    "position-floor": _entry("scatter_floor", 0),
+    "angle-floor": _entry("scatter_floor", 1),
     "camera-position-noise": _entry("camera_noise", 0),
     "camera-angle-noise": _entry("camera_noise", 1),
     "distance-bias": _entry("gain_bias", 0),
@@ -81,7 +83,7 @@ def read_axis(text: str) -> tuple[str, tuple[Value, ...]]:
     if name == "planner":
         names = tuple(part for part in given.split(",") if part)
         if not names:
-            raise PlanningError("planner= names no method; write planner=optimal,exact")
+            raise PlanningError("planner= names no method; give for example planner=optimal,exact")
         return name, names
     try:
         if ":" in given:
@@ -104,7 +106,7 @@ def read_axes(texts: Sequence[str]) -> dict[str, tuple[Value, ...]]:
     for text in texts:
         name, values = read_axis(text)
         if name in axes:
-            raise PlanningError(f"{name} is swept twice; give all of its values at once")
+            raise PlanningError(f"{name} is swept twice; give all its values in one list")
         axes[name] = values
     return axes
 

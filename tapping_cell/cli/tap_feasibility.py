@@ -30,8 +30,8 @@ class TapFeasibility:
         limits = self._limits
         if not limits.slowest <= striker_speed <= limits.fastest:
             return (
-                f"the tapper makes {1000 * limits.slowest:.0f} to "
-                f"{1000 * limits.fastest:.0f} mm/s; ask for speeds between these"
+                f"the tapper's range is {1000 * limits.slowest:.0f} to "
+                f"{1000 * limits.fastest:.0f} mm/s; give a speed in this range"
             )
         tap = Prescription(striker_speed, incidence)
         decision = PrescribedSession(tap, self._space, self._free, Gains.start()).decide(

@@ -1,5 +1,5 @@
-"""Make one tap of an experiment after another: wait for the cell, bring the object back, read the
-result."""
+"""Make the taps of an experiment, one after another: wait for the cell, bring the object back, make
+the tap, read the result."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tapping_cell.se2 import Pose
 
 READY_PATIENCE_S = 60.0
 BACK_TOLERANCE = (0.015, math.radians(45.0))
-"""Tolerance of a goal that brings the object back, in m and rad; large, so that it is fast."""
+"""Tolerance in m and rad of a goal that brings the object back; large, to save taps."""
 NO_CLEARANCE = (
     ErrorCode.TAP_LEAVES_TABLE,
     ErrorCode.TAP_LEAVES_VIEW,
@@ -149,7 +149,8 @@ def trial_of(
         end_x=end.x,
         end_y=end.y,
         end_theta=end.theta,
-        # The displacement is the difference of two observations; the value is for one axis.
+        # Standard deviation along one axis. The variance of the difference of two observations is
+        # twice that of one observation, here the sum of the variances in x and y.
         displacement_std=math.nan if lost else math.sqrt(spread[0, 0] + spread[1, 1]),
         rotation_std=math.nan if lost else math.sqrt(2 * spread[2, 2]),
         camera_rate_hz=camera_rate,

@@ -64,10 +64,10 @@ class TapSeries:
                 if given_up(self.design, far):
                     raise SeriesStopped(
                         ErrorCode.TAP_WITHOUT_EFFECT,
-                        f"run {run.number}: of {far.made} trials {far.used} can be used, where "
-                        f"{self.design.trials} are wanted of at most "
-                        f"{ATTEMPTS * self.design.trials}; the column 'note' of its file says "
-                        "why; calibrate arm, tapper and camera",
+                        f"run {run.number}: only {far.used} of {far.made} trials are usable "
+                        f"({self.design.trials} usable trials are needed from at most "
+                        f"{ATTEMPTS * self.design.trials}); see the column 'note' of the run's "
+                        "file, and calibrate arm, tapper and camera",
                     )
                 done = self._trial(run, far.made + 1)
                 if done is not None:

@@ -1,9 +1,9 @@
 """Start the node graph from a configuration, simulated or on hardware, and keep it running.
 
 Shows the condition that each node waits for, and "ready" once the cell would accept a goal. A node
-that ends unexpectedly is restarted, up to three times in two minutes. After that, all nodes are
-ended if the node is arm, tapper, planner, camera or the simulated world. Ctrl-C ends every node.
-Goals are sent from another terminal, or from the operator's page.
+that ends unexpectedly is restarted, up to three times in two minutes. If arm, tapper, planner,
+camera or simulated world end more often, all nodes are ended. Ctrl-C ends every node. Goals are
+sent from another terminal, or from the operator's page.
 
     python -m tapping_cell up
     python -m tapping_cell up --page
@@ -25,13 +25,11 @@ from rich.markup import escape
 from tapping_cell.cli import argument_types, start_up
 from tapping_cell.cli.errors import ExitStatus, tell_error, tell_refusal
 from tapping_cell.cli.graph import (
-    FIRST_TRIGGER,
     RECORDER,
     Graph,
     GraphError,
     domain_number,
     nodes_of,
-    trigger,
     with_own_ports,
 )
 from tapping_cell.cli.session import end_on_signals
@@ -192,7 +190,7 @@ class _Running:
         self._nodes = nodes
         self._arguments = arguments
         self._page_log = logs / "operator_page.log"
-        # Log entries of an earlier run on its page are no longer valid.
+        # Earlier log entries name the page's address in an earlier run and are ignored.
         self._page_seen = self._page_log.stat().st_size if self._page_log.exists() else 0
         self._console = console
         self._supervisor = Supervisor(graph)
@@ -248,7 +246,7 @@ class _Running:
                         f"the cell was not ready after {self._arguments.wait:.0f} s: {start.reason}"
                     )
                 time.sleep(CHECK_PERIOD_S)
-        self._console.print("[green]ready[/]: the cell takes a goal")
+        self._console.print("[green]ready[/]: the cell accepts goals")
         self._tell_page()
 
     def _tell_page(self) -> None:
@@ -267,7 +265,7 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
     """Check that the camera and both ports exist, before anything is started.
 
     Raises:
-        ConfigurationError: names every missing device and the remedy.
+        ConfigurationError: a device is missing. The message names all missing devices.
     """
     given = arguments.params.read_text(encoding="utf-8") if arguments.params else ""
     missing = []
@@ -287,7 +285,7 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
         missing.append(f"the camera {device} (option --camera)")
     if missing:
         raise ConfigurationError(
-            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} not there: check power"
+            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing: check power"
             f" and cables, or correct the names; the cell file is {cell.path}"
         )
 
@@ -337,7 +335,7 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         "camera_pose": files,
         "tap_planner": dict(files),
         **({} if cell.file.arm is None else {"scara_arm": dict(files)}),
-        **{trigger(board): dict(place) for board in range(len(cell.boards))},
+        "tapper_trigger": dict(place),
         RECORDER: {**files, **seed},
     }
     if arguments.truth:
@@ -360,7 +358,7 @@ def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict
         }
     if getattr(arguments, "set_up", False):
         for name in parameters:
-            if name == "scara_arm" or name.startswith(FIRST_TRIGGER):
+            if name in ("scara_arm", "tapper_trigger"):
                 parameters[name]["set_up"] = True
     if getattr(arguments, "camera", None):
         parameters["overhead_camera"]["source"] = arguments.camera

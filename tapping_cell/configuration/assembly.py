@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from tapping_cell.configuration.cell import Cell
@@ -45,8 +47,7 @@ def make_workspace(cell: Cell) -> Workspace:
 
 def make_scatter(cell: Cell) -> Scatter:
     """Create the scatter of a tap that the planner assumes."""
-    scatter = cell.object.scatter
-    return Scatter(scatter.distance, scatter.rotation, scatter.direction)
+    return Scatter(**asdict(cell.object.scatter))
 
 
 def make_strike_settings(cell: Cell) -> StrikeSettings:
@@ -65,7 +66,7 @@ def make_strike_settings(cell: Cell) -> StrikeSettings:
 
 
 def make_arm_reach(cell: Cell) -> ArmReach:
-    """Create the test of which tip poses (..., 3) in ``table`` the arm can reach for a strike.
+    """Create the function that tests which tip poses (..., 3) in ``table`` the arm can reach.
 
     The result has one column for each side of the elbow.
     """

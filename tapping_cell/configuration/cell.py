@@ -32,6 +32,7 @@ from tapping_cell.hardware.motion import MotionSettings
 from tapping_cell.hardware.output_tapper import OutputTapperSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.serial_chain import SerialChain, pose_matrix
+from tapping_cell.hardware.tapper_boards import CHANNELS_PER_BOARD, cell_channel
 from tapping_cell.mechanics import Striker
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
@@ -69,7 +70,11 @@ class KeepOutSection:
         "circular zones: x, y and radius, in the frame table", "m", -5.0, 5.0, default=()
     )
     polygons: tuple[tuple[tuple[float, float], ...], ...] = quantity(
-        "convex polygonal zones: corners x, y in the frame table", "m", -5.0, 5.0, default=()
+        "polygonal zones, convex or not: corners x, y in the frame table",
+        "m",
+        -5.0,
+        5.0,
+        default=(),
     )
 
 
@@ -83,14 +88,14 @@ class ChainSection:
     base_link: str = text("link of the URDF at which the chain begins")
     tip_link: str = text("link of the URDF that carries the tapper")
     tool: tuple[float, float, float, float, float, float] = quantity(
-        "pose of the striker's tip in tip_link, x along the line of travel, z up: x, y, z in m, "
-        "roll, pitch, yaw in rad",
+        "pose of the striker's tip in tip_link (x, y, z in m, roll, pitch, yaw in rad), with the x "
+        "axis along the line of travel and the z axis up",
         "",
         -7.0,
         7.0,
     )
     max_acceleration: tuple[float, ...] = quantity(
-        "decelerations of the arm's joints when braking: rad/s^2 or m/s^2", "", 0.001, 1000.0
+        "deceleration of each joint of the arm when braking: rad/s^2 or m/s^2", "", 0.001, 1000.0
     )
     mount: tuple[float, float, float, float, float, float] = quantity(
         "pose of base_link in arm_base: x, y, z in m, roll, pitch, yaw in rad",
@@ -100,7 +105,7 @@ class ChainSection:
         default=(0.0,) * 6,
     )
     tilt: float = quantity(
-        "maximum tilt of the striker from the vertical before its pose is rejected",
+        "maximum tilt of the striker from the vertical; a pose with a larger tilt is rejected",
         "rad",
         0.0005,
         0.1,
@@ -147,7 +152,7 @@ class Ros2ControlSection:
             if not name.startswith("/") or name.endswith("/") or len(name) < 2:
                 raise ValueError(f"{key} is '{name}', but must be a full name, such as /name")
         if len(set(self.joints)) != len(self.joints) or not all(self.joints):
-            raise ValueError(f"joints {list(self.joints)}: each needs a name of its own")
+            raise ValueError(f"joints {list(self.joints)}: each joint needs a name of its own")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,13 +160,15 @@ class ArmSection:
     """The SCARA arm: base pose, dimensions, limits, moves and controller."""
 
     base: tuple[float, float, float] = quantity(
-        "pose of arm_base in table: x and y in m, angle in rad", "", -7.0, 7.0
+        "pose of arm_base in the frame table: x and y in m, angle in rad", "", -7.0, 7.0
     )
     upper_arm: float = quantity("distance from shoulder axis to elbow axis", "m", 0.02, 3.0)
     forearm: float = quantity("distance from elbow axis to quill axis", "m", 0.02, 3.0)
     tip_forward: float = quantity("offset of the tip ahead of the quill axis", "m", -0.5, 0.5)
     tip_side: float = quantity("offset of the tip to the left of the quill axis", "m", -0.5, 0.5)
-    tip_yaw: float = quantity("angle from tool heading to line of travel", "rad", -7.0, 7.0)
+    tip_yaw: float = quantity(
+        "angle from the tool's heading to the line of travel", "rad", -7.0, 7.0
+    )
     tip_height: float = quantity("height of the tip when the quill is at zero", "m", 0.0, 2.0)
     lower: FourNumbers = quantity("lower joint limits: rad, rad, m, rad", "", -20.0, 20.0)
     upper: FourNumbers = quantity("upper joint limits: rad, rad, m, rad", "", -20.0, 20.0)
@@ -183,7 +190,10 @@ class ArmSection:
         "speed near the object as a fraction of the maximum joint speeds", "", 0.01, 1.0
     )
     back_off: float = quantity(
-        "retreat distance along the line of travel before raising", "m", 0.0, 0.1
+        "distance by which the tip retreats along the line of travel before it is raised",
+        "m",
+        0.0,
+        0.1,
     )
     park: FourNumbers = quantity(
         "joint positions of the park pose, out of the camera's view: rad, rad, m, rad",
@@ -235,7 +245,7 @@ class ArmSection:
         default=0.03,
     )
     axes_without_switch: tuple[JointName, ...] = choice(
-        "joints without a home switch, which a person moves to their home before homing",
+        "joints without a home switch, which an operator moves to `home` before homing",
         *Joints._fields,
         default=(),
     )
@@ -284,7 +294,7 @@ class ArmSection:
         default=False,
     )
     joint_offset: FourNumbers = quantity(
-        "calibrated offset of the true joints from the controller's: rad, rad, m, rad",
+        "true joint positions minus those of the controller, calibrated: rad, rad, m, rad",
         "",
         -1.0,
         1.0,
@@ -294,14 +304,14 @@ class ArmSection:
         "record of the calibration of base and joint offsets", default=None
     )
     steps_per_unit: tuple[float, ...] = quantity(
-        "required steps per degree or mm in the controller, four values; not checked if empty",
+        "required steps per degree or mm of the controller's four axes; not checked if empty",
         "",
         0.001,
         1e6,
         default=(),
     )
     grbl_settings: tuple[tuple[float, float], ...] = quantity(
-        "required $$ settings besides $13 = 0, as number and value, such as [[23, 3], [27, 1.0]]",
+        "required $$ settings besides $13 = 0: number and value, such as [[23, 3], [27, 1.0]]",
         "",
         -1e7,
         1e7,
@@ -363,7 +373,8 @@ class ArmSection:
         if section.chain is None and len(section.joints) != len(self.lower):
             raise ValueError(
                 f"arm.ros2_control.joints has {len(section.joints)} names, the arm has"
-                f" {len(self.lower)} joints; another arm needs arm.ros2_control.chain"
+                f" {len(self.lower)} joints; an arm that is not a SCARA needs"
+                " arm.ros2_control.chain"
             )
         if self.homing != "none":
             raise ValueError(
@@ -455,7 +466,7 @@ class OutputSection:
         "full name of the topic (std_msgs/Bool) that reports whether the guard is closed"
     )
     pulses: tuple[float, ...] = quantity(
-        "pulse lengths for tapper.energies, one each, increasing", "s", 0.0005, 0.08
+        "pulse length for each of tapper.energies, increasing", "s", 0.0005, 0.08
     )
     read_back: str = text(
         "full name of the topic (std_msgs/Bool) that reports whether the output is on; if left "
@@ -511,8 +522,8 @@ class TapperSection:
     standoff: float = quantity("distance from the tip at rest to the object", "m", 0.001, 0.2)
     stroke: float = quantity("maximum travel of the tip", "m", 0.001, 0.3)
     tool_radius: float = quantity("half the width of the bar behind the tip", "m", 0.0005, 0.1)
-    tool_start: float = quantity("distance from tip centre to near end of the bar", "m", 0.0, 0.2)
-    tool_length: float = quantity("distance from tip centre to far end of the bar", "m", 0.0, 1.0)
+    tool_start: float = quantity("distance from tip centre to front end of the bar", "m", 0.0, 0.2)
+    tool_length: float = quantity("distance from tip centre to rear end of the bar", "m", 0.0, 1.0)
     energies: tuple[float, ...] = quantity(
         "energies of the calibration curve, increasing", "J", 0.0, 1000.0
     )
@@ -562,14 +573,16 @@ class TapperSection:
 
 @dataclass(frozen=True, slots=True)
 class FixedTapperSection:
-    """One tapper at a fixed mount. A key that is left out has its value from ``tapper``."""
+    """One tapper at a fixed mount; an omitted key has the value of the section `tapper`."""
 
     name: str = text("name of the tapper, unique in the cell", longest=40)
     position: tuple[float, float] = quantity(
         "centre of the tip at rest, in the frame table: x, y", "m", -5.0, 5.0
     )
-    direction: float = quantity("direction of the striker's travel, in table", "rad", -7.0, 7.0)
-    channel: int = quantity("channel of the tapper on its board", "", 0, 31, default=0)
+    direction: float = quantity("direction of travel in the frame table", "rad", -7.0, 7.0)
+    channel: int = quantity(
+        "channel of the tapper on its board", "", 0, CHANNELS_PER_BOARD - 1, default=0
+    )
     port: str | None = text(
         "serial port of the tapper's board; tapper.port if left out", default=None
     )
@@ -594,7 +607,7 @@ class FixedTappersSection:
     """Tappers at fixed mounts and the disc that they serve."""
 
     working_area: tuple[float, float, float] = quantity(
-        "disc that must contain the object's centre: x and y of its middle in table, and radius",
+        "disc that must contain the object's centre: x and y in the frame table, and radius",
         "m",
         -5.0,
         5.0,
@@ -612,7 +625,7 @@ class FixedTappersSection:
             raise ValueError("'tappers' is empty; give at least one")
         if "" in names or len(set(names)) < len(names):
             twice = sorted({name for name in names if names.count(name) > 1 or not name})
-            raise ValueError(f"each tapper needs a name of its own; given twice or empty: {twice}")
+            raise ValueError(f"each tapper needs a name of its own; empty or repeated: {twice}")
         if self.working_area[2] <= 0.0:
             raise ValueError(
                 f"the radius of 'working_area' is {self.working_area[2]:g} m, must be above 0"
@@ -621,7 +634,7 @@ class FixedTappersSection:
 
 @dataclass(frozen=True, slots=True)
 class CameraSection:
-    """Accuracy of a pose measured at rest that the planner assumes."""
+    """Accuracy that the planner assumes for a pose measured at rest."""
 
     position_noise: float = quantity(
         "standard deviation of a measured position along each axis", "m", 0.0, 0.1
@@ -631,19 +644,19 @@ class CameraSection:
 
 @dataclass(frozen=True, slots=True)
 class GoalSection:
-    """Conditions under which a goal counts as reached or is aborted, and the planner."""
+    """Planning method, and conditions under which a goal counts as reached or is aborted."""
 
     position_tolerance: float = quantity(
-        "maximum distance from the goal at which the goal counts as reached", "m", 0.0001, 0.1
+        "maximum position error at which a goal counts as reached", "m", 0.0001, 0.1
     )
     angle_tolerance: float = quantity(
-        "maximum rotation from the goal at which the goal counts as reached", "rad", 0.001, 1.0
+        "maximum angle error at which a goal counts as reached", "rad", 0.001, 1.0
     )
     planner: str = text("name of the planning method")
     max_taps: int = quantity("maximum number of taps for a goal", "", 1, 1000)
     objective: str = choice(
-        "quantity to minimise: the number of taps, or the time of the taps and the arm's "
-        "motion (the same for fixed tappers, whose taps all take the same time)",
+        "quantity to minimise: the number of taps, or the time of the taps and the arm's motion; "
+        "with fixed tappers the two are equivalent, because all taps take the same time",
         "taps",
         "time",
         default="taps",
@@ -661,7 +674,7 @@ class CellFile:
     table: TableSection = section("usable area of the table")
     tapper: TapperSection = section("settings of the tapper, or those common to all fixed tappers")
     camera: CameraSection = section("accuracy of the camera")
-    goal: GoalSection = section("tolerances of a goal and limits for reaching it")
+    goal: GoalSection = section("tolerances and limits of a goal, and the planning method")
     arm: ArmSection | None = section("arm that carries the tapper", default=None)
     fixed_tappers: FixedTappersSection | None = section(
         "tappers at fixed mounts, in place of an arm", default=None
@@ -776,6 +789,15 @@ class Cell:
         )
 
     @property
+    def tapper_channels(self) -> dict[str, int]:
+        """Channel number of every tapper by name, counted across the boards."""
+        return {
+            name: cell_channel(index, channel)
+            for index, board in enumerate(self.boards)
+            for name, channel in board.channels.items()
+        }
+
+    @property
     def strike_height(self) -> float:
         """Height of the tips above the table during a strike, m."""
         return (self.file.fixed_tappers or self.arm).strike_height
@@ -875,14 +897,14 @@ def refuse_own_drivers(cell: Cell) -> None:
     if output is not None:
         raise ConfigurationError(
             f"{cell.path}: key 'tapper.dialect' is io: a simulated cell started from this file "
-            f"would switch the output behind {output.name}; ask for hardware, or give a cell "
-            "file with the tapper's board"
+            f"would switch the output {output.name}; use 'up --hardware', or give a cell file "
+            "with the tapper's board"
         )
     if cell.file.arm is not None and cell.arm.ros2_control is not None:
         raise ConfigurationError(
             f"{cell.path}: key 'arm.dialect' is ros2_control: a simulated cell started from this "
-            f"file would move the arm behind {cell.arm.ros2_control.controller}; ask for "
-            "hardware, or give a cell file with a serial arm"
+            f"file would move the arm of {cell.arm.ros2_control.controller}; use "
+            "'up --hardware', or give a cell file with a serial arm"
         )
 
 
@@ -899,8 +921,8 @@ def _simulated_ports(cell: Cell) -> dict[str, str]:
 def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
     """Load the further objects on a cell's table, after the cell's main object.
 
-    First come the objects of the key ``objects``, then those of ``paths``, the comma-separated
-    parameter ``other_object_files``.
+    The objects of the key ``objects`` come first, followed by those of ``paths``, the
+    comma-separated parameter ``other_object_files``.
 
     Raises:
         ConfigurationError: a file is invalid, two objects share a name or a marker, or the arm
@@ -929,6 +951,6 @@ def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
             raise ConfigurationError(
                 f"{source}: '{file.name}' is {1e3 * file.height:.1f} mm high, "
                 f"but the tip travels at {1e3 * travel:.1f} mm (key 'arm.travel_height' of "
-                f"{cell.path}) and would hit it; raise that or keep the object off the table"
+                f"{cell.path}) and would hit it; increase the key or remove the object"
             )
     return files

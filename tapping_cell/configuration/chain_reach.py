@@ -22,7 +22,7 @@ FIRST_SEEDS = 40
 
 
 def chain_reach(cell: Cell) -> Iterator[str]:
-    """Yield a warning if the arm cannot take a strike pose that the SCARA reaches."""
+    """Yield a warning if the arm cannot reach a strike pose that the SCARA reaches."""
     chain = cell.arm.chain()
     if chain is None:
         return
@@ -44,9 +44,10 @@ def chain_reach(cell: Cell) -> Iterator[str]:
             seed = joints
     if missed:
         yield (
-            f"{cell.path}: {100 * missed / asked:.0f} % of the strike poses that the SCARA of the "
-            f"section arm reaches over the table are out of the arm's own reach, the first at "
-            f"{where}: a tap there ends in a fault; move the arm, or narrow arm.lower and arm.upper"
+            f"{cell.path}: the real arm cannot reach {100 * missed / asked:.0f} % of the strike "
+            "poses above the table that the SCARA of the section arm reaches; the first failure: "
+            f"{where}. A tap at such a pose ends in a fault; move the arm, or narrow arm.lower and "
+            "arm.upper"
         )
 
 

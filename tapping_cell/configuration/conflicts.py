@@ -18,9 +18,9 @@ from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
 
 LEAST_WORKABLE = 0.5
-"""Share of the usable area below which a cell's reach is worth a word."""
+"""Share of the usable area that the arm can serve below which a warning is reported."""
 LONGEST_FLIGHT_S = 2.0
-"""The arm stands still while a striker is on its way, and everybody waits for it."""
+"""Maximum time of flight of a striker, in s. The arm must stand still during the flight."""
 NOISE_MARGIN = 3.0
 """Number of standard deviations of the measured pose that should fit into the tolerance."""
 
@@ -46,7 +46,7 @@ def _markers(cell: Cell) -> Iterator[str]:
         if marker.id in taken:
             yield (
                 f"{cell.object_path}: key 'marker.id' is {marker.id}, which is a reference marker "
-                f"of the table too ({min(taken)} to {max(taken)}); give the object another one"
+                f"of the table too ({min(taken)} to {max(taken)}); give the object another id"
             )
     half = marker.size / 2 * math.sqrt(2)
     reach = max(math.hypot(x, y) for x, y in cell.outline())
@@ -54,7 +54,7 @@ def _markers(cell: Cell) -> Iterator[str]:
     if off + half > reach + 1e-9:
         yield (
             f"{cell.object_path}: the marker of {1e3 * marker.size:.1f} mm at {1e3 * off:.1f} mm "
-            f"from the centre sticks out of the object ({1e3 * reach:.1f} mm); use a smaller one"
+            f"from the centre sticks out of the object ({1e3 * reach:.1f} mm); use a smaller marker"
         )
 
 
@@ -74,7 +74,7 @@ def _further_objects(cell: Cell) -> Iterator[str]:
             yield (
                 f"{cell.path}: key 'arm.strike_height' is {1e3 * cell.file.arm.strike_height:.1f} "
                 f"mm, but the further object '{file.name}' is {1e3 * file.height:.1f} mm high: the "
-                "striker passes over it; lower it"
+                "striker passes over the object; reduce the key"
             )
 
 
@@ -83,12 +83,14 @@ def _heights(cell: Cell) -> Iterator[str]:
     if arm.strike_height >= cell.object.height:
         yield (
             f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, but the object "
-            f"is {1e3 * cell.object.height:.1f} mm high: the striker passes over it; lower it"
+            f"is {1e3 * cell.object.height:.1f} mm high: the striker passes over the object; "
+            "reduce the key"
         )
     if arm.strike_height < tapper.tip_radius:
         yield (
             f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, below the tip's "
-            f"radius of {1e3 * tapper.tip_radius:.1f} mm: the tip scrapes the table; raise it"
+            f"radius of {1e3 * tapper.tip_radius:.1f} mm: the tip scrapes the table; "
+            "increase the key"
         )
     if arm.travel_height <= max(arm.strike_height, cell.object.height):
         yield (
@@ -104,10 +106,9 @@ def _heights(cell: Cell) -> Iterator[str]:
     slowest = min(tapper.speeds)
     if tapper.stroke > LONGEST_FLIGHT_S * slowest:
         yield (
-            f"{path}: a striker of the slowest of 'tapper.speeds' ({1e3 * slowest:.1f} mm/s) "
-            f"is {tapper.stroke / slowest:.1f} s on its way through 'tapper.stroke', and the "
-            f"arm stands still for {LONGEST_FLIGHT_S:g} s at most; leave out the slowest "
-            "speeds"
+            f"{path}: at the slowest of 'tapper.speeds' ({1e3 * slowest:.1f} mm/s) the striker "
+            f"takes {tapper.stroke / slowest:.1f} s for 'tapper.stroke', but the arm stands still "
+            f"for at most {LONGEST_FLIGHT_S:g} s; remove the slowest speeds"
         )
 
 
@@ -175,8 +176,8 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
     share = float(np.count_nonzero(free.workable)) / float(np.count_nonzero(fits))
     if share == 0.0:
         return [
-            f"{cell.path}: no place on the table can be served by the arm: at each, half or "
-            "more of all directions of taps are missing; check 'arm.base', the links and the "
+            f"{cell.path}: the arm can serve no place on the table: at every place, half or more "
+            "of all directions of taps are impossible; check 'arm.base', the links and the "
             "joint limits"
         ], []
     if share < LEAST_WORKABLE:
@@ -198,14 +199,14 @@ def _lens(cell: Cell) -> Iterator[str]:
         if not size / 4 <= value <= 3 * size / 4:
             yield (
                 f"{file}: the principal point's {name} {value:.0f} is far from the middle of "
-                f"{size} pixels: image_width, image_height and camera_matrix may be of different "
-                "resolutions"
+                f"{size} pixels: image_width, image_height and camera_matrix may belong to "
+                "different resolutions"
             )
     ratio = float(matrix[0, 0] / matrix[1, 1])
     if not 0.9 < ratio < 1.1:
         yield (
             f"{file}: the focal lengths differ by a factor of {ratio:.2f}; square pixels give "
-            "nearly 1: calibrate camera"
+            "nearly 1; run calibrate camera"
         )
 
 
@@ -219,8 +220,8 @@ def _noise(cell: Cell) -> Iterator[str]:
             yield (
                 f"{cell.path}: key 'goal.{name}_tolerance' is {factor * limit:.3g} {unit}, "
                 f"less than {NOISE_MARGIN:g} standard deviations of a measurement "
-                f"('camera.{name}_noise', {factor * spread:.3g} {unit}): goals may never be "
-                "seen as reached"
+                f"('camera.{name}_noise', {factor * spread:.3g} {unit}): a goal may never "
+                "be measured as reached"
             )
 
 

@@ -13,20 +13,22 @@ from tapping_cell.planning.coverage import coverage
 
 
 def fixed_conflicts(cell: Cell) -> Iterator[str]:
-    """Yield the errors because of which a goal in the working area would fail."""
+    """Yield every error that would make a goal in the working area fail."""
     fixed, path = cell.fixed_tappers, cell.path
     height, top = fixed.strike_height, cell.object.height
     if height >= top:
         yield (
             f"{path}: key 'fixed_tappers.strike_height' is {1e3 * height:.1f} mm, but the object "
-            f"is {1e3 * top:.1f} mm high: the strikers pass over it; lower it"
+            f"is {1e3 * top:.1f} mm high: the strikers pass over the object; reduce the "
+            "key"
         )
     sections = cell.tapper_sections
     for name, tapper in sections.items():
         if height < tapper.tip_radius:
             yield (
                 f"{path}: key 'fixed_tappers.strike_height' is {1e3 * height:.1f} mm, below the "
-                f"tip radius of '{name}' ({1e3 * tapper.tip_radius:.1f} mm): it scrapes the table"
+                f"tip radius of '{name}' ({1e3 * tapper.tip_radius:.1f} mm): the tip scrapes the "
+                "table; increase the key"
             )
     wired: dict[tuple[str, int], str] = {}
     for entry in fixed.tappers:
@@ -46,8 +48,8 @@ def fixed_conflicts(cell: Cell) -> Iterator[str]:
         if distance < limit:
             yield (
                 f"{path}: the tip of '{entry.name}' at rest is {1e3 * distance:.1f} mm from the "
-                f"middle of the working area; an object at its edge would touch it: at least "
-                f"{1e3 * limit:.1f} mm is needed"
+                f"middle of the working area; an object at the edge of the area would touch the "
+                f"tip; increase the distance to at least {1e3 * limit:.1f} mm"
             )
     if radius + needed > float(space.workspace.edge_distance(np.array([x, y]))):
         yield (
@@ -59,8 +61,8 @@ def fixed_conflicts(cell: Cell) -> Iterator[str]:
         share = 100.0 * float(np.mean(cover.dead))
         place = 1e3 * cover.points[int(np.argmax(cover.dead))]
         yield (
-            f"{path}: from {share:.1f} % of the working area no tap leads inward (such as from "
-            f"({place[0]:.0f} mm, {place[1]:.0f} mm)); add tappers, place their lines closer to "
-            "the middle, lengthen their strokes, or make fixed_tappers.working_area smaller; "
-            "check-config --drawing FILE draws it"
+            f"{path}: from {share:.1f} % of the working area no tap moves the object inward (for "
+            f"example from ({place[0]:.0f} mm, {place[1]:.0f} mm)); add tappers, place "
+            "their lines closer to the middle, lengthen their strokes, or make "
+            "fixed_tappers.working_area smaller; check-config --drawing FILE draws these places"
         )

@@ -13,16 +13,16 @@ class LayoutGoal:
 
     object: str = text("name of the object: the key 'name' of its file")
     pose: tuple[float, float, float] = quantity(
-        "goal pose of the object's centre of mass in table: x and y in m, theta in rad",
+        "goal pose of the object's centre of mass in the frame table: x, y in m, theta in rad",
         "",
         -7.0,
         7.0,
     )
     position_tolerance: float = quantity(
-        "position tolerance of the goal; 0 means the cell's own", "m", 0.0, 1.0, default=0.0
+        "position tolerance of the goal; 0 for that of the cell file", "m", 0.0, 1.0, default=0.0
     )
     angle_tolerance: float = quantity(
-        "angle tolerance of the goal; 0 means the cell's own", "rad", 0.0, 3.2, default=0.0
+        "angle tolerance of the goal; 0 for that of the cell file", "rad", 0.0, 3.2, default=0.0
     )
 
 
@@ -36,14 +36,14 @@ class LayoutFile:
         "names of objects without a goal that may be tapped out of the way", default=()
     )
     max_taps: int = quantity(
-        "maximum number of taps for all objects together; 0 means the cell's own limit per goal",
+        "maximum number of taps for all objects together; 0 for goal.max_taps times the goals",
         "",
         0,
         10000,
         default=0,
     )
     time_limit: float = quantity(
-        "time limit for all objects together; 0 means the planner's own limit per goal",
+        "time limit for all objects together; 0 for the planner's time limit times the goals",
         "s",
         0.0,
         86400.0,

@@ -73,7 +73,7 @@ class DotSection:
         "centre of the dot in the object's frame: x, y", "m", -0.5, 0.5
     )
     shade: str = choice(
-        "brightness of the dot compared with the top around it", "darker", "brighter"
+        "brightness of the dot compared with the rest of the top", "darker", "brighter"
     )
 
 
@@ -85,7 +85,7 @@ class OutlineSection:
         "brightness of the object's top compared with the table", "darker", "brighter"
     )
     dot: DotSection | None = section(
-        "a dot off the centre; needed if the outline does not determine the angle", default=None
+        "dot off the centre, required if the outline does not determine the angle", default=None
     )
 
 
@@ -98,12 +98,13 @@ def seen_as(
     """Return the feature that the camera detects: the marker or the outline.
 
     Raises:
-        ValueError: both or neither of marker and outline are given, or it cannot be detected.
+        ValueError: both or neither of marker and outline are given, or the feature cannot be
+            detected.
     """
     if (marker is None) == (outline is None):
         raise ValueError(
             "give either the key 'marker' (a printed marker on the top) or the key 'outline' (an "
-            "object without one, seen by its shape)"
+            "object without a marker, detected by its shape)"
         )
     if marker is not None:
         return ObjectMarker(marker.dictionary, marker.id, marker.size, height, marker.offset)
@@ -117,7 +118,7 @@ def seen_as(
 
 @dataclass(frozen=True, slots=True)
 class ScatterSection:
-    """Scatter of the result of a tap that the planner assumes: standard deviations."""
+    """Standard deviations that the planner assumes for the result of a tap."""
 
     distance: float = quantity(
         "standard deviation of the tap distance, as a fraction of that distance",
@@ -135,6 +136,20 @@ class ScatterSection:
     )
     direction: float = quantity(
         "standard deviation of the direction of a tap", "rad", 0.0, 0.5, default=math.radians(1.0)
+    )
+    position_floor: float = quantity(
+        "standard deviation of the end of a tap, along and across, that remains for small taps",
+        "m",
+        0.0,
+        0.05,
+        default=0.0,
+    )
+    angle_floor: float = quantity(
+        "standard deviation of the rotation by a tap that remains for small rotations",
+        "rad",
+        0.0,
+        0.5,
+        default=0.0,
     )
 
 
@@ -204,7 +219,7 @@ class ObjectFile:
         """Return the feature that the camera detects: the marker or the outline.
 
         Raises:
-            ValueError: both or neither are given, or it cannot be detected.
+            ValueError: both or neither are given, or the feature cannot be detected.
         """
         return seen_as(self.shape, self.height, self.marker, self.outline)
 

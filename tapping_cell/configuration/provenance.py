@@ -16,8 +16,9 @@ from tapping_cell.configuration.schema import build, quantity, read_yaml, text
 class Provenance:
     """Inputs, residual and uncertainty of a calibration.
 
-    A later calibration is compared with this one by ``residual``, the error that the fit leaves,
-    and by ``uncertainty``, the standard deviation of its result (see calibration/keep.py).
+    ``residual`` is the error that remains after the fit, and ``uncertainty`` is the standard
+    deviation of the result. A later calibration is compared with the record by these two values
+    (see calibration/keep.py).
     """
 
     by: str = text("verb that wrote the record, such as 'calibrate arm'")

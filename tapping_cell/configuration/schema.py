@@ -28,7 +28,7 @@ class ConfigurationError(ValueError):
 
 
 LONGEST_SHOWN = 60
-"""Maximum number of characters of a wrong text that an error message shows."""
+"""Maximum number of characters of an invalid text that an error message shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Limits:
     """Maximum length of a text, in characters."""
 
     def range_text(self) -> str:
-        """Describe the range with its unit; empty if there is no range, as for a free text."""
+        """Return the range with its unit; empty if there is no range, as for a free text."""
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if not self.numeric:
@@ -129,8 +129,8 @@ def read_yaml(path: Path) -> Any:
         size = path.stat().st_size
         if size > LARGEST_FILE:
             raise ConfigurationError(
-                f"{path}: has {size / 1e6:.1f} MB, the limit for this kind of file is "
-                f"{LARGEST_FILE / 1e6:.0f} MB; give the right file"
+                f"{path}: has {size / 1e6:.1f} MB, but the limit is {LARGEST_FILE / 1e6:.0f} MB; "
+                "check that this is the intended file"
             )
         return yaml.load(path.read_text(encoding="utf-8-sig"), _StrictLoader)
     except OSError as error:

@@ -74,8 +74,8 @@ def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
     """Raise ConfigurationError for fewer than two markers or for overlapping markers."""
     if len(content.markers) < 2:
         raise ConfigurationError(
-            f"{path}: key 'markers' lists {len(content.markers)}; list at least two, better "
-            "six or more around the working area"
+            f"{path}: key 'markers' lists {len(content.markers)}; list at least two, "
+            "preferably six or more around the working area"
         )
     for number, first in enumerate(content.markers):
         for second in content.markers[number + 1 :]:
@@ -84,8 +84,8 @@ def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
             if apart < least:
                 raise ConfigurationError(
                     f"{path}: key 'markers': {first.id} and {second.id} lie {apart * 1e3:.1f} mm "
-                    f"apart, but their squares need {least * 1e3:.1f} mm: one would cover the "
-                    "other; correct x and y"
+                    f"apart, but their squares need {least * 1e3:.1f} mm, otherwise they overlap; "
+                    "correct x and y"
                 )
 
 

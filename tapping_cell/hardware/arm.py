@@ -34,7 +34,7 @@ from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.transport import Connection
 
 MOVE_ATTEMPTS = 3
-"""Maximum number of times a move is sent. It is repeated only while the arm has not moved."""
+"""Maximum number of times a move is sent. A move is repeated only while the arm has not moved."""
 
 FRESHNESS = 0.05
 """Maximum age of a reading that is reused at the start of a move, s."""
@@ -72,7 +72,8 @@ class _Path:
 
 
 class ArmDriver:
-    """Driver of one arm on one line. All calls but ``stop`` block and belong to one thread."""
+    """Driver of one arm on one line. All calls except ``stop`` block and must come from one
+    thread."""
 
     def __init__(
         self,
@@ -96,17 +97,17 @@ class ArmDriver:
 
     @property
     def firmware(self) -> Firmware | None:
-        """Firmware that answered at the last connect; None before the first one."""
+        """Firmware that answered at the last connect; None before the first connect."""
         return self._firmware
 
     @property
     def connected(self) -> bool:
-        """Whether the line is open and the controller was identified."""
+        """True if the line is open and the controller was identified."""
         return self._connected and self._transport.is_open
 
     @property
     def homed(self) -> bool:
-        """Whether the joint values can be trusted."""
+        """True if the joint values can be trusted."""
         return self._homed and not self._stopped.is_set()
 
     @property
@@ -117,7 +118,7 @@ class ArmDriver:
         return self._fault
 
     def now(self) -> float:
-        """Return the current time of the clock of ``ArmReading.stamp``, s."""
+        """Return the current time on the clock that ``ArmReading.stamp`` uses, s."""
         return self._transport.now()
 
     @property
@@ -201,14 +202,15 @@ class ArmDriver:
         via: Iterable[float] | None = None,
         via_speed: float | None = None,
     ) -> ArmReading:
-        """Move straight in joint space; return when idle and read back within tolerance.
+        """Move straight in joint space; return when the arm is idle and the position read back is
+        within tolerance.
 
         ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: time of the
         transport's clock; None computes it from the move's duration. ``via``: intermediate joints.
-        Their arrival is not verified, so it must be harmless if they are skipped. ``via_speed``:
-        speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED, POSITION_LOST,
-        POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED, BOARD_RESET, REJECTED,
-        DISCONNECTED.
+        The arrival there is not verified, so the move must be harmless even if they are skipped.
+        ``via_speed``: speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED,
+        POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED,
+        BOARD_RESET, REJECTED, DISCONNECTED.
         """
         goal = Joints(*joints)
         first_speed = speed if via_speed is None else via_speed
@@ -303,7 +305,7 @@ class ArmDriver:
                 raise self._halted(
                     HardwareFault(
                         FaultReason.TIMEOUT,
-                        f"a move that takes {duration:.2f} s had not ended"
+                        f"a move that should take {duration:.2f} s had not ended"
                         f" {self._transport.now() - began:.2f} s after it was sent ({fault})",
                     )
                 ) from fault
@@ -331,13 +333,13 @@ class ArmDriver:
         if self._confirmed is None:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the arm's last move was not confirmed; it stands at {in_words(start.joints)}:"
-                " clear the fault and home again",
+                "the arm's last move was not confirmed; the arm is now at"
+                f" {in_words(start.joints)}: clear the fault and home again",
             )
         if not self._agrees(self._confirmed, start.joints):
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the arm stands at {in_words(start.joints)}, last confirmed at"
+                f"the arm is at {in_words(start.joints)}, but its last confirmed position is"
                 f" {in_words(self._confirmed)}: it was moved or its controller restarted; clear"
                 " the fault and home again",
             )
@@ -424,8 +426,8 @@ class ArmDriver:
         if reading.moving:
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                f"the arm moves at {in_words(reading.joints)}: wait until it stops, then home "
-                "again",
+                f"the arm is moving, now at {in_words(reading.joints)}: wait until it stops, then "
+                "home again",
             )
         home = self.settings.home_joints
         if strategy is HomingStrategy.NONE or home is None:
@@ -453,7 +455,7 @@ class ArmDriver:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
                 f"the arm's controller is {reading.alarm}: its motors may have been without "
-                "power, so that its position is unknown: clear the fault and home again",
+                "power, so the arm's position is unknown: clear the fault and home again",
             )
         return self._converted(reading)
 
@@ -489,7 +491,7 @@ class ArmDriver:
     def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(
             FaultReason.POSITION_MISMATCH,
-            f"the arm stands at {in_words(found)}, but was sent to {in_words(goal)}: more "
+            f"the arm is at {in_words(found)}, but was sent to {in_words(goal)}, more "
             f"than {math.degrees(self.settings.tolerance_angle):.3f} deg or "
             f"{self.settings.tolerance_quill * 1e3:.2f} mm apart: check for an obstacle or a "
             "noisy line, then move again",
@@ -514,8 +516,8 @@ class ArmDriver:
     def _noted(self, fault: HardwareFault) -> HardwareFault:
         """Apply the consequences of a fault and return the fault to raise.
 
-        A latched fault takes precedence, because later ones are often its consequence: an alarm can
-        be followed by a restart, and a stop causes an alarm.
+        A latched fault takes precedence, because later faults are often its consequence: an alarm
+        can be followed by a restart, and a stop causes an alarm.
         """
         if self._stopped.is_set() and fault.reason in OF_A_STOP:
             # The alarm or reset that a stop causes in the controller is not a separate fault.
@@ -547,7 +549,7 @@ class ArmDriver:
         quill = (
             ""
             if self.settings.quill_brake
-            else "; a stop can cut the motors' power, and a quill without a brake sinks then"
+            else "; a stop can cut the motors' power, and a quill without a brake then sinks"
         )
         return HardwareFault(
             FaultReason.STOPPED,

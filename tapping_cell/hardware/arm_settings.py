@@ -36,13 +36,13 @@ class ArmSettings:
     move_margin: float = 2.0
     """Constant part of the time limit of a move, s."""
     tolerance_angle: float = 1e-3
-    """Largest difference between a target and the position read back, rad."""
+    """Largest difference between a target and the joint angle read back, rad."""
     tolerance_quill: float = 1e-4
-    """Largest difference between a target and the position read back, of the quill, m."""
+    """Largest difference between a target and the quill position read back, m."""
     settle_time: float = 0.15
     """Rest after the last waypoint of a path before the arm counts as arrived, s."""
     quill_brake: bool = False
-    """Whether a brake or a counterweight holds the quill while its motor has no power."""
+    """True if a brake or a counterweight holds the quill while its motor has no power."""
 
     def __post_init__(self) -> None:
         if any(sign not in (1, -1) for sign in self.axis_sign):

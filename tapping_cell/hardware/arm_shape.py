@@ -12,7 +12,7 @@ from tapping_cell.hardware.scara import ScaraGeometry
 Array = NDArray[np.float64]
 
 QUILL_RADIUS = 0.012
-"""Radius of the quill, m; callers cover a thicker quill by their own margin."""
+"""Radius of the quill, m; callers add a margin for a thicker quill."""
 
 
 @dataclass(frozen=True, slots=True)

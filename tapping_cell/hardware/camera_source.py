@@ -27,7 +27,7 @@ EXPOSURE_UNIT_S = 1e-4
 
 
 OLDEST_STAMP_S = 2.0
-"""Maximum age of a driver timestamp, s; an older one is from another clock and is ignored."""
+"""Maximum age of a driver timestamp, s; an older timestamp is from another clock and is ignored."""
 
 
 class CameraSourceError(RuntimeError):
@@ -92,7 +92,8 @@ class Device:
             self._capture.release()
             raise CameraSourceError(
                 f"the camera {name} delivers {width} x {height} pixels and cannot be set to the "
-                f"calibration's {settings.width} x {settings.height}; calibrate it at its own size"
+                f"calibration's {settings.width} x {settings.height}; calibrate the camera "
+                "at the size that it delivers"
             )
 
     def read(self) -> Frame:
@@ -228,7 +229,7 @@ def open_source(name: str, settings: CameraSettings) -> Device | Playback:
     """Open a camera by device path or number, a video file, or a folder of images.
 
     Raises:
-        CameraSourceError: nothing has that name, or it cannot be opened.
+        CameraSourceError: no source has that name, or the source cannot be opened.
     """
     path = Path(name)
     if name.isdigit() or str(path).startswith("/dev/"):

@@ -29,8 +29,9 @@ LEAST_STEP = 0.005
 """Minimum time between an intermediate point and a corner, s; closer points are left out."""
 LONGEST_STRETCH = 1.4
 LONGEST_DELAY = 1.5
-"""Limits on slowing a trajectory down to respect the joint speeds: it may take this factor times
-its duration, plus this delay in s. The driver's deadline allows 1.5 times and 2 s."""
+"""Limits on slowing a trajectory down to respect the joint speeds: a trajectory may take this
+factor times its planned duration, plus this delay in s. The driver's deadline allows 1.5 times plus
+2 s."""
 SPEED_STEP = 1e-3
 """Time step of the finite difference that converts joint speeds, s."""
 TURNS = 12.6
@@ -81,7 +82,7 @@ class ChainLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether the controller was available at the last ``open``."""
+        """True if the controller was available at the last ``open``."""
         return self._link.is_open
 
     @property
@@ -160,8 +161,8 @@ class ChainLink:
         if stretch * times[-1] > LONGEST_STRETCH * times[-1] + LONGEST_DELAY:
             raise HardwareFault(
                 FaultReason.UNREACHABLE,
-                f"a move would take a joint of {self.name} to {stretch:.1f} times its maximum "
-                "speed: the path leads past a singular pose, or arm.max_speed is too high "
+                f"a joint of {self.name} would have to move at {stretch:.1f} times its maximum "
+                "speed: the path passes near a singular pose, or arm.max_speed is too high "
                 "for this arm",
             )
         times = times * stretch

@@ -53,7 +53,9 @@ def chain_from_urdf(
             found.append(_joint(joint, before))
             before = np.eye(4)
         elif joint.get("type") != "fixed":
-            raise ValueError(f"joint {joint.get('name')} is {joint.get('type')}: not a serial arm")
+            raise ValueError(
+                f"joint {joint.get('name')} is of type {joint.get('type')}, which is not supported"
+            )
     names = [joint.name for joint in found]
     if names != list(joints):
         raise ValueError(
@@ -66,9 +68,9 @@ def chain_from_urdf(
 def _joint(joint: ElementTree.Element, origin: Array) -> ChainJoint:
     name, limit = joint.get("name", ""), joint.find("limit")
     if joint.find("mimic") is not None:
-        raise ValueError(f"joint {name} mimics another: not a serial arm")
+        raise ValueError(f"joint {name} mimics another joint, which is not supported")
     if limit is None or limit.get("velocity") is None:
-        raise ValueError(f"joint {name} has no velocity limit, which is needed")
+        raise ValueError(f"joint {name} has no velocity limit; one is required")
     axis = np.array(_numbers(joint.find("axis"), "xyz", (1.0, 0.0, 0.0)))
     length = float(np.linalg.norm(axis))
     if length < 1e-6:

@@ -14,7 +14,7 @@ from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.scara import ScaraGeometry
 
 TOLERANCE = 1e-3
-"""Maximum relative difference of a setting that counts as equal."""
+"""Maximum relative difference at which a setting still counts as equal to the required value."""
 
 Four = tuple[float, float, float, float]
 
@@ -24,9 +24,10 @@ class ControllerNeeds:
     """Required settings of the four axes; None skips the check of a setting."""
 
     speed: Four | None = None
-    """Speed that must be allowed, units/s; otherwise moves take longer than computed."""
+    """Speed that the controller must allow, units/s; otherwise moves take longer than computed."""
     acceleration: Four | None = None
-    """Acceleration that must be allowed, units/s^2; otherwise moves take longer than computed."""
+    """Acceleration that the controller must allow, units/s^2; otherwise moves take longer than
+    computed."""
     travel: Four | None = None
     """Travel that soft limits must allow, in units: the range between the joint limits."""
     steps: Four | None = None
@@ -55,7 +56,7 @@ def at_least(
 ) -> list[Finding]:
     """Return a finding for each setting that has a minimum.
 
-    ``command``: template of the command that sets it, with ``{name}`` and ``{value}``.
+    ``command``: template of the command that corrects the setting, with ``{name}`` and ``{value}``.
     """
     return [
         Finding(
@@ -86,7 +87,7 @@ def exactly(
 
 
 def refuse(findings: Sequence[Finding]) -> None:
-    """Raise HardwareFault (SETTINGS_MISMATCH) if a finding is not met."""
+    """Raise HardwareFault (SETTINGS_MISMATCH) if a setting is not as required."""
     differences = [finding.sentence for finding in findings if not finding.met]
     if differences:
         raise HardwareFault(

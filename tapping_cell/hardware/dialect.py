@@ -30,9 +30,9 @@ class Firmware:
     name: str
     version: str
     continued: bool
-    """Whether the controller proved that it was not reset since this driver last set it up."""
+    """True if the controller proved that it was not reset since this driver last set it up."""
     remarks: tuple[str, ...] = ()
-    """Sentences about this firmware build that a person should know."""
+    """Remarks about this firmware build for the user."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class AxisReading:
     asked: float
     """Time of the transport's clock just before the request was sent, s."""
     powerless: bool = False
-    """Whether the motors are or may have been without power, so the position is unknown."""
+    """True if the motors are or may have been without power, so the position is unknown."""
 
 
 @dataclass(slots=True)
@@ -62,7 +62,8 @@ class LineCounters:
 
 
 class ArmDialect(Protocol):
-    """A controller's command language over one transport. Deadlines are times of its clock.
+    """A controller's command language over one transport. Deadlines are times on the transport's
+    clock.
 
     Every call raises HardwareFault: TIMEOUT, DISCONNECTED, STOPPED, ALARM, BOARD_RESET, REJECTED.
     """

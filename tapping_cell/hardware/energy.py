@@ -2,7 +2,7 @@
 
 An ideal spring or coil gives v = sqrt(2 E / m), so speed is proportional to the square root of the
 energy. The curve is therefore interpolated linearly in sqrt(E), which is exact for the ideal drive.
-It is monotonic because the pairs must be strictly increasing.
+The curve is monotonic because the pairs must be strictly increasing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class EnergyCurve:
 
     def __post_init__(self) -> None:
         if len(self.table) < 2:
-            raise ValueError(f"the energy table has {len(self.table)} rows, at least 2 are needed")
+            raise ValueError(f"the energy table has {len(self.table)} rows; at least 2 are needed")
         before = (0.0, 0.0)
         for row, (energy, speed) in enumerate(self.table, start=1):
             if not (math.isfinite(energy) and math.isfinite(speed)):
@@ -35,9 +35,8 @@ class EnergyCurve:
             if energy <= before[0] or speed <= before[1]:
                 raise ValueError(
                     f"row {row} of the energy table ({energy:g} J, {speed:g} m/s) does not rise"
-                    " above"
-                    f" ({before[0]:g} J, {before[1]:g} m/s): sort it and measure again where it"
-                    " falls"
+                    f" above ({before[0]:g} J, {before[1]:g} m/s): sort the rows by energy, and"
+                    " measure again where the speed falls"
                 )
             before = (energy, speed)
 

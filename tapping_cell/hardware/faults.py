@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class FaultReason(Enum):
-    """Reason of a failed device call; the values are used in diagnostics and the hint table."""
+    """Reason of a failed device call; ``logic/error_codes.py`` maps it to an ``ErrorCode``."""
 
     PORT_MISSING = "port_missing"
     PORT_BUSY = "port_busy"
@@ -27,6 +27,7 @@ class FaultReason(Enum):
     POSITION_MISMATCH = "position_mismatch"
     POSITION_LOST = "position_lost"
     STRIKER_AWAY = "striker_away"
+    OTHER_ACTIVE = "other_active"
     INTERLOCK = "interlock"
     SHOT_SPENT = "shot_spent"
     NEEDS_PERSON = "needs_person"

@@ -1,4 +1,4 @@
-"""Comparison of a controller's setting with what the arm needs."""
+"""Comparison of a controller's setting with the value that the arm requires."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Finding:
     command: str = ""
     """Command to type at the controller to correct it; empty if there is no such command."""
     storable: bool = False
-    """Whether the command may be sent without a person at the arm. Such a command changes neither
+    """True if the command may be sent without a person at the arm. Such a command changes neither
     the scale nor the speed of any motion."""
 
     @property

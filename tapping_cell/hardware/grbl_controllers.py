@@ -24,9 +24,9 @@ class GrblController:
     hold_setting: str = "$1"
     """Setting that must be 255 for the motors to keep their torque at standstill."""
     store_words: str = ""
-    """What a person must also do so that the setting survives a restart."""
+    """Further action by a person without which the setting does not survive a restart."""
     has_files: bool = False
-    """Whether most settings are named and stored in a file; ``$$`` then lists only some."""
+    """True if most settings are named and stored in a file; ``$$`` then lists only some."""
     homing_masks: tuple[int, ...] = ()
     """Settings that select the axes of each homing cycle; empty if the build selects them."""
     alarms: Mapping[int, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Identity:
     letters: str
     """Axis letters in the order of the status reports; empty if the firmware does not list them."""
     forces_origin: bool
-    """Whether the firmware build sets the machine position to zero where homing ends."""
+    """True if the firmware build sets the machine position to zero where homing ends."""
 
 
 def identify(messages: Iterable[grbl.Message]) -> Identity | None:

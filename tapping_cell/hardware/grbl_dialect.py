@@ -30,7 +30,7 @@ EARLY = 0.002
 """Time from the start of polling to the computed end of a move, s. Polling starts early because a
 move starts before its ``ok`` arrives."""
 POLL_PERIODS = (0.002, 0.02)
-"""First and longest time between status queries at the end of a move, s; it doubles with each
+"""First and longest time between status queries at the end of a move, s; the time doubles with each
 query. During the move the controller is not queried."""
 LOCKED = {
     "Alarm": "locked by an alarm",
@@ -39,7 +39,7 @@ LOCKED = {
     "Sleep": "asleep",
     "Check": "in check mode",
 }
-"""States in which the controller accepts no motion until it is cleared."""
+"""States in which the controller accepts no motion until the state is cleared."""
 POWERLESS = ("Alarm", "Sleep")
 """States in which the motors are or may have been without power."""
 DEFAULT_LETTERS = "XYZABCUVW"
@@ -76,9 +76,9 @@ class GrblSettings:
     home_place: tuple[float, float, float, float] | None = None
     """Machine position after homing, in degrees and mm; None uses the firmware's computation."""
     without_switch: tuple[int, ...] = ()
-    """Axes, 0 to 3, that homing does not move; a person has set them to their marks before."""
+    """Axes, 0 to 3, that homing does not move; a person moves them to their marks beforehand."""
     needs_homing: bool = False
-    """Whether homing must be enabled in the controller."""
+    """True if homing must be enabled in the controller."""
 
     def __post_init__(self) -> None:
         check_letters(self.letters)
@@ -120,7 +120,8 @@ class GrblDialect:
         return grbl.STOP
 
     def connect(self, deadline: float) -> Firmware:
-        """Identify the controller and check its version and settings; raise if they do not fit."""
+        """Identify the controller and check its version and settings; raise if they are
+        unsuitable."""
         firmware, findings = self.inspect(deadline)
         controller_needs.refuse(findings)
         self._known = True
@@ -154,7 +155,8 @@ class GrblDialect:
         """Query the status until two consecutive reports agree on the state and the position.
 
         The line has no checksum; requiring two equal reports makes a garbled digit harmless. The
-        work offset is sent at least every 30th report, so the first reading may take that many.
+        work offset is sent at least every 30th report, so the first reading may take that many
+        reports.
         """
         last: grbl.Status | None = None
         while True:
@@ -169,15 +171,16 @@ class GrblDialect:
             self._start_move(move.target, move.feed, deadline)
 
     def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
-        """Send one move. It is not resent if its answer is lost; the position read back decides."""
+        """Send one move. If its answer is lost, the position read back shows whether it was
+        executed."""
         line = grbl.move_line(self._settings.letters, target, feed)
         try:
             self._command(line, min(deadline, self._transport.now() + REPLY_TIMEOUT))
         except HardwareFault as fault:
             if fault.reason is not FaultReason.TIMEOUT:
                 raise
-            # Its `ok` is late or lost. Until the controller has processed all earlier lines, a
-            # report "Idle" may come from an arm that has not started to move yet.
+            # The move's `ok` is late or lost. Until the controller has processed all earlier lines,
+            # a report "Idle" may come from an arm that has not started to move yet.
             self.counters.retries += 1
             self._resynchronise(deadline)
 
@@ -187,7 +190,8 @@ class GrblDialect:
             self._pump(left)
         pause, longest = POLL_PERIODS
         while True:
-            # Each query has its own timeout: a late move does not mean a silent controller.
+            # Each query has its own timeout, because a late end of the move does not mean that the
+            # controller is silent.
             status = self._ask_status(max(deadline, self._transport.now() + REPLY_TIMEOUT))
             if status.state == "Alarm":
                 raise self._alarm_fault("the controller is in alarm")
@@ -217,8 +221,8 @@ class GrblDialect:
 
         Neither the line nor its ``ok`` has a checksum, and one wrong bit turns ``$H`` into ``$X``,
         which is also answered with ``ok``. A controller that still executes a move of a terminated
-        program rejects ``$H``, so this waits for the move to end. The wait is limited, because a
-        garbled feed may be tiny.
+        program rejects ``$H``, so this call waits for the move to end. The wait is limited, because
+        a garbled feed rate may be tiny.
         """
         patience = min(deadline, self._transport.now() + REST_PATIENCE)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
@@ -251,7 +255,8 @@ class GrblDialect:
             self.set_position(axes, deadline)
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Send ``G92`` and the mark. A reset clears both, so the mark proves that none happened."""
+        """Send ``G92`` and the mark. A reset clears both, so the mark proves that no reset
+        happened."""
         self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
@@ -357,8 +362,8 @@ class GrblDialect:
     def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
         """Send one line, wait for its ``ok``, and return the frames received before it.
 
-        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, it
-        is awaited first, so that it is not taken for the answer to this line.
+        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, it is
+        awaited first, so that it is not mistaken for the answer to this line.
         """
         if self._unanswered:
             self._resynchronise(deadline)
@@ -405,7 +410,7 @@ class GrblDialect:
                         locked = locked or frame.code == 9
                     elif isinstance(frame, grbl.Message) and frame.kind == "GC":
                         if locked:
-                            raise self._alarm_fault("it takes no lines")
+                            raise self._alarm_fault("it accepts no lines")
                         if grbl.modal_feed(frame.text) == self._marker:
                             break
                 while not isinstance(self._next(until, "answer to its lines"), grbl.Ok):
@@ -453,7 +458,7 @@ class GrblDialect:
         return False
 
     def _drain(self) -> grbl.Banner | None:
-        """Read until the line is silent, so that old answers are not taken for new ones."""
+        """Read until the line is silent, so that old answers are not mistaken for new answers."""
         banner: grbl.Banner | None = None
         for _ in range(DRAIN_ROUNDS):
             frames = self._pump(DRAIN_SILENCE)
@@ -479,7 +484,8 @@ class GrblDialect:
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
         """Identify the controller and count its axes; return its version."""
-        # Answers have no checksum, and a lost line could make one controller look like another.
+        # Answers have no checksum, and a lost line could make a controller appear to be another
+        # one.
         messages = self._information(deadline)
         for _ in range(IDENTIFICATIONS):
             again = self._information(deadline)
@@ -499,7 +505,7 @@ class GrblDialect:
             if told:
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
-                    f"Grbl version {told!r} is not supported: this driver speaks Grbl 1.1, "
+                    f"Grbl version {told!r} is not supported: this driver supports Grbl 1.1, "
                     "grbl-Mega-5X, grblHAL and FluidNC 3 and 4",
                 )
             if banner is None:
@@ -517,7 +523,7 @@ class GrblDialect:
             raise HardwareFault(
                 FaultReason.UNKNOWN_FIRMWARE,
                 f"{self._controller.name} {version} on {self._transport.name} has {count} "
-                f"axes ({known}), {AXIS_COUNT} are needed ({self._settings.letters}): build "
+                f"axes ({known}), but {AXIS_COUNT} are needed ({self._settings.letters}): build "
                 f"its firmware with {AXIS_COUNT} axes, use another controller, or correct "
                 "arm.axis_letters",
             )
@@ -541,7 +547,8 @@ class GrblDialect:
             before = count
 
     def _compared(self, deadline: float) -> list[Finding]:
-        """Return the findings; if one is not met, repeat the query in case of a garbled line."""
+        """Return the findings; if a setting is not as required, query again in case a line was
+        garbled."""
         findings = self._compare(deadline)
         if self._homed_unknown or not all(finding.met for finding in findings):
             self.counters.retries += 1
@@ -598,7 +605,7 @@ class GrblDialect:
                 Finding(
                     "$22",
                     f"{found[22]:g}" if 22 in found else "missing",
-                    "must be 1: homing is how this arm finds its position",
+                    "must be 1: this arm finds its position by homing",
                     int(found.get(22, 0)) % 2 == 1,
                     "" if controller.has_files else f"$22={int(found.get(22, 0)) | 1}",
                 )
@@ -660,7 +667,7 @@ class GrblDialect:
     def _learn_homed_place(self, found: Mapping[int, float]) -> None:
         """Compute the machine position after homing from ``$$``.
 
-        It is $27 away from the end that $23 selects, or zero in some builds.
+        The position is $27 away from the end that $23 selects; in some builds it is zero.
         """
         self._homed_unknown = ""
         self._homed_place = list(self._settings.home_place or ())

@@ -24,7 +24,7 @@ LEAST_TIME = 0.02
 """Minimum duration of a move, s; controllers reject two points with the same time."""
 
 LEAST_PIECE = 1e-3
-"""Minimum duration of a segment of a move, s; shorter ones are merged with their neighbours."""
+"""Minimum duration of a segment of a move, s; shorter segments are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
 """Minimum cosine of the angle between two moves that are passed without a stop."""
 
@@ -48,10 +48,10 @@ def straight_points(
 ) -> tuple[TrajectoryPoint, ...]:
     """Return the points, without the start, of straight moves that begin and end at rest.
 
-    Between two moves in the same direction the arm does not stop. It passes at the lower of their
-    speeds, or at the speed that the lengths of the adjacent moves allow. ``moves``: targets in rad
-    and m; the feed along the line is in the same unit per minute. ``max_acceleration``: of each
-    joint, in rad/s^2 or m/s^2. Moves of zero length are left out.
+    Between two moves in the same direction the arm does not stop. Its speed there is the lower
+    speed of the two moves, or less if the lengths of the adjacent moves require it. ``moves``:
+    targets in rad and m; the feed along the line is in the same unit per minute.
+    ``max_acceleration``: of each joint, in rad/s^2 or m/s^2. Moves of zero length are left out.
     """
     legs = _legs(start, moves, max_acceleration)
     points: list[TrajectoryPoint] = []
@@ -105,7 +105,8 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
         short = min(leg.length / leg.speed for leg in (before, after)) < LEAST_TIME
         if along > STRAIGHT and not short:
             corners[index] = min(before.speed, after.speed)
-    # Forward pass: limit each corner to what is reachable; backward pass: to what can be braked.
+    # Forward pass: limit each corner to a speed that can be reached; backward pass: to a speed from
+    # which the arm can brake.
     for index, leg in enumerate(legs, start=1):
         reached = math.sqrt(corners[index - 1] ** 2 + 2 * leg.acceleration * leg.length)
         corners[index] = min(corners[index], reached)
@@ -116,7 +117,8 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
 
 
 class Course:
-    """A sent trajectory, to estimate the arm's position between joint state messages."""
+    """A trajectory that was sent, for estimating the arm's position between joint state
+    messages."""
 
     def __init__(self, start: Sequence[float], points: Sequence[TrajectoryPoint]) -> None:
         still = (0.0,) * len(start)

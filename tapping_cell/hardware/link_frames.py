@@ -7,7 +7,8 @@ from typing import NamedTuple
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 
 LINKS = ("arm_base", "upper_arm", "forearm", "quill_rod", "tool", "striker")
-"""Links from the fixed base to the tip; ``Joints`` connect all but the last."""
+"""Links from the fixed base to the tip. ``striker`` is fixed to ``tool``; the four ``Joints``
+connect the others."""
 
 
 class LinkFrame(NamedTuple):

@@ -72,7 +72,7 @@ class Position:
     commanded: Mapping[str, float]
     counts: Mapping[str, int]
     with_ok: bool = False
-    """Whether the firmware sent its ``ok`` on the same line."""
+    """True if the firmware sent its ``ok`` on the same line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ class Decoded:
 
 
 _OK = re.compile(r"^ok(?: N\d{1,10})?(?: P\d{1,3})?(?: B\d{1,3})?$")
-# Marlin 2 has four messages that contain the last line; related firmwares have others.
+# Marlin 2 has four messages that contain the last line; related firmwares have other messages.
 _LINE_ERROR = re.compile(r"^Error: ?(.*(?:checksum|line number|expected line).*)$", re.IGNORECASE)
 _LAST_LINE = re.compile(r"Last Line: ?(\d{1,10})$")
 _RESEND = re.compile(r"^(?:Resend|rs): ?N?(\d{1,10})$")

@@ -28,7 +28,7 @@ SHORT_SILENCE = 0.6
 """Longest silence during any other line, which is answered immediately, s."""
 LONG_CODES = ("M400", "G28")
 REPEAT_SILENCE = 0.4
-"""Longest silence after a line is resent, s; a line that was already accepted has no answer."""
+"""Longest silence after a line is resent, s; a line that was already accepted gets no answer."""
 DRAIN_SILENCE = 0.05
 """Silence after which the line counts as drained, s."""
 POLL_PERIOD = 0.02
@@ -47,7 +47,7 @@ SET = "{name}{value}, then M500"
 """Command that sets and stores a value."""
 PREPARATION = ("G21", "G90", "M220 S100", "M84 S0", "M17")
 """Codes sent at every connect: mm, absolute positions, no speed override, no idle timeout of the
-motors' torque, motors on."""
+motors, motors on."""
 RECOVERIES = 8
 """Maximum number of attempts to resend a line before the connection counts as lost."""
 IDENTIFICATIONS = 6
@@ -148,7 +148,8 @@ class MarlinDialect:
             for frame in self._command("M114", deadline):
                 if isinstance(frame, marlin.Position):
                     return self._reading(frame, asked)
-            # The answer was garbled, or a stray `ok` was taken for this line's: drain and repeat.
+            # The answer was garbled, or a stray `ok` was mistaken for that of this line, so drain
+            # and repeat.
             self._settle(deadline)
             self.counters.retries += 1
 
@@ -185,8 +186,9 @@ class MarlinDialect:
     def home(self, axes: Axes | None, deadline: float) -> None:
         """Send ``G28`` and ``G92``, and verify that ``G28`` ran.
 
-        The board accepts a line number only after the one before it. The position read at the end
-        therefore proves that ``G28`` ran, unless the line numbering was restarted meanwhile.
+        The board accepts a line number only directly after the previous number. The position read
+        at the end therefore proves that ``G28`` ran, unless the line numbering was restarted
+        meanwhile.
         """
         beginnings, began = self._beginnings, self._transport.now()
         try:
@@ -296,7 +298,8 @@ class MarlinDialect:
     def _await(
         self, number: int, patience: float, deadline: float, frames: list[marlin.Frame]
     ) -> int | None:
-        """Return None after ``ok``, the line number the board requests, or -1 after silence."""
+        """Return the line number if the board requested a line, None if it only answered ``ok``, or
+        -1 if it was silent."""
         wanted: int | None = None
         busy = False
         while True:
@@ -341,8 +344,8 @@ class MarlinDialect:
         outcome = self._await(number + 1, patience, deadline, frames)
         if outcome is None or outcome == number + 2:
             return True
-        # The number of this query is used up, whether it arrived or is still on the line: another
-        # line with the same number would be dropped as its duplicate.
+        # The number of this query is used up, whether it arrived or is still on the line, because
+        # another line with this number would be dropped as a duplicate.
         return outcome == number + 1
 
     def _next(self, until: float) -> marlin.Frame | None:
@@ -412,7 +415,7 @@ class MarlinDialect:
                     FaultReason.UNKNOWN_FIRMWARE,
                     f"nothing on {self._transport.name} answers like Marlin"
                     f" ({self.counters.bad_lines} unreadable lines): check the port, the baud rate"
-                    " and the dialect parameter; a board that is halted needs its reset button",
+                    " and the dialect parameter; if the board is halted, press its reset button",
                 )
             self.counters.retries += 1
 
@@ -425,8 +428,8 @@ class MarlinDialect:
     def _identify(self, deadline: float) -> str:
         """Send ``M115`` until two answers agree, because answers have no checksum.
 
-        If a garbled line hid the emergency parser, a stop would halt the board needlessly. If it
-        reported one that does not exist, a stop would have no effect.
+        If a garbled line hid the emergency parser, a stop would halt the board needlessly. If a
+        garbled line reported an emergency parser that does not exist, a stop would have no effect.
         """
         before: tuple[str, bool] | None = None
         for _ in range(IDENTIFICATIONS):
@@ -442,7 +445,7 @@ class MarlinDialect:
             if not name.startswith("Marlin"):
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
-                    f"firmware {name!r} is not supported: this driver speaks Marlin; check "
+                    f"firmware {name!r} is not supported: this driver supports Marlin; check "
                     "the dialect parameter",
                 )
             return name.removeprefix("Marlin").strip()
@@ -502,7 +505,8 @@ class MarlinDialect:
         if not self._steps or not set(letters) <= set(frame.counts):
             return AxisReading(commanded, False, "", False, asked)
         actual = tuple(frame.counts[a] / self._steps[a] for a in letters)
-        # Commanded values are rounded to 0.01; a difference beyond that and one step is motion.
+        # Commanded values are rounded to 0.01; a difference larger than that plus one step is
+        # motion.
         moving = any(
             abs(a - c) > 0.006 + 1 / self._steps[letter]
             for a, c, letter in zip(actual, commanded, letters, strict=True)
@@ -513,8 +517,8 @@ class MarlinDialect:
         why = f" ({self._halted_why})" if self._halted_why else ""
         return HardwareFault(
             FaultReason.NEEDS_PERSON,
-            f"the arm's controller on {self._transport.name} no longer answers, as Marlin "
-            f"does once it was halted{why}: press the reset button on its board (or check "
+            f"the arm's controller on {self._transport.name} no longer answers, like a "
+            f"halted Marlin board{why}: press the reset button on its board (or check "
             "power and cable), then clear the fault and home again",
         )
 

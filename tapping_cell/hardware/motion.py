@@ -3,8 +3,8 @@
 Every move is straight in joint space, so a move between two waypoints on the same elbow side never
 passes the singular pose with a straight elbow. If a pose is reachable only with the other elbow
 side, the side changes during the raised travel, above everything on the table. Below travel height
-the quill moves alone, straight up or down. Above it all joints move together, on one straight line
-between two points at travel height or higher.
+the quill moves alone, straight up or down. Above travel height all joints move together, on one
+straight line between two points at travel height or higher.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ def strike_path(
 def strike_durations(
     geometry: ScaraGeometry, current: ArrayLike, tips: ArrayLike, settings: MotionSettings
 ) -> Array:
-    """``path_duration`` of many ``strike_path``: joints (..., 4) to tip poses (..., 4), which
-    broadcast; infinite where the arm cannot reach."""
+    """Return ``path_duration`` of many strike paths from joints (..., 4) to tip poses (..., 4),
+    which broadcast; infinite for unreachable poses."""
     start, tip = np.broadcast_arrays(
         np.asarray(current, dtype=float), np.asarray(tips, dtype=float)
     )
@@ -147,8 +147,8 @@ def raise_step(
 ) -> Waypoint:
     """Return the waypoint from joints ``current`` backwards, then up to travel height.
 
-    Backing off along the line of travel keeps an extended rod from rubbing along the object. It is
-    left out if the tip is already above travel height or the pose behind is out of reach.
+    Backing off along the line of travel keeps an extended rod from rubbing along the object. This
+    step is left out if the tip is already above travel height or the pose behind is out of reach.
     """
     start = Joints(*current)
     here = geometry.forward(start)

@@ -39,19 +39,19 @@ class OutputLink(Connection, Protocol):
 
     @property
     def times_pulse(self) -> bool:
-        """Whether the remote side times the pulse, so that a pulse is sent with its length."""
+        """True if the remote side times the pulse, so that a pulse is sent with its length."""
 
     @property
     def reads_back(self) -> bool:
-        """Whether a read-back is expected."""
+        """True if a read-back is expected."""
 
     @property
     def guard(self) -> InputLevel | None:
-        """Whether the guard is closed; None before the first message."""
+        """Last level of the guard input (True: closed); None before the first message."""
 
     @property
     def read_back(self) -> InputLevel | None:
-        """Whether the output is on according to the last read-back."""
+        """Last level read back (True: the output is on); None before the first message."""
 
     @property
     def last_on(self) -> float:

@@ -6,9 +6,10 @@ computer falls silent. The driver takes these measures instead:
 
 - The last check runs at most ``latency`` before the output is switched; otherwise nothing is sent.
 - A shot number is stored on disk before the shot is sent, so that no restart sends it again.
-- The guard must have been reported closed within ``guard_timeout``, and a read-back must be off.
+- The guard must have been reported closed within ``guard_timeout``, and the read-back, if there is
+  one, must be off.
 - If no read-back showed the output on, the outcome is UNKNOWN and the camera must decide.
-- If the output is not proven off afterwards, the session ends; a new one requires the proof.
+- If the output is not proven off afterwards, the session ends; a new session requires this proof.
 
 The driver assumes, but cannot enforce, that a request takes effect within ``latency``.
 """
@@ -40,7 +41,7 @@ was faster than planned."""
 
 
 class ShotMemory(Protocol):
-    """Storage of the greatest shot number beyond the life of the process."""
+    """Storage of the greatest shot number that outlives the process."""
 
     def recall(self) -> int:
         """Return the greatest shot number that may have been sent, 0 for none.
@@ -72,7 +73,8 @@ class OutputTapperSettings:
 
 
 class OutputTapperDriver:
-    """Driver of one tapper on one output. All calls but ``stop`` block and belong to one thread."""
+    """Driver of one tapper on one output. All calls except ``stop`` block and must come from one
+    thread."""
 
     def __init__(
         self, link: OutputLink, settings: OutputTapperSettings, memory: ShotMemory
@@ -92,7 +94,7 @@ class OutputTapperDriver:
 
     @property
     def connected(self) -> bool:
-        """Whether the output is available and was proven off, as far as is known."""
+        """True if the output is available and was proven off, as far as is known."""
         return self._connected and self._link.is_open
 
     @property
@@ -102,7 +104,7 @@ class OutputTapperDriver:
 
     @property
     def stopped(self) -> bool:
-        """Whether ``stop`` is latched in this driver."""
+        """True if ``stop`` is latched in this driver."""
         return self._stopped.is_set()
 
     @property
@@ -276,7 +278,7 @@ class OutputTapperDriver:
         if held > LONG_PULSE * pulse:
             self.counters.last_error = (
                 f"the output was on for {1e3 * held:.1f} ms, but {1e3 * pulse:.1f} ms were "
-                "requested: this computer was too slow, and the striker faster than planned"
+                "requested: this computer was too slow, so the striker was faster than planned"
             )
         return on, off
 

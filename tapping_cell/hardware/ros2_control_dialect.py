@@ -94,8 +94,9 @@ class Ros2ControlDialect:
             Finding(
                 "clock of the joint states' stamps",
                 f"{ahead:.3f} s ahead" if ahead > age else f"{age:.3f} s behind",
-                f"must be at most {CLOCK_LIMIT:g} s ahead and {self._settings.state_timeout:g} s"
-                " behind of this computer's: synchronise the clocks (chrony, PTP)",
+                f"must be at most {CLOCK_LIMIT:g} s ahead of this computer's clock and at most"
+                f" {self._settings.state_timeout:g} s behind it: synchronise the clocks (chrony,"
+                " PTP)",
                 ahead <= CLOCK_LIMIT and age <= self._settings.state_timeout,
             ),
         ]
@@ -106,14 +107,14 @@ class Ros2ControlDialect:
         ]
         if samples and samples[-1].velocities is None:
             remarks.append(
-                "the joint states contain no velocities: rest is detected from positions alone"
+                "the joint states contain no velocities, so rest is detected from positions alone"
             )
         # Nothing proves that the arm's driver or its drives were not restarted meanwhile.
         firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))
         return firmware, findings
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """Raise ValueError: settings of the arm's own driver are not changed from here."""
+        """Raise ValueError: the settings of the arm's own driver cannot be changed here."""
         raise ValueError(f"{finding.setting} must be set in the configuration of the arm's driver")
 
     def read(self, deadline: float) -> AxisReading:

@@ -101,12 +101,12 @@ def _wrap(angle: Array) -> Array:
 
 
 def _into_range(angle: Array, low: float, high: float, near: Array) -> tuple[Array, Array]:
-    """The turn of ``angle`` inside [low, high] nearest to ``near``, and how far out it is if none
-    is."""
+    """Return ``angle`` plus the full turns that bring it inside [low, high] and nearest to
+    ``near``, and its excess over the range (0 inside)."""
     turns = _wrap(angle)[..., None] + 2 * math.pi * np.arange(-2, 3)
     excess = np.maximum(np.maximum(low - turns, turns - high), 0.0)
     excess = np.where(excess <= LIMIT_SLACK, 0.0, excess)
-    # Excess decides first, the distance to `near` only between turns inside.
+    # The excess decides first; the distance to `near` decides only between angles inside the range.
     order = np.where(excess > 0, 1e3 + excess, np.abs(turns - near[..., None]) * 1e-3)
     best = np.argmin(order, axis=-1)[..., None]
     return (
@@ -232,7 +232,8 @@ class ScaraGeometry:
     ) -> ManySolutions:
         """Return joints for tip poses (..., 4) = x, y, z, yaw in ``arm_base`` on one elbow side.
 
-        ``near``: joints (..., 4) whose turns of shoulder and tool are preferred; zero when None.
+        ``near``: joints (..., 4). Of the possible full turns of shoulder and tool, those nearest to
+        ``near`` are chosen; None means zero.
         """
         p = np.asarray(poses, dtype=float)
         close = np.zeros(4) if near is None else np.asarray(near, dtype=float)
@@ -278,7 +279,8 @@ class ScaraGeometry:
         return ManySolutions(np.where((code == 0)[..., None], joints, math.nan), code, excess)
 
     def reachable(self, poses: ArrayLike, branch: Branch | None = None) -> NDArray[np.bool_]:
-        """Return a mask (...) of the reachable tip poses (..., 4); None allows both branches."""
+        """Return a mask (...) of the reachable tip poses (..., 4); ``branch`` None allows both
+        sides."""
         branches = tuple(Branch) if branch is None else (branch,)
         masks = [self.inverse_many(poses, side).code == 0 for side in branches]
         return np.asarray(np.any(masks, axis=0), dtype=np.bool_)
@@ -289,8 +291,8 @@ class ScaraGeometry:
         """Return joints for one tip pose (x, y, z, yaw) in ``arm_base``.
 
         ``branch`` None tries both elbow sides and prefers the side of ``near``; without ``near``,
-        the side with the smaller shoulder angle. Limits, reach and singularity margin are always
-        checked.
+        the side with the smaller absolute shoulder angle. Limits, reach and singularity margin are
+        always checked.
         """
         if branch is not None:
             return self._inverse_on(tip, branch, near)

@@ -3,7 +3,8 @@
 Each joint moves about or along an axis of its own frame, whose pose in the frame of the previous
 link is fixed, as in a URDF. The inverse uses damped least squares (Wampler 1986, *Manipulator
 inverse kinematic solutions based on vector formulations and damped least-squares methods*) from a
-seed, with the joints kept within their limits. It stays on the elbow and wrist side of the seed.
+seed, with the joints kept within their limits. The solution stays on the elbow and wrist side of
+the seed.
 """
 
 from __future__ import annotations
@@ -160,7 +161,7 @@ class SerialChain:
         if stopped:
             return f"{where}: {', '.join(stopped)} would be beyond its limit"
         left = float(np.linalg.norm(goal[:3, 3] - self.forward(nearest)[:3, 3]))
-        return f"{where}: the arm's links end {left * 1e3:.0f} mm before it, or fold"
+        return f"{where}: the nearest pose found is {left * 1e3:.0f} mm away"
 
 
 def pose_matrix(pose: ArrayLike) -> Array:

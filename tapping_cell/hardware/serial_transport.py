@@ -49,7 +49,7 @@ class SerialTransport:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open, as far as is known."""
+        """True if the port is open, as far as is known."""
         return self._port is not None
 
     def now(self) -> float:
@@ -104,7 +104,8 @@ class SerialTransport:
                 readable, _, _ = select.select([port], [], [], wait)
                 if readable:
                     # After an unplug, `in_waiting` raises a bare OSError and `read` a
-                    # SerialException. At end of file it is readable with no bytes waiting.
+                    # SerialException. At end of file, the port is readable although no bytes are
+                    # waiting.
                     return bytes(port.read(max(port.in_waiting, 1)))
             except (OSError, ValueError, TypeError) as error:
                 raise self._lost(error) from error

@@ -34,13 +34,13 @@ from tapping_cell.hardware.tapper_protocol import (
 from tapping_cell.hardware.transport import Transport
 
 PROTOCOL_VERSION = "2"
-"""Major version of the protocol that this driver supports. Version 1 had no deadline and could
-release a shot long after the last check, so a board with it is rejected."""
+"""Major version of the protocol that this driver supports. A board with version 1 is rejected,
+because it knows no deadline and could release a shot long after the last check."""
 CLOCK_TOLERANCE = 0.01
 """Largest relative difference in rate between the board's clock and this computer's. A ceramic
 resonator is accurate to 0.5 %."""
 RETURNING = frozenset({State.RELEASING, State.DISCHARGING, State.HOMING})
-"""Transient states from which the board reaches a state that can charge."""
+"""Transient states that lead to a state in which the board can charge."""
 
 
 class FireOutcome(Enum):
@@ -111,7 +111,8 @@ class TapperCounters:
 
 
 class TapperDriver:
-    """Driver of one tapper on one line. All calls but ``stop`` block and belong to one thread."""
+    """Driver of one tapper on one line. All calls except ``stop`` block and must come from one
+    thread."""
 
     def __init__(
         self,
@@ -140,8 +141,13 @@ class TapperDriver:
 
     @property
     def connected(self) -> bool:
-        """Whether a session is open, as far as is known."""
+        """True if a session is open, as far as is known."""
         return self._boot is not None and self._transport.is_open
+
+    @property
+    def port(self) -> str:
+        """Name of the line, for messages."""
+        return self._transport.name
 
     @property
     def version(self) -> str:
@@ -155,7 +161,7 @@ class TapperDriver:
 
     @property
     def stopped(self) -> bool:
-        """Whether ``stop`` is latched in this driver."""
+        """True if ``stop`` is latched in this driver."""
         return self._stopped.is_set()
 
     @property
@@ -217,7 +223,7 @@ class TapperDriver:
     def _other_firmware(self, version: str) -> HardwareFault:
         return self._noted(
             FaultReason.UNKNOWN_FIRMWARE,
-            f"tapper firmware {version} speaks another protocol than this driver (version"
+            f"tapper firmware {version} uses another protocol than this driver (version"
             f" {PROTOCOL_VERSION}): flash the firmware of this repository (make -C firmware/tapper"
             " flash PORT=...)",
         )
@@ -248,8 +254,8 @@ class TapperDriver:
         """Verify the striker's position: the spring's carriage moves to its front switch, and
         strikers at fixed mounts must close their switches.
 
-        ``go_on`` is called every few milliseconds. When it returns False, the carriage stops and
-        the reply to that request is returned, whose state is UNHOMED. Raises HardwareFault:
+        ``go_on`` is called every few milliseconds. When it returns False, DISCHARGE is sent, which
+        stops the carriage, and the reply is returned with the state UNHOMED. Raises HardwareFault:
         HOMING_FAILED, STRIKER_AWAY, INTERLOCK, STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         reply = self._request(Command.HOME)
@@ -287,13 +293,12 @@ class TapperDriver:
         """Store ``energy`` in J for ``shot`` on a channel; return when charged.
 
         The tapper discharges automatically ``timeout`` s after the request, or 500 ms after the
-        last frame. A carriage at an unknown position is homed first; a returning carriage is waited
-        for. ``go_on`` is called every few milliseconds. When it returns False, the tapper is
-        discharged immediately and the reply to that request is returned, whose state is not
-        CHARGED. ``shot`` must be above every shot charged before, by at most ``MAXIMUM_JUMP``.
-        Raises HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET,
-        REJECTED, DISCONNECTED, HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH,
-        NEEDS_PERSON.
+        last frame. A carriage at an unknown position is homed first; if the carriage is returning,
+        the call waits. ``go_on`` is called every few milliseconds. When it returns False, DISCHARGE
+        is sent immediately, and the reply is returned with a state other than CHARGED. ``shot``
+        must be above every shot charged before, by at most ``MAXIMUM_JUMP``. Raises HardwareFault:
+        SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED, DISCONNECTED,
+        HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH, NEEDS_PERSON.
         """
         if not 0 <= channel < self._channels:
             raise self._noted(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
@@ -347,8 +352,8 @@ class TapperDriver:
             raise self._noted(
                 FaultReason.PROTOCOL,
                 f"the tapper is charged for shot {reply.shot} with {reply.energy:g} J on "
-                f"channel {reply.channel}, requested was shot {shot} with {energy:g} J on "
-                f"channel {channel}: it was discharged",
+                f"channel {reply.channel}, but shot {shot} with {energy:g} J on channel {channel} "
+                "was requested, so the tapper was discharged",
             )
         self._channel = channel
         return reply
@@ -367,14 +372,14 @@ class TapperDriver:
         The driver queries the board's time, calls ``still_allowed`` (the last check), and sends
         FIRE with a deadline ``window`` after the board's time. ``still_allowed`` receives the
         latest time of the host's steady clock, in s, at which the release output can still be on,
-        without the striker's flight time. It is called again before each repetition of FIRE, whose
-        deadline stays the same. When it returns False, the tapper is discharged.
+        without the striker's flight time. ``still_allowed`` is called again before each repetition
+        of FIRE, whose deadline stays the same. When it returns False, the tapper is discharged.
 
         ``window``: at most ``LONGEST_WINDOW``; a line with a USB adapter needs 20 to 40 ms. Before
         UNKNOWN is returned, the call waits until a release is no longer possible. Line errors after
-        FIRE was sent are reported by the outcome. A HardwareFault is raised only before FIRE, so
-        this call has not fired the shot: SHOT_SPENT, OUT_OF_RANGE, STOPPED, TIMEOUT, BOARD_RESET,
-        DISCONNECTED.
+        FIRE was sent are not raised but reported by the outcome. A HardwareFault is raised only
+        before FIRE, so this call has not fired the shot: SHOT_SPENT, OUT_OF_RANGE, STOPPED,
+        TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         self._require_session()
         self._refuse_spent(shot)
@@ -460,8 +465,8 @@ class TapperDriver:
         """Wait until the board is at rest after a release and return its reply.
 
         The state is SAFE when the striker is back, or UNHOMED when the board has stopped waiting
-        for it. It is another state if ``go_on`` returned False or the wait timed out. Raises
-        HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
+        for the striker. Any other state means that ``go_on`` returned False or the wait timed out.
+        Raises HardwareFault: TIMEOUT, BOARD_RESET, STOPPED, DISCONNECTED.
         """
         reply = self._request(Command.STATUS)
         until = self._transport.now() + self.settings.home_timeout
@@ -622,20 +627,20 @@ class TapperDriver:
             reason, text = (
                 FaultReason.SHOT_SPENT,
                 f"the tapper has used that shot number or a greater one (last charged:"
-                f" {reply.shot}): use a greater one, or, at the cell, hold the clear button for 5 s"
-                " while the tapper is at rest: that resets its count",
+                f" {reply.shot}): use a greater number, or reset the count by holding the clear"
+                " button at the cell for 5 s while the tapper is at rest",
             )
         elif reply.result is Result.JUMP:
             reason, text = (
                 FaultReason.OUT_OF_RANGE,
-                f"that shot number is more than {protocol.MAXIMUM_JUMP} above the last one the"
-                " tapper used: use a smaller one",
+                f"that shot number is more than {protocol.MAXIMUM_JUMP} above the last"
+                " number that the tapper used: use a smaller number",
             )
         elif reply.result is Result.NOT_ENABLED:
             reason, text = (
                 FaultReason.NOT_ENABLED,
-                "the tapper is in set-up mode, where it takes more than its set-up energy only"
-                " while the enabling switch is held: hold it, use less energy, or set run mode",
+                "the tapper is in set-up mode: it accepts more than its set-up energy only"
+                " while the enabling switch is held; hold it, use less energy, or set run mode",
             )
         elif reply.result is Result.RANGE:
             reason, text = (
@@ -654,21 +659,21 @@ class TapperDriver:
             which = f"of channel {', '.join(away)}" if away else "released last"
             reason, text = (
                 FaultReason.STRIKER_AWAY,
-                f"the striker {which} did not leave its mount or is not back at it, as its switch"
-                " says: free it, check its return spring and its switch",
+                f"according to its switch, the striker {which} did not leave its mount or is not"
+                " back there: free the striker, check its return spring and its switch",
             )
         elif reply.state is State.UNHOMED:
             reason, text = (
                 FaultReason.POSITION_LOST,
-                "the tapper's carriage is not where its steps say: the motor missed steps or has no"
-                " power; check both, it is homed before the next shot",
+                "the tapper's carriage is not at the position that its steps give: the motor missed"
+                " steps or has no power; check both (the carriage is homed before the next shot)",
             )
         else:
             reason, text = (
                 FaultReason.REJECTED,
                 f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}):"
-                " it discharged itself (after 0.5 s without a request, or as the guard was opened"
-                " for a moment) or was never charged; charge again",
+                " it discharged itself (after 0.5 s without a request, or because the guard was"
+                " opened briefly) or was never charged; charge again",
             )
         return self._noted(reason, text)
 

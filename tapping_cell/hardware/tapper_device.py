@@ -13,8 +13,13 @@ class TapperDevice(Protocol):
     """One tapper; :class:`~tapping_cell.hardware.tapper.TapperDriver` documents the behaviour and
     the faults of each call."""
 
-    counters: TapperCounters
-    last_reply: Reply | None
+    @property
+    def counters(self) -> TapperCounters:
+        """Counters for diagnostics."""
+
+    @property
+    def last_reply(self) -> Reply | None:
+        """Last reply of the tapper."""
 
     @property
     def version(self) -> str:
@@ -50,3 +55,13 @@ class TapperDevice(Protocol):
 
     def clear(self, timeout: float = 5.0) -> Reply:
         """Clear a stop."""
+
+
+class MountedTappers(TapperDevice, Protocol):
+    """Tappers at fixed mounts, whose boards detect the strikers at their mounts."""
+
+    def home(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
+        """Verify the strikers' positions."""
+
+    def wait_for_return(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
+        """Wait until a released striker is back."""

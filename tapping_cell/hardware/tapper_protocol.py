@@ -25,7 +25,8 @@ STOP = b"!"
 SILENCE_LIMIT = 0.5
 """A charged tapper discharges after this time without a valid frame, s."""
 LONGEST_WINDOW = 0.1
-"""Maximum time from the board's time to the deadline of FIRE, s; the board refuses a later one."""
+"""Maximum time from the board's time to the deadline of FIRE, s; the board refuses a later
+deadline."""
 LONGEST_PULSE = 0.033
 """A hardware timer switches the release output off at most this long after it was switched on, s
 (16 bits of 0.5 us)."""
@@ -36,7 +37,7 @@ LONGEST_FRAME = 184
 MAXIMUM_SHOT = 2**64 - 1
 MAXIMUM_JUMP = 2**32
 """Maximum increase from the greatest shot number used. The limit prevents one wrong number from
-using up all the others."""
+using up all numbers."""
 MAXIMUM_ENERGY_UJ = 10_000_000
 
 
@@ -90,8 +91,8 @@ class State(Enum):
 
 
 class Mode(Enum):
-    """Operating mode. RUN allows every energy; SETUP only a small one unless the enabling switch
-    is held."""
+    """Operating mode. RUN allows every energy; SETUP allows only a small energy unless the enabling
+    switch is held."""
 
     RUN = "RUN"
     SETUP = "SETUP"
@@ -116,7 +117,7 @@ class Reply:
     """Board time when the request was processed, ms, modulo ``TIME_MODULUS``."""
     mode: Mode
     enabled: bool
-    """Whether the enabling switch is held."""
+    """True if the enabling switch is held."""
     version: str = ""
     channel: int = 0
     """Channel of ``shot``."""

@@ -8,8 +8,9 @@ from typing import Protocol
 class Connection(Protocol):
     """Connection to one device that can be opened, closed and stopped.
 
-    All calls but ``stop`` belong to one thread. Every call that waits for the device or sends to it
-    raises HardwareFault: DISCONNECTED if the connection is lost, STOPPED while a stop is latched.
+    All calls except ``stop`` must come from one thread. Every call that waits for the device or
+    sends to it raises HardwareFault: DISCONNECTED if the connection is lost, STOPPED while a stop
+    is latched.
     """
 
     @property
@@ -18,7 +19,7 @@ class Connection(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether the connection is open, as far as is known."""
+        """True if the connection is open, as far as is known."""
 
     def now(self) -> float:
         """Return the time of the steady clock, s."""

@@ -29,7 +29,7 @@ class _Bar:
     length: float
     """Length, m."""
     upright: bool
-    """Whether the bar is along z; otherwise it is along x."""
+    """True if the bar is along z; otherwise it is along x."""
 
     @property
     def mass(self) -> float:
@@ -109,7 +109,8 @@ def _bars(geometry: ScaraGeometry) -> dict[str, _Bar]:
 
 
 def _efforts(geometry: ScaraGeometry, bars: dict[str, _Bar]) -> tuple[float, float, float, float]:
-    """Return torques (N m) and the quill's force (N) at maximum acceleration, arm stretched out."""
+    """Return torques (N m) and the quill's force (N) at maximum acceleration with the arm stretched
+    out."""
     rod, tool = bars["quill_rod"], bars["tool"]
     reach = geometry.forearm
     elbow = bars["forearm"].about_z(0.0) + rod.about_z(reach) + tool.about_z(reach)

@@ -310,7 +310,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not self._enabled(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
-            return ErrorCode.ARM_COMMAND_EXPIRED, "its expiry has passed"
+            return ErrorCode.ARM_COMMAND_EXPIRED, tap_commands.overdue(command, now)
         return tap_commands.refusal(command, now, self._last_tap_id)
 
     def _refuse(self, code: int, sentence: str) -> None:

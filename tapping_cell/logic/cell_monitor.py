@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now
@@ -20,12 +19,11 @@ QUICKEST_IMAGE_S = 0.05
 messages, s. This delay cannot be distinguished from a difference of the clocks, so an image appears
 later than it was taken."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
-ENGAGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
 
 
 class CellMonitor:
-    """Stores the last message of camera, arm and each tapper board, with its time of arrival.
+    """Stores the last messages of camera, arm and tapper, with their times of arrival.
 
     Times of observations are compared with other events on this computer's steady clock. The
     estimated difference of the camera's clock is corrected.
@@ -37,10 +35,7 @@ class CellMonitor:
         self._states: dict[str, ObjectState] = {}
         self._watched = ""
         self.arm: ArmState | None = None
-        self._boards: dict[tuple[str, ...], TapperState] = {}
-        self._boards_received: dict[tuple[str, ...], float] = {}
-        self._spoke: tuple[str, ...] = ()
-        self._expected: frozenset[tuple[str, ...]] = frozenset()
+        self.tapper: TapperState | None = None
         self._arm_expected: bool | None = None
         self.camera_clock = PeerClock()
         self._received = {name: -math.inf for name in NAMES}
@@ -56,18 +51,17 @@ class CellMonitor:
         name selects the cell's own object, which ``object_state`` reports."""
         self._watched = name
 
-    def expect(self, has_arm: bool, boards: Sequence[Sequence[str]]) -> None:
-        """Set whether the cell has an arm, and the tappers' names of each board. Without this call
-        both are derived from the received messages."""
+    def expect(self, has_arm: bool) -> None:
+        """Set whether the cell has an arm. Without this call it is derived from the received
+        messages."""
         self._arm_expected = has_arm
-        self._expected = frozenset(tuple(names) for names in boards)
 
     @property
     def has_arm(self) -> bool:
         """Whether the cell has an arm."""
         if self._arm_expected is not None:
             return self._arm_expected
-        return not any(state.fixed_mounts for state in self._boards.values())
+        return self.tapper is None or not self.tapper.fixed_mounts
 
     @property
     def tip(self) -> tuple[float, float, float, float] | None:
@@ -76,17 +70,6 @@ class CellMonitor:
             return None
         place = from_message(self.arm.tip_pose)
         return place.x, place.y, self.arm.tip_pose.position.z, place.theta
-
-    @property
-    def tapper(self) -> TapperState | None:
-        """State of the most relevant board: a board with a fault, otherwise a board with a tap
-        under way, otherwise the board that published last."""
-        states = self._boards
-        for wanted in (FAULTED, ENGAGED):
-            for state in states.values():
-                if state.state in wanted:
-                    return state
-        return states.get(self._spoke)
 
     def on_object(self, message: ObjectState, now: Now) -> None:
         """Process ``object_state``."""
@@ -113,37 +96,12 @@ class CellMonitor:
 
     def on_tapper(self, message: TapperState, now: Now) -> None:
         """Process ``tapper_state``."""
-        board = tuple(message.tappers) or self._only_board()
-        if board is None or (self._expected and board not in self._expected):
-            return  # this board has not read its cell file yet, or belongs to another cell
-        if board:
-            # Before it has read its cell file, a board does not name its tappers.
-            self._boards.pop((), None)
-            self._boards_received.pop((), None)
-        self._spoke = board
-        self._boards[self._spoke] = message
-        self._boards_received[self._spoke] = now.steady
-
-    def _only_board(self) -> tuple[str, ...] | None:
-        """Return the board of a state without tappers' names; None if there are several boards."""
-        known = self._expected or frozenset(self._boards)
-        if len(known) > 1:
-            return None
-        return next(iter(known), ())
+        self.tapper = message
+        self._received["tapper"] = now.steady
 
     def silent(self, name: str, now: Now) -> bool:
         """Return whether the message timeout of ``object``, ``arm`` or ``tapper`` has passed."""
-        return now.steady - self._last_received(name) > self._silence_limit
-
-    def _last_received(self, name: str) -> float:
-        """Return the steady time of the last message; for ``tapper``, that of the board with the
-        oldest last message."""
-        if name != "tapper":
-            return self._received[name]
-        boards = self._expected or frozenset(self._boards_received)
-        return min(
-            (self._boards_received.get(board, -math.inf) for board in boards), default=-math.inf
-        )
+        return now.steady - self._received[name] > self._silence_limit
 
     def observed_at(self, now: Now) -> float:
         """Return the time of the last image on this computer's steady clock, s."""
@@ -187,13 +145,12 @@ class CellMonitor:
         if tapper.state != TapperState.SAFE:
             code = tapper.error_code or ErrorCode.TAPPER_BUSY
             return code, tapper.error_msg or "the tapper is busy"
-        for board in self._boards.values():
-            if not self.has_arm and (not board.mounts_proven or board.away):
-                code = board.error_code or ErrorCode.TAPPER_MOUNT_NOT_PROVEN
-                return code, board.error_msg or (
-                    "the strikers are not yet confirmed to be at their mounts"
-                )
-        if not all(board.interlock_closed for board in self._boards.values()):
+        if not self.has_arm and (not tapper.mounts_proven or tapper.away):
+            code = tapper.error_code or ErrorCode.TAPPER_MOUNT_NOT_PROVEN
+            return code, tapper.error_msg or (
+                "the strikers are not yet confirmed to be at their mounts"
+            )
+        if not tapper.interlock_closed:
             return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
         if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
@@ -227,14 +184,14 @@ class CellMonitor:
 
     def lost(self, now: Now) -> bool:
         """Return whether arm or tapper is lost; their drivers reconnect automatically."""
-        arm = self.arm
+        arm, tapper = self.arm, self.tapper
         arm_lost = self.has_arm and (
             self.silent("arm", now) or (arm is not None and arm.state == ArmState.DISCONNECTED)
         )
         return (
             arm_lost
             or self.silent("tapper", now)
-            or any(state.state == TapperState.DISCONNECTED for state in self._boards.values())
+            or (tapper is not None and tapper.state == TapperState.DISCONNECTED)
         )
 
     def withdrawn(self, now: Now) -> bool:
@@ -244,8 +201,8 @@ class CellMonitor:
         free = not self.has_arm or (
             arm is not None and arm.state == ArmState.IDLE and arm.clear_of_camera
         )
-        safe = all(state.state == TapperState.SAFE for state in self._boards.values())
-        return free and bool(self._boards) and safe and not self.lost(now)
+        safe = self.tapper is not None and self.tapper.state == TapperState.SAFE
+        return free and safe and not self.lost(now)
 
     def in_position(self, tap_id: int) -> bool:
         """Return whether the arm publishes that it is in position for this tap."""
@@ -269,8 +226,7 @@ class CellMonitor:
         """Return the greatest tap id that arm and tapper have published."""
         return max(
             self.arm.tap_id if self.arm is not None else 0,
-            *(state.tap_id for state in self._boards.values()),
-            0,
+            self.tapper.tap_id if self.tapper is not None else 0,
         )
 
     def outcome(self, tap_id: int) -> int:
@@ -279,9 +235,9 @@ class CellMonitor:
         return int(TapperState.NONE) if tapper is None else int(tapper.outcome)
 
     def tapper_of(self, tap_id: int) -> TapperState | None:
-        """Return the last state of the board that executes or executed a tap, or None."""
-        serving = [state for state in self._boards.values() if state.tap_id == tap_id]
-        return serving[0] if serving else None
+        """Return the last state of the tapper if it is about this tap, or None."""
+        tapper = self.tapper
+        return tapper if tapper is not None and tapper.tap_id == tap_id else None
 
     def seen_away_from(self, pose: Pose, distance: float, angle: float) -> bool:
         """Return whether the object is seen more than ``distance`` m or ``angle`` rad away from a
@@ -335,7 +291,7 @@ class CellMonitor:
         )
 
     def _silence(self, name: str, now: Now) -> str:
-        age = now.steady - self._last_received(name)
+        age = now.steady - self._received[name]
         node = NAMES[name]
         if math.isinf(age):
             return f"{node} has not sent a message yet; start it"

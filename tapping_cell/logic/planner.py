@@ -251,7 +251,7 @@ class PlannerLogic:
             self._configured = True
             cell = self.goals.cell
             self._has_arm = cell.file.arm is not None
-            self._monitor.expect(self._has_arm, [list(board.channels) for board in cell.boards])
+            self._monitor.expect(self._has_arm)
             if event.kept_goal is not None:
                 self._recall(event, now)
         elif isinstance(event, Activated):
@@ -647,9 +647,10 @@ class PlannerLogic:
         if len(task.records) >= task.max_taps:
             return (
                 ErrorCode.TAP_LIMIT_REACHED,
-                f"{len(task.records)} taps did not bring the object to the goal, the limit is"
-                f" {task.max_taps}; {1000 * self.last.residual_distance:.2f} mm and"
-                f" {math.degrees(self.last.residual_rotation):.2f} deg remain",
+                f"the object is not at the goal after {len(task.records)} of at most"
+                f" {task.max_taps} taps; {1000 * self.last.residual_distance:.2f} mm and"
+                f" {math.degrees(self.last.residual_rotation):.2f} deg remain; allow more taps, or"
+                " check the striker, the camera and the object's file",
             )
         return None
 

@@ -90,3 +90,12 @@ def unknown_tapper(name: str, tappers: Sequence[str]) -> Trouble:
 def expired(command: TapCommand, now: Now) -> bool:
     """Return whether the command's expiry has passed."""
     return now.ros > to_nanoseconds(command.expiry)
+
+
+def overdue(command: TapCommand, now: Now) -> str:
+    """Return the sentence about a command whose expiry has passed."""
+    late = (now.ros - to_nanoseconds(command.expiry)) / NANOSECONDS
+    return (
+        f"its expiry passed {late:.1f} s ago; check the clocks of the computers and the network,"
+        " then send a new tap"
+    )

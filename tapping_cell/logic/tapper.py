@@ -13,7 +13,7 @@ from enum import Enum
 from functools import partial
 from typing import Any
 
-from tapping_cell.configuration.cell import Board, Cell
+from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome
@@ -129,6 +129,7 @@ OF_THE_TAP = (
     FaultReason.SHOT_SPENT,
     FaultReason.OUT_OF_RANGE,
     FaultReason.NOT_ENABLED,
+    FaultReason.OTHER_ACTIVE,
     FaultReason.PROTOCOL,
 )
 """Faults that end only the present tap. The next tap is accepted once the board has discharged."""
@@ -164,8 +165,6 @@ class TapperOptions:
     set_up: bool = False
     """Set-up mode: charges and fires only while an enabling device is held."""
     draw_key: Callable[[], int] = random_key
-    board: int = 0
-    """Index of this board in the cell file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,9 +207,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         super().__init__(StateMachine(TABLE, S.DISCONNECTED), 1.0 / options.state_rate)
         self._curves: Mapping[str, EnergyCurve] = {}
         self._strokes: Mapping[str, float] = {}
-        self._all_names: tuple[str, ...] = ()
-        self._board = Board("", {})
-        self._board_index = options.board
+        self._channels: Mapping[str, int] = {}
+        """Channel number of each tapper, counted across the boards."""
         self._mounts = Mounts()
         self._prove_at = -math.inf
         self._peers = TapperPeers(options.limits)
@@ -295,8 +293,6 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._peers.on_object_state(message, now)
         elif topic == "object_states":
             self._peers.on_object_states(message, now)
-        elif topic == "tapper_state":
-            self._peers.on_tapper_state(message, now)
         elif topic == enabling.TOPIC:
             self._enabling.on_key(message.data, now)
             self._watch_enabling(now)
@@ -315,21 +311,18 @@ class TapperLogic(DeviceLogic[State, Event]):
             if tap is not None and command.tap_id == tap.tap_id:
                 self._give_up((ErrorCode.NONE, ""))
             return
-        tapper = tap_commands.named_tapper(command.tapper, self._all_names)
-        if tapper is not None and tapper not in self._board.channels:
-            self._give_way(command, now)
-            return
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)
             return
+        tapper = tap_commands.named_tapper(command.tapper, tuple(self._channels))
         assert tapper is not None
         self._machine.move(Event.TAP, S.WAITING)
         self._told.tapper = tapper
         self._last_tap_id = command.tap_id
         self._tap = Tap(
             command.tap_id,
-            self._board.channels[tapper],
+            self._channels[tapper],
             self._curves[tapper].energy_for(command.striker_speed),
             to_nanoseconds(command.expiry),
             from_message(command.object_pose),
@@ -343,17 +336,6 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._tell_tap(command.tap_id, TapperState.NONE)
         if self._fixed:
             self._charge_when_ready(now)
-
-    def _give_way(self, command: TapCommand, now: Now) -> None:
-        """Give up this board's tap if a tap of another board was commanded."""
-        if self.state in SERVING and command.tap_id != self._told.tap_id:
-            self._give_up(
-                (
-                    ErrorCode.TAPPER_OTHER_ACTIVE,
-                    f"the tapper '{command.tapper}' of another board was commanded meanwhile; one"
-                    " tap at a time",
-                )
-            )
 
     def _tell_tap(self, tap_id: int, outcome: int) -> None:
         self._told.tap_id, self._told.outcome = tap_id, outcome
@@ -371,15 +353,16 @@ class TapperLogic(DeviceLogic[State, Event]):
                 else f"is not at rest: {self._trouble[1]}"
             )
             return ErrorCode.TAPPER_BUSY, f"the tapper {why}"
-        tapper = tap_commands.named_tapper(command.tapper, self._all_names)
+        names = tuple(self._channels)
+        tapper = tap_commands.named_tapper(command.tapper, names)
         if tapper is None:
-            return tap_commands.unknown_tapper(command.tapper, self._all_names)
+            return tap_commands.unknown_tapper(command.tapper, names)
         if self._fixed and (reason := self._mounts.check()) is not None:
             return reason
         if self._set_up and not self._enabling.held(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
-            return ErrorCode.TAPPER_COMMAND_EXPIRED, "its expiry has passed"
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, tap_commands.overdue(command, now)
         speed, curve = command.striker_speed, self._curves[tapper]
         if math.isfinite(speed) and not curve.slowest <= speed <= curve.fastest:
             return (
@@ -701,7 +684,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if resting or not switches:
             self._mounts.away = tuple(
                 name
-                for name, channel in self._board.channels.items()
+                for name, channel in self._channels.items()
                 if self._mounts.fitted and not switches >> channel & 1
             )
 
@@ -710,18 +693,12 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _configured_with(self, event: Configured, now: Now) -> None:
         assert isinstance(event.cell, Cell)
         cell = event.cell
-        self._board = cell.boards[self._board_index]
+        self._channels = cell.tapper_channels
         self._curves = {name: part.curve() for name, part in cell.tapper_sections.items()}
         self._strokes = {name: part.stroke for name, part in cell.tapper_sections.items()}
-        self._all_names = cell.tapper_names
         self._fixed = cell.file.fixed_tappers is not None
         if self._fixed:
-            others = [
-                list(board.channels)
-                for index, board in enumerate(cell.boards)
-                if index != self._board_index
-            ]
-            self._peers.use_mounts(self._mounts, others)
+            self._peers.use_mounts(self._mounts)
 
     def _connected(self, answer: Any, now: Now) -> None:
         assert isinstance(answer, Reply)
@@ -825,7 +802,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         told = self._told
         message = TapperState(
             state=WIRE[self.state],
-            tappers=list(self._board.channels),
+            tappers=list(self._channels),
             tapper=told.tapper,
             fixed_mounts=self._fixed,
             away=list(self._mounts.away) if self._fixed else [],

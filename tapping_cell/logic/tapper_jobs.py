@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tapping_cell.hardware.faults import HardwareFault
-from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperDriver
-from tapping_cell.hardware.tapper_device import TapperDevice
+from tapping_cell.hardware.tapper import FireOutcome, FireResult
+from tapping_cell.hardware.tapper_device import MountedTappers, TapperDevice
 from tapping_cell.hardware.tapper_protocol import Reply, State
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import JobContext
@@ -76,7 +76,7 @@ def discharge(context: JobContext) -> Status:
 
 def prove(context: JobContext) -> Status:
     """Have the board prove that its strikers are at their mounts."""
-    driver: TapperDriver = context.driver
+    driver: MountedTappers = context.driver
     return _told(driver, driver.home(lambda: not context.abandoned()))
 
 
@@ -92,7 +92,7 @@ def charge(
 
     ``tell``: post the board's last reply before each check.
     """
-    driver: TapperDriver = context.driver
+    driver: TapperDevice = context.driver
     refusal: Trouble | None = None
 
     def go_on() -> bool:
@@ -145,7 +145,7 @@ def fire(
 
 def wait_for_return(context: JobContext) -> Status:
     """Wait until the released striker is back at its mount, or the board stops waiting for it."""
-    driver: TapperDriver = context.driver
+    driver: MountedTappers = context.driver
     return _told(driver, driver.wait_for_return(lambda: not context.abandoned()))
 
 

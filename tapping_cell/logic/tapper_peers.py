@@ -1,12 +1,10 @@
 """Checks of the messages of arm, planner and camera before the tapper charges and fires.
 
-Fixed tappers have no arm. Instead, the board must have proven its mounts, and none of the cell's
-other boards may be charged or have a striker out."""
+Fixed tappers have no arm. Instead, the boards must have proven their mounts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tapping_cell.logic.clock import Now
@@ -19,7 +17,6 @@ from tapping_cell.messages import (
     ObjectState,
     ObjectStates,
     PlanState,
-    TapperState,
 )
 from tapping_cell.se2 import Pose
 
@@ -57,21 +54,11 @@ class PeerLimits:
     """Maximum rotation of the object from the pose for which the tap was planned, rad."""
 
 
-RESTING = (
-    TapperState.SAFE,
-    TapperState.STOPPED,
-    TapperState.FAULT,
-    TapperState.DISCONNECTED,
-)
-"""States in which a board cannot fire before it publishes another state. Its strikers may still be
-out."""
-
-
 @dataclass(slots=True)
 class Mounts:
-    """State of the strikers as reported by this node's board.
+    """State of the strikers as reported by the boards.
 
-    ``proven``: since the board's start each striker was detected at its mount and, if it was
+    ``proven``: since the boards' start each striker was detected at its mount and, if it was
     released, detected to leave it and return. ``away``: names of the strikers that are not at
     their mounts. ``fitted``: whether the mounts have switches.
     """
@@ -81,7 +68,7 @@ class Mounts:
     away: tuple[str, ...] = ()
 
     def check(self) -> Trouble | None:
-        """Return why no tapper of this board may be charged, or None if charging is allowed."""
+        """Return why no tapper may be charged, or None if charging is allowed."""
         if not self.fitted:
             return (
                 ErrorCode.TAPPER_MOUNT_NOT_PROVEN,
@@ -123,20 +110,10 @@ class TapperPeers:
         self._object = ""
         self._seen: dict[str, tuple[ObjectState, float]] = {}
         self._mounts: Mounts | None = None
-        self._boards: dict[tuple[str, ...], tuple[TapperState, float]] = {}
-        self._other_boards: frozenset[tuple[str, ...]] = frozenset()
 
-    def use_mounts(self, mounts: Mounts, other_boards: Sequence[Sequence[str]]) -> None:
-        """Set up the checks of a cell without an arm. ``mounts``: of this node's board;
-        ``other_boards``: the tappers' names of each other board."""
+    def use_mounts(self, mounts: Mounts) -> None:
+        """Check the state of the mounts, in a cell without an arm."""
         self._mounts = mounts
-        self._other_boards = frozenset(tuple(names) for names in other_boards)
-
-    def on_tapper_state(self, message: TapperState, now: Now) -> None:
-        """Process ``tapper_state`` of any board."""
-        names = tuple(message.tappers)
-        if names in self._other_boards:
-            self._boards[names] = message, now.steady
 
     def begin_tap(self, object_id: str) -> None:
         """Begin the checks of a tap of an object (empty: the cell's own object). The following
@@ -191,7 +168,7 @@ class TapperPeers:
         the tip. Both are in ``table``.
         """
         if self._mounts is not None:
-            return self._check_mounts(now) or self._check_others(planned, now)
+            return self._mounts.check() or self._check_others(planned, now)
         return self._check_arm(tap_id, strike, now) or self._check_others(planned, now)
 
     def check_charging(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
@@ -201,7 +178,7 @@ class TapperPeers:
         above the strike pose, so that only a motion straight down remains, and must be recent.
         """
         if self._mounts is not None:
-            return self._check_mounts(now) or self._check_others(planned, now)
+            return self._mounts.check() or self._check_others(planned, now)
         if not self._lowers(tap_id, strike, now):
             reason = self._check_arm(tap_id, strike, now)
             if reason is not None:
@@ -242,27 +219,6 @@ class TapperPeers:
         if not _above(arm, strike):
             # If two planners run by mistake, two taps may have the same id.
             return code, f"the arm is in position for another tap with the id {tap_id}"
-        return None
-
-    def _check_mounts(self, now: Now) -> Trouble | None:
-        """Return an error if this board's mounts are not proven or another board is not at rest."""
-        assert self._mounts is not None
-        reason = self._mounts.check()
-        if reason is not None:
-            return reason
-        for names in sorted(self._other_boards):
-            state, received_at = self._boards.get(names, (None, -math.inf))
-            if state is None or now.steady - received_at > self._limits.silence:
-                how = "has sent no message" if state is None else "is silent"
-                return (
-                    ErrorCode.TAPPER_OTHER_ACTIVE,
-                    f"the board of '{names[0]}' {how}; check its tapper_trigger",
-                )
-            if state.state not in RESTING or state.away:
-                return (
-                    ErrorCode.TAPPER_OTHER_ACTIVE,
-                    f"the board of '{names[0]}' is charged or has a striker out; one tap at a time",
-                )
         return None
 
     def _skew(self, now: Now) -> Trouble | None:

@@ -39,13 +39,15 @@ _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _SIMPLE_STEPS = 400
-_INVERSE_TOLERANCE = 5e-11
 # The tolerance is relative to each component, down to this fraction of the largest component.
 _SMALLEST_SHARE = 1e-3
 
 
 class PolygonSlide:
     """Slides of one polygon, in the frame at launch. ``deceleration`` is mu g in m/s^2."""
+
+    _inverse_tolerance = 5e-11
+    """Relative error of a displacement at which the inverse makes its last step."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide
@@ -91,7 +93,8 @@ class PolygonSlide:
             moved, _ = self._slide(twists(z, rows))
             return np.stack([_turned(moved, -angle[rows])[0], moved[:, 2]], axis=1)
 
-        nearby = invert(forward, target, self._scale(x.ravel(), theta.ravel())[:, 1:])
+        scale = self._scale(x.ravel(), theta.ravel())[:, 1:]
+        nearby = invert(forward, target, scale, self._inverse_tolerance)
         twist = twists(nearby, np.arange(angle.size))
         speed, _ = _turned(twist, -angle)
         return Launch(_scalar(speed.reshape(x.shape)), _scalar(twist[:, 2].reshape(x.shape)))
@@ -103,7 +106,12 @@ class PolygonSlide:
     def twist_for(self, displacement: Array) -> Array:
         """Launches (n, 3) of displacements (n, 3)."""
         scale = self._scale(np.hypot(displacement[:, 0], displacement[:, 1]), displacement[:, 2])
-        nearby = invert(lambda z, _: self.displace(self._disk.twist_for(z)), displacement, scale)
+        nearby = invert(
+            lambda z, _: self.displace(self._disk.twist_for(z)),
+            displacement,
+            scale,
+            self._inverse_tolerance,
+        )
         return self._disk.twist_for(nearby)
 
     def profile(self, speed: Array, spin: Array, direction: Array, times: Array) -> Profile:
@@ -267,11 +275,15 @@ class PolygonSlide:
 
 
 def invert(
-    forward: Callable[[Array, NDArray[np.intp]], Array], target: Array, scale: Array
+    forward: Callable[[Array, NDArray[np.intp]], Array],
+    target: Array,
+    scale: Array,
+    tolerance: float,
 ) -> Array:
     """Solve forward(z, rows) = target[rows], (n, k), near the identity: Broyden's method.
 
-    ``scale`` (n, k) normalises the columns; rows that have converged are omitted. Broyden's method
+    ``scale`` (n, k) normalises the columns; rows that are within ``tolerance`` make one more step,
+    which reduces their error further, and are omitted. Broyden's method
     may cycle at a kink of ``forward``, as between the cells of a table; such rows are solved by a
     fixed-point iteration, which is slow but reliable. Raises :class:`MechanicsError` if a
     row does not converge.
@@ -284,7 +296,7 @@ def invert(
     error = np.full(len(goal), np.inf)
     for _ in range(_INVERSE_STEPS):
         # A row within the tolerance takes one more step, which reduces its error to rounding.
-        left = error > _INVERSE_TOLERANCE
+        left = error > tolerance
         rows, residual, inverse = rows[left], residual[left], inverse[left]
         error = np.abs(residual).max(axis=1, initial=0.0)
         if not rows.size:
@@ -302,13 +314,13 @@ def invert(
     z[rows] = goal[rows]
     for _ in range(_SIMPLE_STEPS):
         residual = forward(z[rows] * scale[rows], rows) / scale[rows] - goal[rows]
-        if np.abs(residual).max() <= _INVERSE_TOLERANCE:
+        if np.abs(residual).max() <= tolerance:
             return z * scale
         z[rows] -= residual
     raise MechanicsError(
         f"the launch of the polygon was not found: the displacement is off by "
         f"{float(np.abs(residual).max()):.3g} of itself after {_SIMPLE_STEPS} steps, "
-        f"{_INVERSE_TOLERANCE:g} is allowed."
+        f"{tolerance:g} is allowed."
     )
 
 

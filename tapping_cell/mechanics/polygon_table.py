@@ -281,6 +281,9 @@ def _kept(points: tuple[tuple[float, float], ...], torque_factor: float) -> Poly
 class TabulatedPolygonSlide(PolygonSlide):
     """Slides of one polygon from its table."""
 
+    _inverse_tolerance = 1e-7
+    """The last step reduces the error to 1e-8, far below the error of the table."""
+
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide
     ) -> None:

@@ -100,7 +100,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
-        self.role = self.role_of(name)
+        self.role = name
         """Name of the node unless ``__node:=`` gives it another name."""
         self.active = False
         """True while the node may act."""
@@ -121,21 +121,17 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self._autostart = self.create_timer(0.05, self._start) if self.settings.autostart else None
 
     def create_publisher(self, *arguments: Any, **options: Any) -> Publisher:
-        """Create a publisher without events, which :class:`ConnectionCheck` replaces."""
+        """Create a publisher without event callbacks. :class:`ConnectionCheck` replaces them."""
         options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
         return super().create_publisher(*arguments, **options)
 
     def create_subscription(self, *arguments: Any, **options: Any) -> Subscription:
-        """Create a subscription without events, which :class:`ConnectionCheck` replaces."""
+        """Create a subscription without event callbacks. :class:`ConnectionCheck` replaces them."""
         events = SubscriptionEventCallbacks(use_default_callbacks=False)
         options.setdefault("event_callbacks", events)
         return super().create_subscription(*arguments, **options)
 
     # Methods that a subclass overrides
-
-    def role_of(self, executable: str) -> str:
-        """Return the node's role in the cell, given the name of its executable."""
-        return executable
 
     def configure(self) -> None:
         """Read files and open ports. Raises NotReady or ConfigurationError."""

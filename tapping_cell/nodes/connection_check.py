@@ -1,9 +1,9 @@
-"""Find endpoints of other nodes that can never connect to a node's topics, and say why.
+"""Find endpoints of other nodes that can never connect to a node's topics, and report the reason.
 
-rclpy reports these through two events of each publisher and subscription. Its executor adds every
-event to the wait set again before each callback, which takes more processor time than the messages
-themselves: 0.4 ms of the planner's 0.55 ms. A node of the cell therefore has no such events, and
-asks the graph for the same information every few seconds.
+rclpy reports such endpoints through two events of each publisher and subscription. Its executor
+adds every event to the wait set again before each callback, which takes more processor time than
+the messages themselves: 0.4 ms of the planner's 0.55 ms. A node of the cell therefore has no such
+events, and queries the graph for the same information every few seconds.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class ConnectionCheck:
                 yield from self._report(info, reasons, f"nothing on {topic} reaches")
 
     def _report(self, info: Any, reasons: list[str], what: str) -> Iterator[str]:
-        # One of several endpoints on the same topic that connects is sufficient.
+        # If this node has several endpoints on the topic, one that can connect is sufficient.
         if not all(reasons) or (endpoint := bytes(info.endpoint_gid)) in self._reported:
             return
         self._reported.add(endpoint)
@@ -59,8 +59,8 @@ def _by_topic(endpoints: Iterator[Any]) -> dict[str, list[Endpoint]]:
 
 
 def _discovered(info: Any) -> Endpoint:
-    """Return type and profile of another node's endpoint. What is unlimited there is unset in the
-    profile of a node that did not limit it."""
+    """Return type and profile of another node's endpoint. Infinite durations are replaced by unset
+    durations, as in the profiles of this node's own endpoints."""
     found = info.qos_profile
     profile = QoSProfile(
         depth=1,
@@ -81,7 +81,7 @@ def _mismatch(publisher: Endpoint, subscription: Endpoint) -> str:
     """Return why two endpoints cannot connect; an empty string if they can."""
     (sent, offered), (expected, requested) = publisher, subscription
     if sent != expected:
-        return f"it has the type {sent} on one side and {expected} on the other"
+        return f"the publisher has the type {sent}, but the subscription has {expected}"
     compatibility, reason = qos_check_compatible(offered, requested)
     if compatibility != QoSCompatibility.ERROR:
         return ""

@@ -64,7 +64,7 @@ class LogicHost(Generic[Machine]):
     # Wiring
 
     def publishes(self, kind: type[Mirrored], topic: str, profile: Any) -> None:
-        """Create a publisher under the topic name that the machine uses."""
+        """Create a publisher under the topic name that the state machine uses."""
         name = ros_class(kind.ROS_TYPE)
         self._publishers[topic] = self._node.create_publisher(
             name, self._node.own_name(topic), profile
@@ -89,7 +89,7 @@ class LogicHost(Generic[Machine]):
         )
 
     def serves(self, kind: Any, name: str) -> None:
-        """Pass the requests of a service to the machine."""
+        """Pass the requests of a service to the state machine."""
 
         def serve(request: Any, respond: Respond) -> None:
             mirror = from_ros(request, kind.Request)
@@ -99,7 +99,7 @@ class LogicHost(Generic[Machine]):
         create_deferred_service(self._node, ros_class(kind.ROS_TYPE), own_name, serve)
 
     def calls(self, kind: Any, name: str) -> None:
-        """Create a client for a service that the machine calls."""
+        """Create a client for a service that the state machine calls."""
         self._clients[name] = self._node.create_client(ros_class(kind.ROS_TYPE), name)
 
     # Events
@@ -109,11 +109,11 @@ class LogicHost(Generic[Machine]):
         return Now(time.monotonic(), self._node.get_clock().now().nanoseconds)
 
     def lifecycle(self, event: LifecycleEvent) -> None:
-        """Notify the machine of a life-cycle event of its node."""
+        """Notify the state machine of a life-cycle event of its node."""
         self._dispatch(lambda now: self._logic.on_lifecycle(event, now))
 
     def receive(self, topic: str, message: Any) -> None:
-        """Pass a message to the machine."""
+        """Pass a message to the state machine."""
         if topic == stops.TOPIC and message.data:
             self._stop_publishers |= self._present_publishers()
         self._dispatch(lambda now: self._logic.on_message(topic, message, now))
@@ -125,7 +125,7 @@ class LogicHost(Generic[Machine]):
         answer: Callable[[Any], None],
         feedback: Callable[[Any], None] | None = None,
     ) -> int:
-        """Pass a request to the machine, which responds now or later. Return the request's
+        """Pass a request to the state machine, which responds now or later. Return the request's
         token."""
         token = next(self._tokens)
         self._requests[token] = answer
@@ -135,11 +135,11 @@ class LogicHost(Generic[Machine]):
         return token
 
     def cancel(self, token: int) -> None:
-        """Notify the machine that a goal was cancelled."""
+        """Notify the state machine that a goal was cancelled."""
         self._dispatch(lambda now: self._logic.on_request("cancel", None, token, now))
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """Evaluate a query without side effects on the machine, mutually exclusive with its
+        """Evaluate a query without side effects on the state machine, never during one of its
         handlers."""
         with self._lock:
             return query(self.now())
@@ -168,8 +168,8 @@ class LogicHost(Generic[Machine]):
 
     def _perform(self, effect: fx.Effect) -> None:
         if isinstance(effect, fx.Publish):
-            # When the node shuts down, the machine still publishes its last state, but the context
-            # is invalid.
+            # When the node shuts down, the state machine still publishes its last state, but the
+            # context is no longer valid.
             if self._node.context.ok():
                 self._publishers[effect.topic].publish(to_ros(effect.message))
                 if effect.topic in self._observers:
@@ -215,7 +215,7 @@ class LogicHost(Generic[Machine]):
                 self.stop_file.keep(effect.content)
         except OSError as error:
             what = "stop" if isinstance(effect, fx.KeepStop) else "goal"
-            self._node.get_logger().warning(f"a restart would lose this {what}: {error}")
+            self._node.get_logger().warning(f"a restart of the node would lose the {what}: {error}")
 
     def later(self, action: Callable[[], None]) -> None:
         """Run an action in the executor's thread after its current callback."""
@@ -303,7 +303,7 @@ class LogicHost(Generic[Machine]):
         return job in self._abandoned
 
     def progress(self, event: fx.JobProgress) -> None:
-        """Pass the progress of a job to the machine."""
+        """Pass the progress of a job to the state machine."""
         self._dispatch(lambda now: self._logic.on_job(event, now))
 
 

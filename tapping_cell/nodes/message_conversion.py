@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import importlib
 import operator
@@ -35,15 +36,26 @@ def ros_class(name: str) -> Any:
 
 def to_ros(message: Mirrored) -> Any:
     """Convert a dataclass of :mod:`tapping_cell.messages` to its ROS message."""
-    made = ros_class(message.ROS_TYPE)()
-    for field in dataclasses.fields(message):
-        value = getattr(message, field.name)
+    # The constructor of a ROS message builds every nested message, which would be replaced here.
+    made = copy.copy(_default(message.ROS_TYPE))
+    for name in _names(type(message)):
+        value = getattr(message, name)
         if isinstance(value, list):
             value = [to_ros(v) if hasattr(v, "ROS_TYPE") else v for v in value]
         elif hasattr(value, "ROS_TYPE"):
             value = to_ros(value)
-        setattr(made, field.name, value)
+        setattr(made, name, value)
     return made
+
+
+@cache
+def _names(kind: type[Mirrored]) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(kind))
+
+
+@cache
+def _default(name: str) -> Any:
+    return ros_class(name)()
 
 
 def from_ros(message: Any, kind: type[Mirror]) -> Mirror:
@@ -65,7 +77,9 @@ def _reader(hint: Any) -> Convert:
         if hasattr(inner, "ROS_TYPE"):
             return lambda values: [from_ros(value, inner) for value in values]
         # rclpy returns numeric sequences as numpy arrays or as arrays of the standard library.
-        return lambda values: [inner(value) for value in values]
+        return lambda values: (
+            values.tolist() if hasattr(values, "tolist") else [inner(value) for value in values]
+        )
     if hasattr(hint, "ROS_TYPE"):
         return lambda value: from_ros(value, hint)
     return lambda value: value

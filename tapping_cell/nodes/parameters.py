@@ -42,7 +42,7 @@ def declare(node: Node, kind: type[Parameters], changeable: tuple[str, ...] = ()
             node.undeclare_parameter(name)
         elif not name.startswith(FOREIGN_PREFIXES):
             raise ConfigurationError(
-                f"{node.get_name()}: unknown parameter '{name}'; the parameters here are "
+                f"{node.get_name()}: unknown parameter '{name}'; this node's parameters are "
                 + ", ".join(sorted(names))
             )
     for entry in fields:
@@ -79,7 +79,7 @@ def read(node: Node, kind: type[Parameters]) -> Parameters:
 
 
 def _type_name(hint: Any) -> str:
-    return {float: "a double", int: "an integer", bool: "a truth value", str: "a text"}[hint]
+    return {float: "a double", int: "an integer", bool: "true or false", str: "a text"}[hint]
 
 
 def _descriptor(limits: Limits, hint: Any) -> ParameterDescriptor:

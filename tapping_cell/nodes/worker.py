@@ -10,7 +10,7 @@ Job = Callable[[], None]
 
 
 class Worker:
-    """Run jobs one after another. While there are none, call ``idle`` every ``period`` seconds.
+    """Run jobs one after another. While no job is queued, call ``idle`` every ``period`` seconds.
 
     An exception from a job or from ``idle`` ends the thread and is stored in ``error``, which the
     node must check. A job must catch the failures that it expects.

@@ -50,13 +50,12 @@ def expected_taps(
         sizes: lengths of the tap, m, above 0.
         turns: rotations of the tap, rad.
     """
-    box, camera, scatter = settings.stopping, settings.camera, settings.scatter
-    share = max(scatter.distance, LEAST_SCATTER.distance)
-    rough = max(scatter.rotation, LEAST_SCATTER.rotation)
+    box, camera = settings.stopping, settings.camera
+    scatter = settings.scatter.at_least(LEAST_SCATTER)
     camera_noise = 2.0 * camera.position**2
     floor = LEAST_DEVIATION * box.distance
-    along = np.sqrt((share * sizes) ** 2 + camera_noise + floor**2)
-    across = np.sqrt((scatter.direction * sizes) ** 2 + camera_noise)
+    along = np.sqrt(scatter.along(sizes) ** 2 + camera_noise + floor**2)
+    across = np.sqrt(scatter.across(sizes) ** 2 + camera_noise)
     ahead = distance * np.cos(aside)[:, None] - sizes
     beside = np.broadcast_to(-distance * np.sin(aside)[:, None], ahead.shape)
     lengths = np.hypot(
@@ -67,7 +66,7 @@ def expected_taps(
 
     sense = -1.0 if rotation < 0.0 else 1.0
     deviation = np.sqrt(
-        (rough * turns) ** 2 + 2.0 * camera.angle**2 + (LEAST_DEVIATION * box.rotation) ** 2
+        scatter.turning(turns) ** 2 + 2.0 * camera.angle**2 + (LEAST_DEVIATION * box.rotation) ** 2
     )
     after, after_in = folded_weights(solution.rotations, abs(rotation) - sense * turns, deviation)
     value, near = solution.value, slice(0, FINE_STEPS + 1)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from tapping_cell.planning.fixed_policy import LOST, Grid, Solution, scatter_points
+from tapping_cell.planning.fixed_policy import LEAST_SCATTER, LOST, Grid, Solution, scatter_points
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, Lines
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import PlannerSettings
@@ -178,7 +178,8 @@ class _Problem:
         self.least = lines.least.astype(np.float32)
         most = np.minimum(lines.most, settings.largest_distance)
         self.most = np.maximum(most, lines.least).astype(np.float32)
-        self.points = scatter_points(settings, points).astype(np.float32)
+        self.scatter = settings.scatter.at_least(LEAST_SCATTER)
+        self.points = scatter_points(points).astype(np.float32)
         self._make_axes(far + 2.0 * settings.largest_distance)
         self._row = np.linspace(0.0, 1.0, lengths, dtype=np.float32)
         self._per_tapper = lengths + 2
@@ -233,11 +234,10 @@ class _Problem:
         error = self.error[rows]
         heading = np.take_along_axis(self.heading[rows], tapper, axis=1)
         slope = np.take_along_axis(self.slope[rows], tapper, axis=1)
-        size = length[..., None] * (1 + points[:, 0])
-        turned = heading[..., None] + points[:, 2]
+        size, turned, turn = self._scattered(heading, slope, length, points)
         x = error[:, 0, None, None] + size * np.cos(turned)
         y = error[:, 1, None, None] + size * np.sin(turned)
-        turn = (length * slope)[..., None] * (1 + points[:, 1]) + error[:, 2, None, None]
+        turn += error[:, 2, None, None]
         turn -= np.float32(2.0 * math.pi) * np.rint(turn * np.float32(0.5 / math.pi))
         entry = self._axes[0].index(x)
         entry += self._axes[1].index(y)
@@ -247,6 +247,20 @@ class _Problem:
         entry[inside] = self.entries + 1
         entry[~np.take_along_axis(self.usable[rows], tapper, axis=1)] = self.entries + 2
         return entry
+
+    def _scattered(
+        self, heading: Singles, slope: Singles, length: Singles, points: Singles
+    ) -> tuple[Singles, Singles, Singles]:
+        """Lengths, headings and rotations of taps at every scatter point: the given shape, (p,)."""
+        turn = length * slope
+        along = self.scatter.along(length).astype(np.float32)
+        turning = self.scatter.turning(turn).astype(np.float32)
+        across = self.scatter.across(length).astype(np.float32) / length
+        return (
+            length[..., None] + along[..., None] * points[:, 0],
+            heading[..., None] + across[..., None] * points[:, 2],
+            turn[..., None] + turning[..., None] * points[:, 1],
+        )
 
     def _table(self, value: Array) -> Singles:
         """Flat table of W with points halfway between the grid points. Three entries follow: W
@@ -308,11 +322,10 @@ class _Problem:
         """Return W of a fixed policy, iterated from the initial ``value``."""
         every = np.arange(self.rows.size)
         heading, slope = self.heading[every, tapper], self.slope[every, tapper]
-        size = length[:, None] * (1 + self.points[:, 0])
-        turned = heading[:, None] + self.points[:, 2]
+        size, turned, turn = self._scattered(heading, slope, length, self.points)
         x = self.error[:, 0, None] + size * np.cos(turned)
         y = self.error[:, 1, None] + size * np.sin(turned)
-        turn = self.error[:, 2, None] + (length * slope)[:, None] * (1 + self.points[:, 1])
+        turn += self.error[:, 2, None]
         turn -= np.float32(2.0 * math.pi) * np.rint(turn * np.float32(0.5 / math.pi))
         corners, weights, beyond = self._corners(x, y, turn)
         share = 1.0 / len(self.points)

@@ -19,14 +19,14 @@ from scipy.ndimage import map_coordinates
 from scipy.special import ndtri
 
 from tapping_cell.planning.interface import Array
-from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.settings import Scatter
 from tapping_cell.se2 import wrap_angle
 
 LOST = 40.0
 """Cost, in taps, of a state without a tap towards the goal or of a forbidden state."""
 
-LEAST_SCATTER = (0.02, 0.04, 0.003)
-"""Minimum scatter that plans assume: distance, rotation (shares) and direction (rad)."""
+LEAST_SCATTER = Scatter(0.02, 0.04, 0.003)
+"""Minimum scatter that plans assume."""
 
 
 class Grid(NamedTuple):
@@ -75,24 +75,24 @@ class Solution:
         return np.asarray(map_coordinates(self.value, where, order=1, mode="constant", cval=LOST))
 
 
-def scatter_points(settings: PlannerSettings, count: int) -> Array:
-    """Equally likely deviations of a tap, (count, 3): relative distance and rotation, and direction
-    (rad)."""
-    scatter = settings.scatter
+def scatter_points(count: int) -> Array:
+    """Equally likely deviations of a tap, (count, 3): distance, rotation and direction, in standard
+    deviations."""
     # Roberts' additive recurrence: evenly distributed in the cube and deterministic.
     root = 1.2207440846057596
     steps = np.outer(np.arange(1, count + 1), 1.0 / root ** np.arange(1, 4))
     drawn = ndtri((0.5 + steps) % 1.0)
-    drawn = (drawn - drawn.mean(axis=0)) / drawn.std(axis=0)
-    deviation = np.maximum([scatter.distance, scatter.rotation, scatter.direction], LEAST_SCATTER)
-    return np.asarray(drawn * deviation)
+    return np.asarray((drawn - drawn.mean(axis=0)) / drawn.std(axis=0))
 
 
-def states_after(error: Array, heading: Array, slope: Array, length: Array, points: Array) -> Array:
+def states_after(
+    error: Array, heading: Array, slope: Array, length: Array, scatter: Scatter, points: Array
+) -> Array:
     """Errors after taps at every scatter point: (..., k, p, 3) for lengths (..., k)."""
-    size = length[..., None] * (1.0 + points[:, 0])
-    turned = heading[..., None] + points[:, 2]
-    turn = length[..., None] * slope[..., None] * (1.0 + points[:, 1])
+    length, turn = length[..., None], (length * slope)[..., None]
+    size = length + scatter.along(length) * points[:, 0]
+    turned = heading[..., None] + scatter.across(length) / length * points[:, 2]
+    turn = turn + scatter.turning(turn) * points[:, 1]
     return np.stack(
         [
             error[..., 0, None] + size * np.cos(turned),

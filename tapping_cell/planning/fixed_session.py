@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from tapping_cell.planning.fixed_iteration import OUTER
 from tapping_cell.planning.fixed_policy import (
+    LEAST_SCATTER,
     LOST,
     expected_taps,
     scatter_points,
@@ -96,7 +97,8 @@ class FixedTapperSession(GoalSession):
         self._missed: frozenset[int] = frozenset()
         self._skipped: frozenset[int] = frozenset()
         self._solver = GoalSolver() if solver is None else solver
-        self._points = scatter_points(settings, POINTS)
+        self._scatter = settings.scatter.at_least(LEAST_SCATTER)
+        self._points = scatter_points(POINTS)
         self.use_free_space(space)
 
     @property
@@ -237,13 +239,14 @@ class FixedTapperSession(GoalSession):
         allowed = self._ends_well(pose, commanded, expected)
         if not np.any(allowed):
             return None
-        size = np.hypot(expected[..., 0], expected[..., 1])
+        size = np.maximum(np.hypot(expected[..., 0], expected[..., 1]), 1e-9)
         # The error is object minus goal. The scatter is the one that the goal was solved with.
         after = states_after(
             np.broadcast_to(-left, (*size.shape, 3)),
             np.arctan2(expected[..., 1], expected[..., 0]),
-            expected[..., 2] / np.maximum(size, 1e-12),
+            expected[..., 2] / size,
             size,
+            self._scatter,
             self._points,
         )
         box = self.settings.stopping
@@ -280,8 +283,7 @@ class FixedTapperSession(GoalSession):
     def _way(self, pose: Array, commanded: Array, expected: Array, deviations: float) -> Array:
         """Points on slides (tappers, n, 3) whose length and direction deviate by this many standard
         deviations: (tappers, n, 3 directions, points, 2), m in `table`."""
-        # The spread depends only on the rotation per distance, which is constant for a tapper.
-        spread = self.gains.spread(commanded[:, :1], self.settings.scatter, deviations)
+        spread = self.gains.spread(commanded, self.settings.scatter, deviations)
         size = np.hypot(expected[..., 0], expected[..., 1])
         heading = np.arctan2(expected[..., 1], expected[..., 0])
         longest = size * (spread.longest if self._adapt else 1.0)

@@ -217,14 +217,16 @@ class Gains:
         moved = np.hypot(seen[..., 0], seen[..., 1])
         usable = np.isfinite(moved) & np.isfinite(seen[..., 2]) & np.isfinite(asked)
         usable = usable & (asked > LEAST_MOVE)
-        camera_noise = math.sqrt(2.0) * camera.position
-        least = np.where(usable, np.maximum(moved, max(camera_noise, LEAST_MOVE)), 1.0)
+        # The parts of the error that do not depend on the size of the tap.
+        place = math.hypot(math.sqrt(2.0) * camera.position, scatter.position_floor)
+        angle = math.hypot(math.sqrt(2.0) * camera.angle, scatter.angle_floor)
+        least = np.where(usable, np.maximum(moved, max(place, LEAST_MOVE)), 1.0)
         size = np.where(usable, asked, 1.0)
         slope = np.where(usable, command[..., 2], 0.0) / size
         heading = np.where(usable, np.arctan2(command[..., 1], command[..., 0]), 0.0)
         went = np.where(usable, np.arctan2(seen[..., 1], seen[..., 0]), 0.0)
         blank = np.where(usable, 0.0, math.nan)
-        aim = camera_noise / least
+        aim = place / least
         zero = np.zeros_like(aim)
 
         distance, known = self.distance.observe(
@@ -235,13 +237,13 @@ class Gains:
             np.hypot(scatter.distance, aim),
         )
         # The direction and the rotation per distance of a very short slide are not measurable.
-        still = np.where(moved > 3.0 * camera_noise, blank, math.nan)
+        still = np.where(moved > 3.0 * place, blank, math.nan)
         rotation, turned = self.rotation.observe(
             ROTATION,
             np.stack([slope, *_directions(went - np.asarray(orientation, dtype=float))], axis=-1),
             seen[..., 2] / least + still,
             zero + math.hypot(scatter.rotation, scatter.distance),
-            np.hypot(LEAST_SLOPE, math.sqrt(2.0) * camera.angle / least),
+            np.hypot(LEAST_SLOPE, angle / least),
         )
         direction, aimed = self.direction.observe(
             DIRECTION,
@@ -270,16 +272,17 @@ class Gains:
         """
         command = np.asarray(commanded, dtype=float)
         length = np.hypot(command[..., 0], command[..., 1])
-        slope = command[..., 2] / np.maximum(length, 1e-12)
+        size = np.maximum(length, LEAST_MOVE)
+        slope = command[..., 2] / size
         high, low = float(ndtr(deviations)), float(ndtr(-deviations))
-        one = np.ones(self.taken.shape)
-        longest = self.distance.quantile(one[..., None], high, scatter.distance * one)
-        aim = self.direction.quantile
-        both = np.stack([np.ones_like(slope), slope], axis=-1)
-        aside = np.stack(
-            [aim(both, end, np.full(slope.shape, scatter.direction)) for end in (low, high)],
-            axis=-1,
-        )
+        one = np.ones_like(slope)
+        # Without a floor the quantile is the same for all taps of an object, which saves time.
+        every = size if scatter.position_floor > 0.0 else np.ones(self.taken.shape)
+        stretch = scatter.along(every) / every
+        longest = self.distance.quantile(np.ones((*every.shape, 1)), high, stretch)
+        both = np.stack([one, slope], axis=-1)
+        aim = scatter.across(size) / size
+        aside = np.stack([self.direction.quantile(both, end, aim) for end in (low, high)], axis=-1)
         expected = self.value[..., 2] + self.value[..., 3] * slope
         factor = np.exp(longest) / self.value[..., 0]
         return Spread(np.broadcast_to(factor, slope.shape), aside - expected[..., None])
@@ -295,17 +298,18 @@ class Gains:
         command = np.asarray(commanded, dtype=float)
         x, y, turn = self.predict(command, orientation).tolist()
         length = math.hypot(x, y)
-        slope = command[2] / max(math.hypot(command[0], command[1]), 1e-12)
+        size = max(math.hypot(command[0], command[1]), LEAST_MOVE)
+        slope = command[2] / size
 
         def half(belief: Belief, numbers: list[float], noise: float) -> float:
             low, high = (belief.quantile(numbers, share, noise) for share in _ONE_DEVIATION)
             return float(high - low) / 2
 
         travel = math.atan2(y, x) - orientation
-        stretch = half(self.distance, [1.0], scatter.distance)
-        aside = half(self.direction, [1.0, slope], scatter.direction)
+        stretch = half(self.distance, [1.0], float(scatter.along(size)) / size)
+        aside = half(self.direction, [1.0, slope], float(scatter.across(size)) / size)
         drift = [slope, *(float(part) for part in _directions(np.asarray(travel)))]
-        twist = half(self.rotation, drift, scatter.rotation * abs(slope))
+        twist = half(self.rotation, drift, float(scatter.turning(command[2])) / size)
         effects = np.array(
             [
                 [stretch * x, stretch * y, stretch * turn],

@@ -70,7 +70,11 @@ class MountBelief:
         pose, seen = np.asarray(before, dtype=float), np.asarray(moved, dtype=float)
         distance = float(np.hypot(seen[0], seen[1]))
         camera_noise = math.sqrt(2.0) * camera.position
-        if not np.all(np.isfinite(seen)) or distance <= 3.0 * camera_noise or distance < 1e-6:
+        if (
+            not np.all(np.isfinite(seen))
+            or distance <= 3.0 * math.hypot(camera_noise, scatter.position_floor)
+            or distance < 1e-6
+        ):
             return self
         mean, spread = self.mean[index], self.covariance[index]
         shifts = np.array([[0.0, 0.0], [STEPS[0], 0.0], [0.0, STEPS[1]]])
@@ -88,9 +92,9 @@ class MountBelief:
         error = np.array([wrap_angle(went - told[0, 0]), seen[2] / distance - told[0, 1]])
         noise = np.diag(
             [
-                scatter.direction**2 + (camera_noise / distance) ** 2,
+                (float(scatter.across(distance)) ** 2 + camera_noise**2) / distance**2,
                 (scatter.rotation**2 + scatter.distance**2) * told[0, 1] ** 2
-                + 2.0 * (camera.angle / distance) ** 2
+                + (2.0 * camera.angle**2 + scatter.angle_floor**2) / distance**2
                 + (camera_noise / distance * told[0, 1]) ** 2,
             ]
         )

@@ -20,9 +20,10 @@ def smallest_tap_share(settings: PlannerSettings) -> float:
     length from the goal and point straight towards it."""
     least, scatter, camera = settings.smallest_distance, settings.scatter, settings.camera
     # One observation is used for aiming the tap and another one for judging it.
-    camera_noise, turn = 2.0 * camera.position**2, 2.0 * camera.angle**2
-    along = (scatter.distance * least) ** 2 + camera_noise
-    across = (scatter.direction * least) ** 2 + camera_noise
+    camera_noise = 2.0 * camera.position**2
+    turn = 2.0 * camera.angle**2 + scatter.angle_floor**2
+    along = float(scatter.along(least)) ** 2 + camera_noise
+    across = float(scatter.across(least)) ** 2 + camera_noise
     box = settings.stopping
     spread = np.diag([along, across, 0.0])
     placed = float(inside_probability(np.zeros(3), spread, box.distance, math.pi))
@@ -38,12 +39,15 @@ def precision_limit(settings: PlannerSettings) -> str:
     if share >= LEAST_SHARE or not settings.stopping.camera_suffices:
         return ""
     least, scatter = settings.smallest_distance, settings.scatter
-    along, across = scatter.distance * least, scatter.direction * least
+    along, across = float(scatter.along(least)), float(scatter.across(least))
+    turned = ""
+    if scatter.angle_floor > 0.0:
+        turned = f" and by {math.degrees(scatter.angle_floor):.2g} degrees in rotation"
     return (
         f"the tolerance of {1e3 * settings.tolerance_position:.3g} mm and "
         f"{math.degrees(settings.tolerance_angle):.3g} degrees is too fine for the smallest tap: "
         f"its {1e3 * least:.3g} mm scatter by {1e3 * along:.2g} mm in distance and "
-        f"{1e3 * across:.2g} mm across, so that {100.0 * share:.2g} % of such taps would end "
-        f"inside; {100.0 * LEAST_SHARE:.0f} % are needed. Widen the tolerance, or make smaller or "
-        "more even taps (smallest_tap and scatter of the object's file)"
+        f"{1e3 * across:.2g} mm across{turned}, so that {100.0 * share:.2g} % of such taps would "
+        f"end inside; {100.0 * LEAST_SHARE:.0f} % are needed. Widen the tolerance, or make smaller "
+        "or more even taps (smallest_tap and scatter of the object's file)"
     )

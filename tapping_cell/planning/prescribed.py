@@ -11,7 +11,7 @@ large errors of the model (``MODEL_DEVIATION``).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -315,10 +315,11 @@ class PrescribedSession:
 def cautious(space: StrikeSpace) -> Scatter:
     """Combine the scatter of a space's taps with the error of the model."""
     known, model = space.scatter, MODEL_DEVIATION
-    return Scatter(
-        math.hypot(known.distance, model.distance),
-        math.hypot(known.rotation, model.rotation),
-        math.hypot(known.direction, model.direction),
+    return replace(
+        known,
+        distance=math.hypot(known.distance, model.distance),
+        rotation=math.hypot(known.rotation, model.rotation),
+        direction=math.hypot(known.direction, model.direction),
     )
 
 

@@ -405,8 +405,8 @@ class PositioningSession(GoalSession):
         if self.taps >= self._most_taps:
             return Refusal(
                 RefusalReason.TOO_MANY_TAPS,
-                f"{self.taps} taps did not bring the object to the goal, the limit is "
-                f"{self._most_taps}; check the striker, the camera and the object's file",
+                f"the object is not at the goal after {self.taps} of at most {self._most_taps}"
+                " taps; allow more, or check the striker, the camera and the object's file",
             )
         return None
 
@@ -517,8 +517,8 @@ class PositioningSession(GoalSession):
             return Refusal(
                 RefusalReason.NO_CONTACT,
                 f"no contact of the object at {place} gives a safe tap that makes progress: "
-                f"its edges transmit only impulses within the friction cone (first: {first}); "
-                "turn the object by hand, or move it towards the middle",
+                "its edges transmit only impulses within the friction cone (the preferred tap: "
+                f"{first}); turn the object by hand, or move it towards the middle",
             )
         longest = self._longest_factor()
         if trusted and not allowed and longest > UNKNOWN:

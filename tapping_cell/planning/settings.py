@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
@@ -32,20 +33,43 @@ def _check_range(owner: object, name: str, low: float, high: float, unit: str) -
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Standard deviations of a tap's result: relative distance, relative rotation, direction (rad).
+    """Standard deviations of a tap's result.
 
-    The first two were measured by Huang and Mason, section 3.1.1; the direction is an assumption.
+    distance, rotation: shares of the tap's distance and rotation. direction: rad. They were
+    measured by Huang and Mason, section 3.1.1, except the direction, which is an assumption.
+    position_floor (m, along and across the tap), angle_floor (rad): parts that do not decrease with
+    the size of the tap.
     """
 
     distance: float = 0.05
     rotation: float = 0.15
     direction: float = math.radians(1.0)
+    position_floor: float = 0.0
+    angle_floor: float = 0.0
+
+    def along(self, distance: ArrayLike) -> Array:
+        """Standard deviations of the end along the tap, m, for taps of these distances in m."""
+        return np.hypot(self.distance * np.asarray(distance), self.position_floor)
+
+    def across(self, distance: ArrayLike) -> Array:
+        """Standard deviations of the end across the tap, m, for taps of these distances in m."""
+        return np.hypot(self.direction * np.asarray(distance), self.position_floor)
+
+    def turning(self, rotation: ArrayLike) -> Array:
+        """Standard deviations of the rotation for taps with these rotations, rad."""
+        return np.hypot(self.rotation * np.asarray(rotation), self.angle_floor)
+
+    def at_least(self, other: Scatter) -> Scatter:
+        """Return the larger of both values for each standard deviation."""
+        return Scatter(*(max(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
     def __post_init__(self) -> None:
-        """Refuse shares outside [0, 1] and directions outside [0, 0.5] rad (PlanningError)."""
+        """Refuse values out of range (PlanningError)."""
         _check_range(self, "distance", 0.0, 1.0, "(share of the distance)")
         _check_range(self, "rotation", 0.0, 1.0, "(share of the rotation)")
         _check_range(self, "direction", 0.0, 0.5, "rad")
+        _check_range(self, "position_floor", 0.0, 0.05, "m")
+        _check_range(self, "angle_floor", 0.0, 0.5, "rad")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +80,14 @@ class CameraNoise:
     angle: float = 0.0
 
     @property
+    def deviations(self) -> Array:
+        """Standard deviations of an observation's x, y (m) and angle (rad), (3,)."""
+        return np.array([self.position, self.position, self.angle])
+
+    @property
     def covariance(self) -> Array:
         """Covariance of an observation, (3, 3), m and rad."""
-        return np.diag([self.position**2, self.position**2, self.angle**2])
+        return np.diag(self.deviations**2)
 
     def __post_init__(self) -> None:
         """Refuse negative or absurd values (PlanningError)."""

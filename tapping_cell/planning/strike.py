@@ -161,14 +161,14 @@ class StrikeSpace:
         """
         start = np.asarray(object_pose, dtype=float)
         moved = np.asarray(displacement, dtype=float)
+        length = np.hypot(moved[..., 0], moved[..., 1])
         if spread is None:
-            reach = self.settings.footprint
-            aside = reach * self.scatter.direction
+            reach, size = self.settings.footprint, np.maximum(length, 1e-6)
+            aside = reach * self.scatter.across(size) / size
             spread = Spread(
-                np.full(moved.shape[:-1], 1.0 + reach * self.scatter.distance),
-                np.broadcast_to([-aside, aside], (*moved.shape[:-1], 2)),
+                1.0 + reach * self.scatter.along(size) / size, np.stack([-aside, aside], axis=-1)
             )
-        length = np.hypot(moved[..., 0], moved[..., 1]) * spread.longest
+        length = length * spread.longest
         heading = np.arctan2(moved[..., 1], moved[..., 0])
         right, left = spread.aside[..., :1], spread.aside[..., 1:]
         turned = np.concatenate([right, right / 2, np.zeros_like(left), left / 2, left], axis=-1)

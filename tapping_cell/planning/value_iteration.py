@@ -127,7 +127,7 @@ class _Problem:
     def __init__(self, settings: PlannerSettings, ratio: float) -> None:
         box = settings.stopping
         least, most, k = settings.smallest_distance, settings.largest_distance, settings.cone_slope
-        scatter, camera = settings.scatter, settings.camera
+        scatter, camera = settings.scatter.at_least(LEAST_SCATTER), settings.camera
         self.slope = k
         self.r, self.box_r = state_grid(box.distance, least, max(FARTHEST, 4.0 * most), ratio)
         self.theta, self.box_t = state_grid(box.rotation, k * least, math.pi, ratio)
@@ -144,13 +144,11 @@ class _Problem:
         )
 
         floor_r, floor_t = LEAST_DEVIATION * box.distance, LEAST_DEVIATION * box.rotation
-        distance_share = max(scatter.distance, LEAST_SCATTER.distance)
-        rotation_share = max(scatter.rotation, LEAST_SCATTER.rotation)
         camera_r, camera_t = 2.0 * camera.position**2, 2.0 * camera.angle**2
-        along = np.sqrt((distance_share * self.taps) ** 2 + camera_r + floor_r**2)
-        aside = np.sqrt((scatter.direction * self.taps) ** 2 + camera_r)
+        along = np.sqrt(scatter.along(self.taps) ** 2 + camera_r + floor_r**2)
+        aside = np.sqrt(scatter.across(self.taps) ** 2 + camera_r)
         self.p_r = _radial_weights(self.r, self.r[:, None] - self.taps, along, aside)
-        spread = np.sqrt((rotation_share * self.turns) ** 2 + camera_t + floor_t**2)
+        spread = np.sqrt(scatter.turning(self.turns) ** 2 + camera_t + floor_t**2)
         self.p_t = folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
 
     def solved(self, value: Values) -> Solution:

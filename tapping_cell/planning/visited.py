@@ -1,6 +1,6 @@
 """Memory of the poses from which a goal was not reached yet, against going round in circles.
 
-The ranking of alternative taps observations one tap ahead. Where the way that it estimates is not
+The ranking of alternative taps plans one tap ahead. Where the way that it estimates is not
 possible, for example because a polygon cannot be struck along it, the best tap may lead to a pose
 whose best tap leads back. Learning real-time A* (Korf, Artificial Intelligence 42, 1990) escapes:
 each visited pose keeps the cost that the best tap promised from there, and a tap that would end

@@ -1,4 +1,4 @@
-"""Figures of arranged scenes: before, between and after, with goals and the objects' paths."""
+"""Figures of arranged scenes at the start, half-way and at the end, with goals and paths."""
 
 from __future__ import annotations
 

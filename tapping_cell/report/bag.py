@@ -151,9 +151,7 @@ class BagWriter:
         """
         topic = self._topics.get(name)
         if topic is None:
-            raise BagError(
-                f"the topic {name} was not added to {self.folder}; add_topic comes first"
-            )
+            raise BagError(f"the topic {name} was not added to {self.folder}; call add_topic first")
         self._storage  # noqa: B018 - raises BagError if the bag is closed
         self._writer.write(topic, stamp, data)
         self._fresh += 1
@@ -162,7 +160,7 @@ class BagWriter:
         """Pass all written messages to the operating system as a complete chunk of the file.
 
         The chunk survives a crash of this process. It is not synchronised with the disk, because
-        that takes too long while the arm moves. So a power cut may lose the last seconds.
+        that takes too long while the arm moves. A power cut may therefore lose the last seconds.
 
         Raises:
             OSError: the disk is full or not available.
@@ -236,8 +234,8 @@ def bag_file(path: Path) -> Path:
         return path
     files = sorted(path.glob("*.mcap"))
     if len(files) != 1:
-        found = f"{len(files)} of them" if files else "none"
-        raise BagError(f"{path} must be an .mcap file, or a folder with one; there is {found}")
+        found = str(len(files)) if files else "none"
+        raise BagError(f"{path} must be an .mcap file, or a folder with exactly one; found {found}")
     return files[0]
 
 
@@ -245,7 +243,7 @@ def read_bag(path: Path) -> Bag:
     """Read a bag from its folder or file in order of time, even if its writer was killed.
 
     Raises:
-        BagError: this is not a ROS 2 bag, or it is damaged before its first message.
+        BagError: ``path`` is not a ROS 2 bag, or the bag is damaged before its first message.
     """
     file = bag_file(path)
     schemas: dict[int, tuple[str, str, str]] = {}

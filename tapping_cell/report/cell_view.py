@@ -1,4 +1,4 @@
-"""``cell.png``: a plan view of a run, to scale, and the residual after each tap."""
+"""``cell.png``: a true-to-scale plan view of a run, and the residual after each tap."""
 
 from __future__ import annotations
 

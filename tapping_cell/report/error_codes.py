@@ -38,7 +38,7 @@ def codes() -> dict[int, Code]:
 
 
 def name(number: int) -> str:
-    """Return the name of a code, or its number if unknown, as in a bag of a later version."""
+    """Return the name of a code. An unknown code, such as a later version's, gives its number."""
     found = codes().get(number)
     return found.name if found else str(number)
 

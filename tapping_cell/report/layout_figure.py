@@ -82,7 +82,7 @@ def draw_layout(cell: Cell, path: Path) -> None:
     share = 100.0 * float(np.mean(cover.dead))
     axes.set_title(
         f"{cell.file.name}: {len(space.tappers)} tappers, working area of "
-        f"{1e3 * area.radius:.0f} mm radius, {share:.1f} % dead"
+        f"{1e3 * area.radius:.0f} mm radius, {share:.1f} % dead zone"
     )
     figure.savefig(path, dpi=120)
     plt.close(figure)

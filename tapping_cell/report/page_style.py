@@ -43,6 +43,13 @@ td{padding:3px 8px 3px 0;vertical-align:top;font-variant-numeric:tabular-nums}
 tr+tr{border-top:1px solid var(--line)}
 .scroll{overflow-x:auto}
 .wide th{border-bottom:1px solid var(--line)}.number{text-align:right}
+.sorts th button{font:inherit;color:inherit;background:none;border:0;padding:0;text-align:left;
+cursor:pointer}
+.sorts th button:hover{color:var(--ink)}
+.sorts [aria-sort] button{color:var(--ink);font-weight:600}
+.sorts button::after{content:" \\2195";opacity:.5}.sorts [aria-sort] button::after{opacity:1}
+.sorts [aria-sort=ascending] button::after{content:" \\25B2"}
+.sorts [aria-sort=descending] button::after{content:" \\25BC"}
 .trouble{border-left:5px solid var(--bad)}
 pre{overflow-x:auto;background:#f6f8fa;padding:10px;border-radius:6px;font-size:.82rem}
 details{margin:4px 0}summary{cursor:pointer;overflow-wrap:anywhere}

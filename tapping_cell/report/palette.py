@@ -1,6 +1,7 @@
 """Colours of drawings, charts and plots in reports.
 
-The operator's page has its own in ``nodes/page/static/style.css``, for light and dark mode."""
+The operator's page has its own colours in ``nodes/page/static/style.css``, for light and dark mode.
+"""
 
 from __future__ import annotations
 

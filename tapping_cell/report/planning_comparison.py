@@ -169,7 +169,8 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
     )
     axis.set_ylim(0.0, max(2.5 * turn, 12.0))
     axis.set_title(
-        f"cones of multi, error lines of {100 * planner.error_line:.0f} %: what remains", fontsize=9
+        f"remaining error: cones of multi, error lines of {100 * planner.error_line:.0f} %",
+        fontsize=9,
     )
     axis.legend(fontsize=7, loc="upper left")
 

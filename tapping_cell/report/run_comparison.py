@@ -115,28 +115,64 @@ def comparison_page(runs: Sequence[Run], links: Sequence[str]) -> str:
     return document(f"{len(rows)} runs compared", body)
 
 
+_COLUMNS = (
+    "run",
+    "outcome",
+    "planner",
+    "object",
+    "taps",
+    "distance at the start",
+    "measured residual",
+    "true residual",
+    "time",
+)
+# Numbers sort by the `data-key` of their cell, words by their text. Unknown values stay last in
+# both directions. A screen reader announces `aria-sort`.
+_SORTING = """
+for (const table of document.querySelectorAll("table.sorts")) {
+  const heads = [...table.tHead.rows[0].cells];
+  heads.forEach((head, column) => head.firstChild.addEventListener("click", () => {
+    const sign = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
+    const key = ({cells}) => cells[column].dataset.key ?? cells[column].textContent;
+    const order = (a, b) => a - b || a.localeCompare(b, "en", {numeric: true});
+    const compare = (a, b) =>
+      key(a) && key(b) ? sign * order(key(a), key(b)) : !key(a) - !key(b);
+    table.tBodies[0].append(...[...table.tBodies[0].rows].sort(compare));
+    heads.forEach((each) => each.removeAttribute("aria-sort"));
+    head.setAttribute("aria-sort", sign < 0 ? "descending" : "ascending");
+  }));
+}
+"""
+
+
 def _table(rows: Sequence[Row], links: Sequence[str]) -> str:
-    head = (
-        "<tr><th>run</th><th>outcome</th><th>planner</th><th>object</th><th>taps</th>"
-        "<th>distance at the start</th><th>measured residual</th><th>true residual</th>"
-        "<th>time</th></tr>"
-    )
+    """Return the table of the runs, which the reader sorts by a click on a column's heading."""
+    head = "".join(f'<th><button type="button">{name}</button></th>' for name in _COLUMNS)
     lines = []
     for row, link in zip(rows, links, strict=True):
         kind = "good-word" if row.outcome == "reached" else "bad-word"
         cells = (
-            f'<a href="{escape(link)}">{escape(row.name)}</a>',
-            f'<span class="{kind}">{escape(row.outcome)}</span>',
-            escape(row.planner),
-            escape(row.object_name),
-            str(row.taps),
-            _pair(row.start_distance, row.start_rotation),
-            _pair(row.distance, row.rotation),
-            _pair(row.true_distance, row.true_rotation),
-            f"{row.time:.1f} s",
+            f'<td><a href="{escape(link)}">{escape(row.name)}</a></td>',
+            f'<td><span class="{kind}">{escape(row.outcome)}</span></td>',
+            f"<td>{escape(row.planner)}</td>",
+            f"<td>{escape(row.object_name)}</td>",
+            _cell(row.taps, str(row.taps)),
+            _cell(row.start_distance, _pair(row.start_distance, row.start_rotation)),
+            _cell(row.distance, _pair(row.distance, row.rotation)),
+            _cell(row.true_distance, _pair(row.true_distance, row.true_rotation)),
+            _cell(row.time, f"{row.time:.1f} s"),
         )
-        lines.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-    return f'<div class="scroll"><table class="wide">{head}{"".join(lines)}</table></div>'
+        lines.append(f"<tr>{''.join(cells)}</tr>")
+    return (
+        f'<div class="scroll"><table class="wide sorts"><thead><tr>{head}</tr></thead>'
+        f"<tbody>{''.join(lines)}</tbody></table></div><script>{_SORTING}</script>"
+    )
+
+
+def _cell(value: float, text: str) -> str:
+    """Return a cell that sorts by its value."""
+    key = repr(value) if math.isfinite(value) else ""
+    return f'<td data-key="{key}">{text}</td>'
 
 
 def _groups(groups: Sequence[Group]) -> str:

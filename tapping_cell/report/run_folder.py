@@ -1,4 +1,4 @@
-"""The folder of a run: ``summary.json``, ``taps.csv``, ``cell.png`` and ``report.html`` of a bag.
+"""Files of a run folder: ``summary.json``, ``taps.csv``, ``cell.png`` and ``report.html``.
 
 All files are generated from the bag in the same folder and can be regenerated. Without the bag,
 figure and page can still be generated from summary and taps.
@@ -164,7 +164,7 @@ def _covariance(row: dict[str, str]) -> Covariance | None:
 
 
 def _learnt_columns() -> dict[str, tuple[str, float]]:
-    """Return the column of ``taps.csv`` and its factor from SI for each field of ``Learnt``."""
+    """Return column name in ``taps.csv`` and factor from SI units for each field of ``Learnt``."""
     columns = {}
     for field in fields(Learnt):
         suffix, unit = _LEARNT_UNITS.get(field.name.split("_")[0], ("", 1.0))
@@ -198,7 +198,7 @@ def write_folder(folder: Path, pictures: bool = True) -> Run:
 def write_failure(
     folder: Path, code: int, sentence: str, seed: int | None, wall_time: float
 ) -> None:
-    """Record the reason for the end of a run that the cell did not record; ``wall_time`` in s.
+    """Record why a run ended, if the cell did not record the end; ``wall_time`` in s.
 
     A run that was recorded to its end is not changed.
 

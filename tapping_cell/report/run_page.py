@@ -108,7 +108,7 @@ def headline(run: Run) -> str:
     taps = "1 tap" if len(run.taps) == 1 else f"{len(run.taps)} taps"
     if run.reached:
         return f"Goal reached in {taps}" if run.taps else "Goal reached without a tap"
-    words = _HEADLINES.get(run.outcome, "No end of the goal was recorded")
+    words = _HEADLINES.get(run.outcome, "The end of the goal was not recorded")
     return f"{words} after {taps}" if run.taps else words
 
 
@@ -298,7 +298,7 @@ def _timeline(run: Run) -> str:
     )
     return (
         f"<section><h2>Time</h2><svg class='band' viewBox='0 0 1000 70' role='img' "
-        f"aria-label='what the cell did when'>{''.join(pieces)}{marks}</svg>"
+        f"aria-label='activities of the cell over time'>{''.join(pieces)}{marks}</svg>"
         f"<p>{legend}</p></section>"
     )
 
@@ -370,7 +370,7 @@ def _close_up(run: Run, tap: TapRow) -> str:
 def _close_up_legend(run: Run) -> str:
     entries = [
         (START, "before"),
-        (PREDICTED, "predicted, its centre with 95 % in the ellipse"),
+        (PREDICTED, "predicted, with the 95 % ellipse of the centre"),
         (REST, "measured"),
         (STRIKE, "strike"),
     ]
@@ -388,8 +388,9 @@ def _move(move: Pose) -> str:
 
 def _gains(learnt: Learnt) -> str:
     return (
-        f"distance {learnt.distance:.2f} \u00b1 {learnt.distance_deviation:.2f}, rotation per "
-        f"distance {learnt.rotation:.2f} \u00b1 {learnt.rotation_deviation:.2f} of the model's"
+        f"relative to the model: distance {learnt.distance:.2f} \u00b1 "
+        f"{learnt.distance_deviation:.2f}, rotation per distance {learnt.rotation:.2f} \u00b1 "
+        f"{learnt.rotation_deviation:.2f}"
     )
 
 
@@ -442,7 +443,7 @@ def _troubles(run: Run) -> str:
     )
     return (
         "<section><h2>Warnings and errors</h2><div class='scroll'><table class='wide'>"
-        "<tr><th>when</th><th>topic</th><th>code</th><th>what, and what to do</th></tr>"
+        "<tr><th>when</th><th>topic</th><th>code</th><th>problem and remedy</th></tr>"
         f"{rows}</table></div></section>"
     )
 
@@ -458,7 +459,7 @@ def _configuration(run: Run) -> str:
     return (
         f"<section><h2>Configuration</h2>{files}<p>{seed}Versions: {escape(versions)}.</p>"
         f'<p class="quiet">Every topic of this run is in the bag beside this page: open '
-        "the <code>.mcap</code> file in Foxglove, or call <code>ros2 bag play bag</code>. This "
-        "page is made again by <code>python -m tapping_cell report</code> and the folder's name."
+        "the <code>.mcap</code> file in Foxglove, or call <code>ros2 bag play bag</code>. To "
+        "make this page again, call <code>python -m tapping_cell report</code> with the folder."
         "</p></section>"
     )

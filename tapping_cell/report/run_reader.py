@@ -81,7 +81,7 @@ def story_of(bag: Bag, name: str) -> Story:
         plan for plan in plans if plan.goal.header.frame_id and plan.state in range(1, len(PHASES))
     ]
     if report is None and not own:
-        raise BagError(f"{bag.path}: no goal was recorded in it")
+        raise BagError(f"{bag.path}: the bag contains no goal")
     last = report if report is not None else own[-1]
     refused = report is not None and report.refused
     since = float(notes.get("began", -math.inf))
@@ -149,7 +149,7 @@ def _notes(bag: Bag) -> dict[str, Any]:
         try:
             found.update(json.loads(message.data))
         except ValueError as error:
-            raise BagError(f"{bag.path}: its {NOTES} is not JSON: {error}") from error
+            raise BagError(f"{bag.path}: the topic {NOTES} is not JSON: {error}") from error
     return found
 
 
@@ -233,8 +233,8 @@ def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
 
 
 def _start(seen: list[tuple[float, Any]], asked: float, taps: Sequence[TapRow]) -> Pose | None:
-    """Return the resting pose at the beginning of a run. If the recorder connected to the camera's
-    node only after the first tap, it is the pose for which that tap was planned."""
+    """Return the resting pose at the beginning of a run, or the pose for which the first tap was
+    planned if the recorder connected to the camera's node only after that tap."""
     if taps and taps[0].number == 1 and all(at > asked + _SAME_TIME_S for at, _ in seen):
         return taps[0].before
     return _pose_at(seen, asked)
@@ -281,7 +281,7 @@ def _phases(plans: list[Any], began: float) -> tuple[Phase, ...]:
 
 
 def _troubles(bag: Bag, began: float, ended: float) -> tuple[Trouble, ...]:
-    """Return warnings and errors while the goal was active; a persistent one counts once."""
+    """Return warnings and errors while the goal was active; a persistent problem counts once."""
     found = []
     for speaker in _SPEAKERS:
         before = 0

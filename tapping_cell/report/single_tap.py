@@ -43,7 +43,7 @@ class ProfileView:
     ``seen_time``, ``seen_distance`` and ``seen_rotation`` (n,) are samples of the track.
     ``seen_speed`` and ``seen_spin`` are finite differences at the midpoints ``rate_time``, without
     the step that contains the impact. ``curve_*`` (k,) are predicted from the displacement, and
-    ``plain_*`` are the same with a torque factor of 1.
+    ``plain_*`` are the same curves with a torque factor of 1.
     """
 
     title: str
@@ -81,8 +81,8 @@ class SingleTapReport:
 
     ``labels`` are the runs of the trials. ``by_sliding`` contains displacements calculated from
     measured velocities, and velocities calculated from measured displacements. ``by_tapping``
-    contains both, calculated from the striker. ``own_friction`` is each trial's friction over the
-    shared one.
+    contains displacements and velocities calculated from the striker's motion. ``own_friction`` is
+    each trial's friction divided by the friction fitted to all trials.
     """
 
     title: str

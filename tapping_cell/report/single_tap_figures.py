@@ -134,14 +134,14 @@ def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
 
 
 def _residuals(figure: Figure, report: SingleTapReport) -> None:
-    """Draw measured over calculated initial velocities, and the friction, of each trial."""
+    """Draw for each trial the friction and the ratios of measured to calculated velocities."""
     left, middle, right = figure.subplots(1, 3)
     seen, slid, names = report.measured, report.by_sliding, np.array(report.labels)
     index = np.arange(1, len(names) + 1)
     columns = (
         (left, _percent(seen.speed, slid.speed), "initial speed: measured over calculated"),
         (middle, _percent(seen.spin, slid.spin), "initial spin: measured over calculated"),
-        (right, 100 * (report.own_friction - 1), "friction of the trial over that of all"),
+        (right, 100 * (report.own_friction - 1), "friction of the trial relative to all"),
     )
     for axes, values, title in columns:
         for label, (colour, mark) in _styles(report).items():
@@ -209,6 +209,6 @@ def _values(figure: Figure, report: SingleTapReport) -> None:
         )
     axes.axvline(0.0, color=INK, lw=1.0)
     axes.set_yticks(place, [p.name for p in rows])
-    axes.set_xlabel("fitted over old value, minus 1 (%), with the 95 % interval")
+    axes.set_xlabel("change from the old to the fitted value (%), with the 95 % interval")
     axes.grid(axis="x", **_GRID)
     axes.margins(x=0.25, y=0.15)

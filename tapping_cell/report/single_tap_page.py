@@ -19,13 +19,14 @@ _CAPTIONS = {
     "Crosses are calculated: displacements from the measured initial velocities, velocities from "
     "the measured displacements. Open marks: mean prediction from striker's speed and incidence.",
     figures.PROFILES: "Velocity profiles of single trials (as figure 4), predicted from the "
-    "displacement with the fitted torque factor. The fit itself compares poses, on the right, not "
-    "velocities.",
+    "displacement with the fitted torque factor. The fit itself compares the poses (right), not "
+    "the velocities.",
     figures.RESIDUALS: "Residuals of each trial: differences between measured and calculated "
     "values, and the friction of each trial alone.",
-    figures.ERRORS: "Prediction error of each run's mean. The last two include the tapper's own "
-    "scatter: the mean displacement of ten taps with 5 % scatter in speed scatters by 3 %.",
-    figures.VALUES: "Fitted values and 95 % intervals beside the old ones.",
+    figures.ERRORS: "Prediction error of each run's mean. The last two predictions include the "
+    "tapper's own scatter: the mean displacement of ten taps with 5 % scatter in speed scatters "
+    "by 3 %.",
+    figures.VALUES: "Fitted values with 95 % intervals, and the old values.",
 }
 
 

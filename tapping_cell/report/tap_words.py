@@ -12,11 +12,12 @@ from tapping_cell.se2 import Pose, wrap_angle
 WITHIN_95 = 7.81
 """95 % quantile of the chi-squared distribution with three degrees of freedom."""
 BESIDE = math.radians(25.0)
-"""Maximum angle between a tap and the direction to the goal at which the tap is aimed at it."""
+"""Maximum angle between a tap and the direction to the goal for the tap to count as aimed at the
+goal."""
 FARTHER = 1.15
-"""Fraction of the distance to the goal above which a tap overshoots the goal on purpose."""
+"""A tap whose travel exceeds this multiple of the distance to the goal overshoots on purpose."""
 SHORTER = 0.85
-"""Fraction of the distance to the goal below which a tap stops before the goal on purpose."""
+"""A tap whose travel is below this multiple of the distance to the goal stops short on purpose."""
 
 
 def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
@@ -26,8 +27,8 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
         parts.append(_purpose(tap, goal))
         if math.isfinite(tap.measured.x):
             parts.append(
-                f"It brought the object from {_left(tap.before, goal)} to "
-                f"{_left(tap.measured, goal)} of the goal."
+                f"Remaining error before the tap: {_left(tap.before, goal)}; after it: "
+                f"{_left(tap.measured, goal)}."
             )
     elif tap.reason:
         parts.append(f"Chosen because {tap.reason}.")
@@ -37,7 +38,7 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
 def _moved(tap: TapRow) -> str:
     expected = f"Expected to move the object by {_move(tap.before, tap.predicted)}"
     if not math.isfinite(tap.measured.x):
-        return f"{expected}; it was not seen afterwards."
+        return f"{expected}; the object was not seen afterwards."
     return f"{expected}; measured {_move(tap.before, tap.measured)}{_agreement(tap)}."
 
 
@@ -51,20 +52,20 @@ def _agreement(tap: TapRow) -> str:
     distance = float(off @ np.linalg.pinv(covariance, hermitian=True) @ off)
     if distance <= WITHIN_95:
         return ", within the scatter of a tap"
-    return ", outside the range that holds 95 % of taps: the next taps take it into account"
+    return ", outside the range of 95 % of taps; the next taps take this result into account"
 
 
 def _purpose(tap: TapRow, goal: Pose) -> str:
     """Describe how the tap relates to the goal; empty for other directions of travel."""
     if tap.reason:
-        return f"Not the tap straight to the goal, because {tap.reason}."
+        return f"This tap is not aimed straight at the goal, because {tap.reason}."
     to_goal = np.array([goal.x - tap.before.x, goal.y - tap.before.y])
     move = np.array([tap.predicted.x - tap.before.x, tap.predicted.y - tap.before.y])
     away, length = float(np.hypot(*to_goal)), float(np.hypot(*move))
     if away <= 0.0 or length <= 0.0:
         return ""
     turn = math.degrees(abs(tap.before.rotation_to(tap.predicted)))
-    needs = f"turning by {turn:.1f} deg takes a travel of {1000 * length:.1f} mm"
+    needs = f"a rotation of {turn:.1f} deg requires a travel of {1000 * length:.1f} mm"
     along = float(wrap_angle(math.atan2(move[1], move[0]) - math.atan2(to_goal[1], to_goal[0])))
     if abs(along) > math.pi - BESIDE:
         return f"It moves away from the goal on purpose: {needs}, and the next tap comes back."
@@ -78,7 +79,7 @@ def _purpose(tap: TapRow, goal: Pose) -> str:
     if length < SHORTER * away:
         return (
             f"It stops {1000 * (away - length):.1f} mm before the goal on purpose: a shorter tap "
-            "scatters less, and the last one can still turn the object."
+            "scatters less, and the last tap can still turn the object."
         )
     return "It aims straight at the goal."
 

@@ -22,5 +22,5 @@ OUTCOMES = ("none", "fired", "not fired", "unknown")
 
 
 def word(words: tuple[str, ...], number: int) -> str:
-    """Return the name of a number; ``unknown`` if none, as in messages of another version."""
+    """Return the name of a number; ``unknown`` if it has none, as in another version's messages."""
     return words[number] if 0 <= number < len(words) else "unknown"

@@ -62,11 +62,6 @@ def true_mounts(cell: Cell, truth: MountsTruth, seed: int) -> dict[str, Pose]:
     return mounts
 
 
-def numbered(port: str, board: int) -> str:
-    """Return the port of board number ``board``, such as ``tapper``, ``tapper_1``."""
-    return f"{port}_{board}" if port and board else port
-
-
 class FixedTapperBoard:
     """One emulated board and its strikers."""
 

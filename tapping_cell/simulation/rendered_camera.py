@@ -152,6 +152,7 @@ class SceneRenderer:
         self._still_key: tuple[tuple[float, ...], ...] = ()
         self._still_windows: list[tuple[slice, slice]] = []
         self._clean = self._background16.copy()
+        self._noisy = np.empty_like(self._background16)
         self._moving_windows: list[tuple[slice, slice]] = []
 
     def render(
@@ -182,7 +183,9 @@ class SceneRenderer:
                 cv2.fillPoly(clean, [corners], (level,), shift=4)
         if light != 1.0:
             clean = np.asarray(clean * light, dtype=np.int16)
-        noisy = np.maximum(cv2.add(clean, self._noise_field()), 0)
+        # In place: a new array of this size would cost as much time as the sum.
+        noisy = cv2.add(clean, self._noise_field(), dst=self._noisy)
+        cv2.threshold(noisy, 0.0, 0.0, cv2.THRESH_TOZERO, dst=noisy)
         return np.asarray(cv2.convertScaleAbs(noisy, alpha=1.0 / _FRACTION), dtype=np.uint8)
 
     def _light_map(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -52,6 +52,7 @@ class _Tap:
     flight: Flight
     scatter: _Scatter
     ends: float = math.inf
+    hit: bool = False
 
 
 class World:
@@ -105,8 +106,9 @@ class World:
         self.solid = Solid.of(body, offset, inertia)
         """The object's shape for collisions with other objects."""
         self._random = np.random.default_rng(random)
-        # A separate generator, so that measuring the speed does not change a tap's scatter.
-        self._gate_random = self._random.spawn(1)[0]
+        # Separate generators: measuring the speed does not change a tap's scatter, and a scatter of
+        # the end leaves the other errors of the taps as they are.
+        self._gate_random, self._end_random = self._random.spawn(2)
         self._tap: _Tap | None = None
         self._now = -math.inf
         # The current step: the motion is known at its beginning and at its end.
@@ -169,6 +171,7 @@ class World:
     def reseed(self, seed: int) -> None:
         """Restart the random numbers with a new seed."""
         self._random = np.random.default_rng(seed)
+        self._end_random = self._random.spawn(2)[1]
 
     def place(self, pose: Pose) -> None:
         """Place the object at a pose, at rest."""
@@ -266,6 +269,8 @@ class World:
         if gap <= TOUCH_M and closing > 0:
             after, length = contact.collide(before, flight)
             self._after = tap.scatter.apply(before, after)
+            if not tap.hit:
+                tap.hit, self._after = True, self._with_shifted_end(self._after)
             tap.ends = min(tap.ends, self._begun + self._truth.impact.follow_through)
             self._end(tap, self._begun + length)
             return length
@@ -287,6 +292,31 @@ class World:
         tap.flight, self._after = ahead, after
         self._end(tap, self._begun + length)
         return length
+
+    def _with_shifted_end(self, launch: Motion) -> Motion:
+        """Return a launch whose slide ends beside the original end by the floor of the scatter.
+
+        The errors of the end are converted to the launch with the deceleration at the beginning of
+        the slide: x = v^2 / 2 a, and theta = omega v / (a + alpha v / omega) for small spins, with
+        the decelerations a and alpha.
+        """
+        scatter, speed = self._truth.scatter, math.hypot(launch.vx, launch.vy)
+        if speed <= 0 or scatter.position_floor == scatter.angle_floor == 0:
+            return launch
+        along, across, turn = self._end_random.standard_normal(3).tolist()
+        spin = 0.01 * speed / self._body.support_radius
+        probe = self._slide.acceleration(launch._replace(omega=spin))
+        slowing = -(probe[0] * launch.vx + probe[1] * launch.vy) / speed
+        distance = speed**2 / (2 * slowing)
+        faster = math.sqrt(max(1 + scatter.position_floor * along / distance, 0.0))
+        aside = math.atan2(scatter.position_floor * across, distance)
+        spinnier = scatter.angle_floor * turn * (slowing / speed - probe[2] / spin)
+        cos, sin = faster * math.cos(aside), faster * math.sin(aside)
+        return launch._replace(
+            vx=cos * launch.vx - sin * launch.vy,
+            vy=sin * launch.vx + cos * launch.vy,
+            omega=faster * launch.omega + spinnier,
+        )
 
     def _end(self, tap: _Tap, time: float) -> None:
         """Retract the striker if its stroke or its time is over, or if it can no longer meet the

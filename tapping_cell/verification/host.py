@@ -113,7 +113,7 @@ class Disk:
 
 @dataclass(slots=True)
 class Program:
-    """Content of a process: a state machine, optionally with a driver on a serial line.
+    """Content of a process: a state machine, optionally with a driver on serial lines.
 
     ``connect(driver, patience, now)`` configures the node. ``topics`` are its subscriptions,
     ``services`` the services that it offers.
@@ -124,7 +124,7 @@ class Program:
     cell: Cell
     topics: Sequence[str]
     services: Sequence[str]
-    line: SerialLine | None = None
+    lines: tuple[SerialLine, ...] = ()
 
 
 class Process:
@@ -173,8 +173,8 @@ class Process:
         self._life = 0
         self._connected = False
         self._stop_publishers: set[str] = set()
-        if program.line is not None:
-            program.line.before_write = self._before_write
+        for line in program.lines:
+            line.before_write = self._before_write
 
     # Life of the process
 
@@ -201,11 +201,13 @@ class Process:
         for service in self._program.services:
             self._network.serve(self.name, service, self._serve(service))
         delay = self._draw(*START_S)
-        if self._program.line is None:
+        if not self._program.lines:
             self._scheduler.after(delay, lambda: self._configure(life))
             return
         worker = Fiber(self._scheduler, self.name, lambda: self._work(delay))
-        self._worker = self._program.line.fiber = worker
+        self._worker = worker
+        for line in self._program.lines:
+            line.fiber = worker
         worker.start()
 
     def kill(self) -> None:
@@ -220,10 +222,10 @@ class Process:
         if self._worker is not None:
             self._worker.kill()
             self._worker = None
-        if self._program.line is not None:
-            self._program.line.close()
-            self._program.line.release()
-            self._program.line.fiber = None
+        for line in self._program.lines:
+            line.close()
+            line.release()
+            line.fiber = None
 
     def freeze(self, duration: float) -> None:
         """Freeze the process as by SIGSTOP and, after ``duration`` s, SIGCONT."""

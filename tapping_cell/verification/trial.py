@@ -94,7 +94,6 @@ HEARS = {
     "tapper_trigger": (
         "tap_command",
         "arm_state",
-        "tapper_state",
         "plan_state",
         "object_state",
         "object_states",
@@ -201,7 +200,7 @@ class Trial:
         self.scheduler = Scheduler()
         self.report = Report(seed)
         self._tracing = trace
-        cell = self.cell = shipped_cell(DIALECTS[seed % len(DIALECTS)])
+        cell = self.cell = self._make_cell(seed)
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = PhysicalCell(self.scheduler, cell, truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
@@ -244,9 +243,7 @@ class Trial:
                 self.clocks[name],
                 lambda low, high: float(self.rng.uniform(low, high)),
             )
-            for name, program in self._programs(
-                self.physical.arm_line, self.physical.tapper_line
-            ).items()
+            for name, program in self._programs(*self._lines()).items()
         }
         for process in self.processes.values():
             process.on_handled = self._on_handled
@@ -286,6 +283,15 @@ class Trial:
         place.x, place.y, place.z = truth.camera.position
         self.network.publish("camera_pose", "camera/pose", lens)
 
+    # Parts that other kinds of cells override
+
+    def _make_cell(self, seed: int) -> Cell:
+        return shipped_cell(DIALECTS[seed % len(DIALECTS)])
+
+    def _lines(self) -> tuple[SerialLine, ...]:
+        """Return the lines for ``_programs``."""
+        return self.physical.arm_line, self.physical.tapper_line
+
     def _make_clock(self) -> HostClock:
         rng = self.rng
         return HostClock(
@@ -295,7 +301,9 @@ class Trial:
             steady_offset=float(rng.uniform(10.0, 1e5)),
         )
 
-    def _programs(self, arm_line: SerialLine, tapper_line: SerialLine) -> dict[str, Program]:
+    def _programs(self, *lines: SerialLine) -> dict[str, Program]:
+        """Return the program of each node. ``lines``: as from ``_lines``."""
+        arm_line, tapper_line = lines
         cell, unseen = self.cell, COVERED_S if self.arm_covers else CLEAR_VIEW_S
 
         def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
@@ -330,19 +338,19 @@ class Trial:
 
         limits = PeerLimits(unseen=unseen)
         programs: dict[
-            str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], SerialLine | None]
+            str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], tuple[SerialLine, ...]]
         ] = {
-            "tap_planner": (lambda: (PlannerLogic(self.settings), None), planner_connect, None),
-            "scara_arm": (arm, arm_connect, arm_line),
+            "tap_planner": (lambda: (PlannerLogic(self.settings), None), planner_connect, ()),
+            "scara_arm": (arm, arm_connect, (arm_line,)),
             "tapper_trigger": (
                 tapper,
                 lambda driver, patience, _: driver.connect(timeout=patience),
-                tapper_line,
+                (tapper_line,),
             ),
         }
         return {
-            name: Program(make, connect, cell, HEARS[name], SERVES[name], line)
-            for name, (make, connect, line) in programs.items()
+            name: Program(make, connect, cell, HEARS[name], SERVES[name], lines)
+            for name, (make, connect, lines) in programs.items()
         }
 
     # One run
@@ -375,9 +383,13 @@ class Trial:
 
     def bring_up(self) -> None:
         """Start every node and wait until the cell is ready for a goal."""
+        self.start()
+        self.recover()
+
+    def start(self) -> None:
+        """Start every node."""
         for process in self.processes.values():
             process.start()
-        self.recover()
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
         """Draw a goal in the central area of the table."""

@@ -37,7 +37,8 @@ def annotate(
 
     ``outline`` (N, 2) is the object's outline in its own frame, in m, and ``height`` (m) the height
     of its top. ``goal`` is the object's goal pose in table. ``references`` are drawn at their
-    places in the table's file, blue if they were used and red if not. Text is in mm and degrees.
+    positions in the table file: blue if they were used in this frame, otherwise red. Text is in mm
+    and degrees.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     points = np.asarray(outline, dtype=float)
@@ -56,7 +57,8 @@ def annotate(
 
 
 def _state(observation: Observation) -> tuple[str, Colour]:
-    """Label and colour of the object's state; its first frame does not show whether it moves."""
+    """Label and colour of the object's state; one frame alone does not show whether the object
+    moves."""
     if observation.at_rest:
         return f"AT REST   {observation.frames_fused} frames", GREEN
     if observation.velocity is not None and not observation.velocity.any():

@@ -24,7 +24,7 @@ _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
 # Newton's method handles the rays that do not converge.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
 _FOUND = 1e-6
-"""Maximum reprojection error of a ray, in pixels."""
+"""Maximum reprojection error, in pixels, of a ray that counts as found."""
 _NEWTON_STEPS = 40
 _LARGEST = 30_000
 """Maximum width or height of an image in pixels, more than any camera has."""
@@ -56,8 +56,8 @@ class CameraModel:
         """Raise CameraError, with the value, if the parameters do not describe a camera."""
         if self.distortion_model not in _LENGTHS:
             raise CameraError(
-                f"distortion_model is {self.distortion_model!r}: plumb_bob and "
-                "rational_polynomial are known; calibrate again with one of them"
+                f"distortion_model is {self.distortion_model!r}; calibrate again with plumb_bob or "
+                "rational_polynomial, the only supported models"
             )
         if len(self.distortion) not in _LENGTHS[self.distortion_model]:
             raise CameraError(
@@ -73,8 +73,8 @@ class CameraModel:
             math.isfinite(value) and value >= 0.0 for value in self.deviations
         ):
             raise CameraError(
-                f"the standard deviations of the camera are {self.deviations}: eight numbers of at "
-                "least 0 (fx, fy, cx, cy, k1, k2, p1, p2) or none"
+                f"the standard deviations of the camera are {self.deviations}; give eight numbers "
+                "of at least 0 (fx, fy, cx, cy, k1, k2, p1, p2) or none"
             )
         if self.width < 16 or self.height < 16:
             raise CameraError(f"an image of {self.width} x {self.height} pixels is too small")
@@ -119,7 +119,7 @@ class CameraModel:
             if k[index] != value and any(k):
                 raise CameraError(
                     f"number {index} (from 0) of the camera matrix is {k[index]:g}, but must be "
-                    f"{value:g}: a matrix with skew or another scale is not known"
+                    f"{value:g}: a matrix with skew or another scale is not supported"
                 )
         return cls(
             int(width),
@@ -155,7 +155,7 @@ class CameraModel:
 
     def rays(self, pixels: ArrayLike) -> Array:
         """Return the undistorted directions (x / z, y / z), shape (..., 2), of pixels (..., 2). The
-        result is NaN if the lens model projects no direction to a pixel."""
+        result is NaN for a pixel to which the lens model projects no direction."""
         p = np.asarray(pixels, dtype=float)
         flat = np.ascontiguousarray(p.reshape(-1, 2))
         if flat.size == 0:
@@ -204,8 +204,8 @@ class CameraModel:
         return rays
 
     def _check_fold(self) -> None:
-        """Raise CameraError if the lens model folds back inside the image, where a pixel would have
-        no direction or two directions."""
+        """Raise CameraError if the lens model folds back inside the image, so that some pixels
+        there have no direction or two directions."""
         along = np.linspace(0.0, 1.0, 9)
         rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
         rim *= [self.width - 1, self.height - 1]
@@ -213,7 +213,7 @@ class CameraModel:
         if lost.any():
             x, y = rim[lost][0]
             raise CameraError(
-                f"the lens model images no direction on the pixel ({x:.0f}, {y:.0f}): its "
+                f"the lens model projects no direction to the pixel ({x:.0f}, {y:.0f}): its "
                 f"coefficients {self.distortion} fold back inside the image; calibrate again with "
                 "views in the corners, or with rational_polynomial"
             )
@@ -222,20 +222,20 @@ class CameraModel:
         """Return None if the image matches this camera (uint8, height x width), else the reason."""
         if image.ndim != 2 or image.dtype != np.uint8:
             return (
-                f"the image has type {image.dtype} and shape {image.shape}; expected is uint8, "
+                f"the image has type {image.dtype} and shape {image.shape}; expected uint8, "
                 f"one channel (mono8), {self.height} rows of {self.width}"
             )
         if image.shape != (self.height, self.width):
             return (
                 f"the image is {image.shape[1]} x {image.shape[0]} pixels but the calibration is "
-                f"for {self.width} x {self.height}; calibrate at this size or set the camera so"
+                f"for {self.width} x {self.height}; calibrate again or change the image size"
             )
         return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraPose:
-    """X_CT, the pose of the table in the camera: p_C = rotation p_T + translation, in m."""
+    """X_CT, the pose of the table in the camera's frame: p_C = rotation p_T + translation, in m."""
 
     rotation: Array
     translation: Array
@@ -271,7 +271,7 @@ class CameraPose:
         return np.asarray(np.asarray(points, dtype=float) @ self.rotation.T + self.translation)
 
     def plane(self, height: float) -> Array:
-        """Matrix (3, 3) from (x, y, 1) on the plane at ``height`` over the table to the camera."""
+        """Matrix (3, 3) that maps (x, y, 1) of the plane at ``height`` (m) to the optical frame."""
         third = self.rotation[:, 2] * height + self.translation
         return np.column_stack([self.rotation[:, 0], self.rotation[:, 1], third])
 

@@ -1,4 +1,4 @@
-"""Validate frames: reject those of wrong format, late, repeated, dark or overexposed."""
+"""Reject frames that have the wrong format or are late, repeated, dark or overexposed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from tapping_cell.vision.observation import Problem
 _REPEATED = 4
 """Number of recent frames that an image must differ from; cameras usually have as many buffers."""
 _GLOW = 12.0
-"""Grey levels above ``dark`` that noise and lamps on the camera may reach in a dark image."""
+"""Maximum excess over ``dark``, in grey levels, that noise and the camera's lamps cause in the
+dark."""
 
 
 class FrameValidator:
@@ -30,19 +31,19 @@ class FrameValidator:
         self._seen: deque[int] = deque(maxlen=_REPEATED)
 
     def refuse(self, image: Image, stamp: float) -> tuple[Problem, str] | None:
-        """Return the problem of the frame captured at ``stamp`` (s), with a sentence; None if it is
-        valid."""
+        """Return the problem of the frame captured at ``stamp`` (s) and a sentence that explains
+        it; None if the frame is valid."""
         sentence = self._camera.check_image(image)
         if sentence is not None:
             return Problem.WRONG_IMAGE, sentence
         if not math.isfinite(stamp):
-            return Problem.LATE_FRAME, "the frame has no time stamp; it is left out"
+            return Problem.LATE_FRAME, "the frame has no time stamp and is ignored"
         if stamp <= self._stamp:
             late = (self._stamp - stamp) * 1e3
             when = f"is {late:.0f} ms older than" if late >= 1.0 else "has the stamp of"
             return (
                 Problem.LATE_FRAME,
-                f"the frame {when} one already used; it is left out",
+                f"the frame {when} a frame already used; it is ignored",
             )
         self._stamp = stamp
         rows = np.ascontiguousarray(image[:: max(1, self._camera.height // 64)])
@@ -50,7 +51,7 @@ class FrameValidator:
         if signature in self._seen:
             return (
                 Problem.FROZEN_FRAME,
-                "the frame equals one just before, down to the noise: the camera repeats itself",
+                "the frame and its noise equal those of a recent frame: the camera repeats frames",
             )
         self._seen.append(signature)
         sample = image[::16, ::16]
@@ -60,7 +61,7 @@ class FrameValidator:
         ):
             return (
                 Problem.DARK,
-                f"the image is dark (half of it below grey level {self._dark:.0f}, all of it below "
+                f"the image is dark (half of it below grey level {self._dark:.0f}, 98 % below "
                 f"{self._dark + _GLOW:.0f}); turn on the light or lengthen the exposure",
             )
         if np.count_nonzero(sample > self._bright) > 0.70 * sample.size:

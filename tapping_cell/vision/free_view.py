@@ -11,7 +11,7 @@ from tapping_cell.vision.camera import Array
 def view_clearance(
     camera: ArrayLike, start: ArrayLike, end: ArrayLike, radius: ArrayLike, points: ArrayLike
 ) -> Array:
-    """Distance (N, M) in m from points to the nearest shadow of N sets of bars.
+    """Distance (N, M) in m from each of M points to the nearest shadow of each of N sets of bars.
 
     A shadow is the area that a bar hides from the camera: the bar's central projection from the
     lens to the plane of the point. The distance is negative if the point itself is hidden. A disc
@@ -38,7 +38,7 @@ def view_clearance(
 
 
 def _projected(lens: Array, places: Array, height: Array) -> tuple[Array, Array]:
-    """Project places (N, 3) from the lens to planes (M,).
+    """Project places (N, 3) from the lens to the planes at the heights (M,).
 
     Returns points (N, M, 2) and magnification (N, M). A place above the lens hides nothing below
     it; a place level with the lens hides everything.

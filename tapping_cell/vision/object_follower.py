@@ -1,8 +1,8 @@
 """Base class that tracks one object over frames, common to markers and outlines.
 
-A follower runs once per frame, after the camera's pose over the table is known. It predicts the
-object's pose from the last pose and velocity and measures the object there. The track then decides
-between rest and motion, and fuses the frames at rest.
+A follower runs once per frame, after the camera's pose over the table is known. The follower
+predicts the object's pose from the last pose and velocity and measures the object there. The track
+then decides between rest and motion, and fuses the frames at rest.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ Aim = tuple[Array, NDArray[np.bool_]]
 
 _INSTANT = 1.5e-4
 """Standard deviation (s) of the time to which a motion-blurred frame corresponds. Measured: 0.05 to
-0.13 ms in the middle of a slide, up to 0.6 ms if it begins or ends within an exposure."""
+0.13 ms in the middle of a slide, up to 0.6 ms if the slide begins or ends within the exposure."""
 _JUDGED_AGAIN = 0.003, 0.03
 """Displacement (m) of an object at rest, and of a moving object, after which the systematic error
 is computed again."""
 _UNSEEN = 0.1
 """Time (s) for which an unseen object is assumed to continue its motion."""
 _LOST = 0.2
-"""Time (s) of failed measurements after which a thorough search is made. It must exceed the time
-that a slow computer takes for one frame."""
+"""Time (s) of failed measurements after which a thorough search is made. This time must exceed the
+time that a slow computer takes for one frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +49,8 @@ class Frame:
     image: Image
     stamp: float
     working: View
-    """View used for measurements. It is constant while nothing moves, so that refinements of the
-    table's pose do not appear as motion of the object."""
+    """View used for measurements. This view is constant while nothing moves, so that refinements of
+    the table's pose do not appear as motion of the object."""
     newest: View
     """View in which poses are published."""
     table: TableTracker
@@ -77,7 +77,7 @@ class Search:
 
 
 class ObjectFollower(ABC):
-    """Follows one object whose visible face is at ``height`` (m) over the table.
+    """Follows one object whose visible face is at ``height`` (m) above the table.
 
     ``wants_search`` requests a search of the whole next frame.
     """
@@ -125,7 +125,7 @@ class ObjectFollower(ABC):
 
     @abstractmethod
     def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
-        """Return pose (3,) and covariance (3, 3) in the working view, or the reason for none."""
+        """Return pose (3,) and covariance (3, 3) in the working view, or why there is no pose."""
 
     @abstractmethod
     def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
@@ -183,14 +183,16 @@ class ObjectFollower(ABC):
         self._last = None
 
     def stop(self, stamp: float, pose: Array | None = None) -> None:
-        """Set the velocity to zero, so that the object is expected at this or its last pose."""
+        """Set the velocity to zero; the object is expected at ``pose`` or, if None, at its last
+        pose."""
         if pose is not None:
             self._last = (stamp, pose, np.zeros(3))
         elif self._last is not None and stamp - self._last[0] > _UNSEEN:
             self._last = (self._last[0], self._last[1], np.zeros(3))
 
     def step_from_last(self, pose: Array) -> tuple[float, float] | None:
-        """Distance (m) and rotation (rad) from the last pose to this one; None if there is none."""
+        """Distance (m) and rotation (rad) from the last pose to this pose; None if there is no last
+        pose."""
         if self._last is None:
             return None
         step = pose - self._last[1]

@@ -1,4 +1,4 @@
-"""Schedule of measuring other objects: in turn, or in every frame while one is being moved."""
+"""Schedule for measuring the other objects: in turn, and those being tapped in every frame."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def marker_ids(seen: Sequence[ObjectMarker | ObjectOutline]) -> frozenset[int]:
 
 
 class Turns:
-    """Selects which of several stationary objects to measure in a frame, one in turn."""
+    """Selects which of several objects to measure in a frame."""
 
     def __init__(self, count: int) -> None:
         self._looked = [-math.inf] * count

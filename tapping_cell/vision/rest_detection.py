@@ -18,7 +18,7 @@ from tapping_cell.vision.fusion import fuse_information
 
 _BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
 """Standard deviation of the first pose after a rest, as a fraction of the displacement from the
-rest pose, and the displacement (m) beyond which it no longer grows.
+rest pose, and the displacement (m) beyond which the standard deviation no longer grows.
 
 If the motion begins within the exposure, the blurred image does not correspond to the middle of the
 exposure. The resulting error is at most the whole displacement, and zero if the displacement
@@ -28,18 +28,18 @@ exceeds one eighth of the motion during a whole exposure.
 
 _STEADY = 0.3
 """Maximum relative change of a sliding object's velocity from frame to frame; an impact or a stop
-changes it by more."""
+changes the velocity by more."""
 
 
 @dataclass(frozen=True, slots=True)
 class RestSettings:
     """Settings of the rest detection.
 
-    The object is moving above ``speed`` (m/s) or ``turn`` (rad/s), tested with ``confidence``
-    standard deviations over windows of ``shortest`` to ``longest`` frames. At most ``memory``
-    frames are fused. ``leave`` is the squared Mahalanobis distance (3 degrees of freedom) at which
-    a pose no longer agrees with the rest pose. The track is cleared after ``gap`` (s) without a
-    pose.
+    The object counts as moving above ``speed`` (m/s) or ``turn`` (rad/s), tested with
+    ``confidence`` standard deviations over windows of ``shortest`` to ``longest`` frames. At most
+    ``memory`` frames are fused. ``leave`` is the squared Mahalanobis distance (3 degrees of
+    freedom) at which a pose no longer agrees with the rest pose. The track is cleared after ``gap``
+    (s) without a pose.
     """
 
     speed: float = 0.0005
@@ -133,8 +133,8 @@ class Track:
             fused, spread = self._fuse()
             return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
         if self._rest_since is not None:
-            # A single frame off the rest pose is neither fused nor accepted; a second ends the
-            # rest.
+            # A single frame off the rest pose is not fused and does not end the rest; a second such
+            # frame in succession ends it.
             self._strayed += 1
             if self._strayed == 1:
                 velocity = self._step_velocity(stamp, pose)
@@ -155,7 +155,7 @@ class Track:
     def heading(self, stamp: float, pose: Array, motion: Motion) -> Array:
         """Velocity (3,) that predicts the pose in the next frame from the pose just added.
 
-        It is the velocity of the last step, plus the last change of velocity if the velocity
+        This is the velocity of the last step, plus the last change of velocity if the velocity
         changes steadily. ``motion.velocity``, the slope over several frames, is less noisy but lags
         by one frame.
         """
@@ -175,14 +175,14 @@ class Track:
         return self._fused
 
     def stays(self, pose: Array, covariance: Array) -> bool:
-        """Return whether this pose agrees with the object still being at its rest pose."""
+        """Return whether this pose agrees with the rest pose."""
         if self._rest_since is None:
             return False
         fused, spread = self._fused
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
-        # Detect a creep slower than the noise of one frame: compare the mean of the last few frames
-        # with the mean of all.
+        # To detect a motion too slow to exceed the noise of one frame, compare the mean of the last
+        # few frames with the mean of all.
         if len(self._resting) < 12:
             return True
         poses, information = self._resting.last(4)

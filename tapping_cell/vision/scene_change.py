@@ -1,9 +1,9 @@
 """Detect cheaply whether a frame differs from the last measured frame.
 
 Windows around the reference markers and the object are compared pixel by pixel. Between two frames
-of a static scene, the mean squared difference is twice the variance of the noise, and its scatter
-decreases with the number of pixels in the window. An edge that moves by a twentieth of a pixel is
-therefore detected.
+of a static scene, the mean squared difference is twice the variance of the noise, and the scatter
+of this mean decreases with the number of pixels in the window. An edge that moves by a twentieth of
+a pixel is therefore detected.
 """
 
 from __future__ import annotations

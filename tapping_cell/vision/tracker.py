@@ -40,7 +40,7 @@ class TrackerSettings:
     marker's apparent and configured side. ``dark`` and ``bright`` are grey levels. ``other_ids``
     are the markers of other objects that use the object's dictionary. Once ``settled_frames`` are
     fused, an unchanged frame is measured only every ``settled_period`` (s) and otherwise gets the
-    last pose; 0 measures every frame.
+    last pose; if the period is 0, every frame is measured.
     """
 
     audit_period: float = 1.0
@@ -163,7 +163,7 @@ class PoseTracker:
             self._resting_since = since
             regions = [*view.project(self.table.points)]
             for follower, seen in lying:
-                assert seen.pose is not None, "what is seen at rest has a pose"
+                assert seen.pose is not None, "an object seen at rest has a pose"
                 outline = follower.outline(np.array(seen.pose))
                 regions.append(view.project(outline, follower.height))
             self._change.watch(image, regions)
@@ -217,7 +217,8 @@ class PoseTracker:
 
     def _search_due(self, stamp: float, others: Collection[int]) -> bool:
         lost = not self._object.found or self.view is None or self._wants_search
-        # Search immediately for an object that disappeared; one that was never found can wait.
+        # Search immediately for an object that disappeared; an object that was never found can
+        # wait.
         lost |= any(self._others[n].found and self._others[n].wants_search for n in others)
         period = self.settings.lost_period if lost else self.settings.audit_period
         return stamp - self._last_search >= period
@@ -229,8 +230,8 @@ class PoseTracker:
         self._last_search = stamp
         self._search_next = False
         # The thorough search and its diagnosis take the time of several frames. The first frame
-        # gets all of it, because it may be the only frame; later frames only occasionally, if
-        # needed.
+        # gets both if needed, because it may be the only frame; later frames get them only
+        # occasionally.
         since = stamp - self._last_thorough
         slow = self._object.lost(stamp) and since >= self.settings.audit_period
         of_table = self._references.dictionary

@@ -100,7 +100,7 @@ def own_signals() -> Iterator[None]:
     ("options", "word"),
     [
         (("--speeds", "2300"), "leave the table"),
-        (("--speeds", "5"), "the tapper makes 20 to 2500 mm/s"),
+        (("--speeds", "5"), "the tapper's range is 20 to 2500 mm/s"),
         (("--incidences", "75"), "75.0 deg"),
         (("--trials", "0"), "1 to 1000"),
         (("--slow-motion", "0.5"), "1 to 100"),

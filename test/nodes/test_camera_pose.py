@@ -240,6 +240,36 @@ def test_a_covered_reference_is_told_in_the_diagnostics(cell: Cell) -> None:
     cell.bench.wait(said, words)
 
 
+def test_covered_references_are_told_by_the_state(cell: Cell) -> None:
+    covers = []
+    for marker in load_cell().references.markers:
+        corners = 0.04 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) + [marker.x, marker.y]
+        covers.append(Occluder(np.column_stack([corners, np.full(4, 0.01)])))
+
+    def told() -> bool:
+        picture = cell.renderer.render(TRUE, occluders=covers)
+        state = cell.send(images.to_message(picture, "mono8"))
+        assert not state.visible
+        return state.error_code == ErrorCode.REFERENCES_NOT_SEEN and "reference" in state.error_msg
+
+    cell.bench.wait(told, "the references are missing")
+
+
+def test_a_second_copy_of_the_objects_marker_is_told_by_the_state(cell: Cell) -> None:
+    places = cell.renderer.view.project([[TRUE.x, TRUE.y], [-TRUE.x, -TRUE.y]], 0.012)
+    (x, y), (left, top) = np.rint(places).astype(int)
+
+    def told() -> bool:
+        picture = cell.renderer.render(TRUE)
+        marker = picture[y - 60 : y + 60, x - 60 : x + 60]
+        picture[top - 60 : top + 60, left - 60 : left + 60] = marker
+        state = cell.send(images.to_message(picture, "mono8"))
+        assert not state.visible
+        return state.error_code == ErrorCode.MARKER_AMBIGUOUS and "marker" in state.error_msg
+
+    cell.bench.wait(told, "the marker is seen twice")
+
+
 def test_two_objects_in_one_picture() -> None:
     """The object of the cell and, pasted into the same pictures, another one."""
     folder = shared_folder() / "objects"

@@ -81,8 +81,8 @@ CASES: list[tuple[Callable[[Node], Any], str]] = [
     ),
     (
         lambda probe: probe.create_subscription(String, "markers", lambda _: None, RELIABLE),
-        "nothing on /markers reaches the node /probe: it has the type "
-        "visualization_msgs/msg/MarkerArray on one side and std_msgs/msg/String on the other",
+        "nothing on /markers reaches the node /probe: the publisher has the type "
+        "visualization_msgs/msg/MarkerArray, but the subscription has std_msgs/msg/String",
     ),
     # The planner has two subscriptions to each of these, of which one is compatible.
     (lambda probe: probe.create_publisher(PoseStamped, "goal_pose", BEST_EFFORT), ""),

@@ -160,7 +160,7 @@ def test_a_marker_that_is_never_seen_stops_the_recording(
 ) -> None:
     monkeypatch.setattr("tapping_cell.nodes.clients.arm_pose_client.UNSEEN_PATIENCE_S", 0.1)
     held.blind = True
-    with pytest.raises(CalibrationRefused, match="6 postures in a row"):
+    with pytest.raises(CalibrationRefused, match="6 consecutive postures"):
         arm_recording.record(asked(tmp_path / "poses.csv"), CELL, QUIET)
     assert (tmp_path / "poses.csv").read_text().count("\n") == 1
 

@@ -259,7 +259,7 @@ def test_a_report_that_is_overtaken_by_the_goals_end_begins_no_run(tmp_path: Pat
     ("parameters", "words"),
     [
         ({"folder": "/proc/nowhere"}, "no run folder can be made"),
-        ({"least_free": 1e7}, "make room"),
+        ({"least_free": 1e7}, "move old runs to another disk"),
         ({"most_runs": 1, "folder": "FULL"}, "nothing is deleted"),
     ],
     ids=["folder", "room", "number"],

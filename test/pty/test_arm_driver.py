@@ -197,7 +197,7 @@ def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerm
     with cell.port.lock:
         cell.emulator.receive(b"G21G90G94G1X5F5000\n", time.monotonic())
     time.sleep(0.5)
-    with pytest.raises(HardwareFault, match="last confirmed at") as caught:
+    with pytest.raises(HardwareFault, match="last confirmed position") as caught:
         driver.move_to((0.2, 1.2, -0.02, 0.1))
     assert caught.value.reason is FaultReason.POSITION_LOST
 

@@ -95,6 +95,6 @@ def test_devices_that_are_not_there_are_named(
     assert main(["doctor", "--cell", str(path), "--json"]) == 1
     arm, tapper = json.loads(capsys.readouterr().out)["findings"]
     assert str(tmp_path / "nothing") in arm["remedy"]
-    assert "that of a simulated cell" in tapper["remedy"]
+    assert "belongs to a simulated cell" in tapper["remedy"]
     assert main(["doctor", "--cell", str(path)]) == 1
     assert "wrong" in capsys.readouterr().out

@@ -400,7 +400,7 @@ def test_a_person_resets_the_count_of_shot_numbers(plug: Callable[..., PseudoTer
     driver.close()
     second = TapperDriver(SerialTransport(str(cell.port.path)))
     second.connect()
-    with pytest.raises(HardwareFault, match="hold the clear button for 5 s"):
+    with pytest.raises(HardwareFault, match="holding the clear button at the cell for 5 s"):
         second.charge(1, 0.001)
     while second.status().state is not State.SAFE:
         time.sleep(0.02)

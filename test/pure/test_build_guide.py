@@ -81,6 +81,6 @@ def test_the_springs_draws_are_those_of_the_firmware() -> None:
     way_mm = way * build_figures.firmware_number("NM_PER_STEP") / 1e6
     energies = build_figures.shipped_cell().file.tapper.energies
     least, most = ((2 * energy / stiffness) ** 0.5 * 1e3 for energy in (energies[0], energies[-1]))
-    assert f"draws of {least:.2f} to {most:.1f} mm" in GUIDE
-    assert f"the greatest way is {way_mm:g} mm" in GUIDE
+    assert f"deflections of {least:.2f} to {most:.1f} mm" in " ".join(GUIDE.split())
+    assert f"its maximum travel is {way_mm:g} mm" in " ".join(GUIDE.split())
     assert most < way_mm

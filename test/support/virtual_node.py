@@ -31,26 +31,35 @@ class VirtualNode:
     def __init__(
         self,
         name: str,
-        board: DeviceEmulator | None,
-        make: Callable[[SerialLine | None], tuple[Logic, Any]],
+        board: DeviceEmulator | Sequence[DeviceEmulator] | None,
+        make: Callable[[Any], tuple[Logic, Any]],
         connect: Callable[[Any, float, Now], Any],
         states: str,
         cell: Cell | None = None,
         started: bool = True,
     ) -> None:
-        """``make`` gives the machine and its driver on the board's line, ``connect`` is what the
-        node does to configure, ``states`` the topic on which it tells its state."""
+        """``make`` gives the machine and its driver on the board's line, or on the list of lines
+        of several boards; ``connect`` is what the node does to configure, ``states`` the topic on
+        which it tells its state."""
         self.scheduler = Scheduler()
         self.network = Network(self.scheduler, np.random.default_rng(1), QUALITIES)
-        line = SerialLine(self.scheduler, FaultLayer(board), name) if board is not None else None
+        several = isinstance(board, Sequence)
+        boards = [] if board is None else list(board) if isinstance(board, Sequence) else [board]
+        lines = [SerialLine(self.scheduler, FaultLayer(one), name) for one in boards]
+        line = lines[0] if lines else None
         clock = self._clock = HostClock(self.scheduler)
         program = Program(
-            lambda: make(line), connect, cell or load_cell(), HEARS[name], SERVES[name], line
+            lambda: make(lines if several else line),
+            connect,
+            cell or load_cell(),
+            HEARS[name],
+            SERVES[name],
+            tuple(lines),
         )
         self.process = Process(
             name, program, self.scheduler, self.network, clock, lambda low, high: low
         )
-        self.line = line
+        self.line, self.lines = line, lines
         self.states: list[Any] = self.listen(states)
         if started:
             self.process.start()

@@ -32,10 +32,10 @@ BLIND = 6
 """Number of consecutive postures without a visible marker after which the recording is aborted."""
 READY_PATIENCE_S = 30.0
 _SAME_TIP = 0.001
-"""Maximum difference in m between the tip positions of the given and the running cell's cell
-file."""
+"""Maximum distance in m between the tip positions according to the given cell file and according
+to the running cell."""
 _SAME = 0.03
-"""Maximum difference in rad of each joint between a recorded pose and a posture that it covers."""
+"""Maximum difference of each joint, in rad, up to which a posture counts as already recorded."""
 
 
 def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
@@ -49,7 +49,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     if own is not None and own.chain is not None:
         raise CalibrationRefused(
             "arm.ros2_control.chain: the joints of this arm are calibrated by its own "
-            "driver; only arm.base and chain.tool belong to the cell; measure them"
+            "driver; measure only arm.base and chain.tool, which belong to the cell"
         )
     session.end_on_signals()
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
@@ -89,7 +89,7 @@ def _visit(
     left = [joints for joints in places if not _among(joints, done)]
     number, blind = len(done), 0
     console.print(
-        f"the arm moves to {arguments.poses - number} postures over the table at its present "
+        f"the arm moves to {arguments.poses - number} postures above the table at its present "
         "height; Ctrl-C stops it after the current move"
     )
     for joints in left:
@@ -98,10 +98,10 @@ def _visit(
         seen = client.visit(joints, SPEED, lambda: None)
         if seen is None:
             blind += 1
-            console.print("not recorded: the camera does not see the marker at rest there")
+            console.print("not recorded: the camera does not see the marker at rest in this pose")
             if blind >= BLIND:
                 raise CalibrationRefused(
-                    f"in {blind} postures in a row the camera did not see the marker at rest; "
+                    f"the camera did not see the marker at rest in {blind} consecutive postures; "
                     "check that the marker is uncovered and that camera_pose was started "
                     "with the object file of the marker on the arm"
                 )
@@ -115,8 +115,8 @@ def _visit(
         )
     if number < arguments.poses:
         raise CalibrationRefused(
-            f"only {number} of {arguments.poses} postures that the arm can take show the "
-            "marker; they are recorded: calibrate with them, or move the camera"
+            f"the camera saw the marker in only {number} postures ({arguments.poses} requested); "
+            "they are recorded: calibrate with them, or move the camera"
         )
 
 
@@ -128,9 +128,9 @@ def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
     told = from_message(client.arm_state.tip_pose)
     if thought.distance_to(told) > _SAME_TIP:
         raise CalibrationRefused(
-            f"according to {cell.path} the tip is at {session.pose_text(thought)}, according "
-            f"to the running cell at {session.pose_text(told)}; give the running cell's own "
-            "file with --cell"
+            f"the tip is at {session.pose_text(thought)} according to {cell.path}, but at "
+            f"{session.pose_text(told)} according to the running cell; give the running cell's "
+            "own file with --cell"
         )
 
 

@@ -3,13 +3,14 @@
 Each row is one pose: the controller's joints (columns shoulder, elbow, tool in rad, or shoulder_deg
 and so on) and the camera's measurement of a marker held by the arm (x, y in m or x_mm, y_mm; theta
 or theta_deg) in the frame table. Without theta, the rows are points of the table that the tip
-touched. Record 20 poses over the whole table, with different elbow angles to both sides and with
-different tool angles. Writes a copy of the cell file with the new values in its section arm.
+touched. Record 20 poses over the whole table, with the elbow bent to both sides by different
+angles, and with different tool angles. Writes a copy of the cell file with the new values in its
+section arm.
 
-With --record, the running cell makes the record first. The arm holds a marker, with whose object
-file the cell was started (its height is that of the marker above the table). The arm moves over the
-table at its current height, and the camera's measurements are recorded pose by pose. Ctrl-C stops
-the recording; --resume continues it.
+With --record, the running cell first makes the record. The arm must hold a marker, and the cell
+must have been started with the object file of that marker (the height in the file is the height of
+the marker above the table). The arm moves above the table at its current height, and the camera's
+measurements are recorded pose by pose. Ctrl-C stops the recording; --resume continues it.
 
   python -m tapping_cell calibrate arm poses.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell up --hardware --object held_marker.yaml    # in another terminal, and then
@@ -127,7 +128,7 @@ def file_values(
     values: dict[str, float | list[float]] = {"base": base, "joint_offset": offset}
     if "upper_arm" in result.deviations:
         values |= {"upper_arm": v["upper_arm"], "forearm": v["forearm"]}
-    # The fit uses the controller's tool angle, without the tool's zero from the file.
+    # The fit uses the controller's tool angle, without the tool's zero offset in the file.
     mount = Pose(v["mount_x"], v["mount_y"], v["mount_angle"])
     into_tool = Pose(0.0, 0.0, -offset[3])
     if marker is not None and result.turns is not None:
@@ -146,11 +147,11 @@ def _provenance(
 ) -> Provenance:
     tip = []
     if result.turns is None:
-        tip.append("tip_yaw is kept: touched points do not determine the line of travel")
+        tip.append("tip_yaw is kept, because touched points do not determine the line of travel")
     elif arguments.marker_on_tip is None:
         tip.append(
-            "the tip on the tool is kept: the tool's zero offset and the marker's position "
-            "on it cannot be separated unless --marker-on-tip gives that position"
+            "the position of the tip on the tool is kept, because it can be fitted only if "
+            "--marker-on-tip gives the position of the marker on the tip"
         )
     turned = result.angle_rms
     angle = (
@@ -163,9 +164,9 @@ def _provenance(
         observations=len(result.residuals),
         left_out=len(result.outliers) + len(table.faults),
         residual=result.position_rms,
-        residual_of="root mean square distance of points, m",
+        residual_of="root mean square error of the points, m",
         uncertainty=result.wrist_deviation,
-        uncertainty_of="position of the wrist over the poses, m",
+        uncertainty_of="position of the wrist, root mean square over the poses, m",
         deviations=dict(result.deviations),
         notes=(
             *angle,

@@ -3,8 +3,8 @@ YAML.
 
 Print a target (calibrate print --what charuco), attach it to a flat surface and take about 20
 photographs at the image size that the cell will use, with focus and zoom locked. Show the target in
-every part of the image, tilted by 20 to 40 degrees in all directions. A folder selects all images
-in it. Exit code 1: the photographs do not determine the camera.
+every part of the image, tilted by 20 to 40 degrees in all directions. If a folder is given, all
+images in it are used. The exit code is 1 if the photographs do not determine the calibration.
 
   python -m tapping_cell calibrate camera photos/*.png --target charuco --squares 8x6 \\
       --square-size 25 --marker-size 18.75 --dictionary 4X4_250 --output camera_info.yaml
@@ -178,7 +178,7 @@ def image_files(paths: list[Path]) -> list[Path]:
 
 
 def read_grey(path: Path) -> NDArray[np.uint8] | None:
-    """Read a photograph in grey as on the sensor, ignoring the rotation flag of the file."""
+    """Read a photograph as a grey image, ignoring the rotation flag of the file."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
     return None if image is None else np.asarray(image, dtype=np.uint8)
 
@@ -187,7 +187,7 @@ def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
     """Return the common size (width, height) of all images.
 
     Raises:
-        CalibrationRefused: names the images of another size, or reports that there is no image.
+        CalibrationRefused: the sizes differ, or there is no image.
     """
     if not sizes:
         raise CalibrationRefused("none of the files is a readable image")
@@ -198,7 +198,7 @@ def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
         shown = ", ".join(odd[:6]) + (f" and {len(odd) - 6} more" if len(odd) > 6 else "")
         raise CalibrationRefused(
             f"the images differ in size: {number} are {size[0]} x {size[1]} pixels, but {shown}."
-            " A calibration is for one size; leave out the others"
+            " A calibration is valid for one image size; leave out the images of other sizes"
         )
     return size
 
@@ -282,7 +282,7 @@ def lines(result: CameraCalibration) -> list[str]:
         for entry in result.views
     ]
     rows += [f"left out: {entry.name}: {entry.reason}" for entry in result.rejected]
-    rows.append("views with corners in each part of the image:")
+    rows.append("number of views with corners in each part of the image:")
     rows += ["  " + " ".join(f"{count:>3}" for count in row) for row in result.coverage]
     tried = ", ".join(f"{label} {error:.4f}" for label, error in result.held_out.items())
     rows += [
@@ -310,7 +310,7 @@ def write_pictures(folder: Path, paths: list[Path], result: CameraCalibration) -
     for entry in result.views:
         image = read_grey(files[entry.view.name])
         if image is None:
-            raise OSError(f"{files[entry.view.name]} cannot be read any more")
+            raise OSError(f"{files[entry.view.name]} can no longer be read")
         picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
         _draw(picture, entry, scale)
         _draw(whole, entry, scale)

@@ -1,10 +1,10 @@
 """Calibrate line and speed of each fixed tapper from single taps measured by the camera.
 
-The taps are those of the goals in run folders, or the rows of a CSV file. Each row is one tap:
-tapper (its name in the cell file), speed (m/s; or speed_mm_s) and the object's pose at rest before
-and after it: x_before, y_before, theta_before, x_after, y_after, theta_after (m and rad; or with
-the suffixes _mm and _deg). The object must be struck at several positions along each tapper's line.
-Twelve taps per tapper are usual. Writes a copy of the cell file with the measured positions and
+The taps are read from run folders, or from a CSV file with one row per tap. The columns are tapper
+(the name in the cell file), speed (m/s; or speed_mm_s) and the object's poses at rest before and
+after the tap: x_before, y_before, theta_before, x_after, y_after, theta_after (m and rad; or with
+the suffixes _mm and _deg). Strike the object at several positions along each tapper's line, usually
+with twelve taps per tapper. Writes a copy of the cell file with the measured positions and
 directions. A tapper without taps keeps its values.
 
   python -m tapping_cell calibrate mounts runs/* --cell config/positioning_cell/cell.yaml \\
@@ -133,10 +133,10 @@ def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
         run_ = read_run(folder)
         if run_.object_name != cell.object.name:
             raise RecordError(
-                f"{folder} is a run of '{run_.object_name}', the object file is of "
+                f"{folder} is a run of '{run_.object_name}', but the object file is of "
                 f"'{cell.object.name}'; give the object that was tapped (--object)"
             )
-        # A pose that was not measured is not finite.
+        # An unmeasured pose is NaN.
         taps += [
             tap
             for tap in run_.taps
@@ -178,6 +178,8 @@ def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
         scatter.direction,
         camera.position_noise,
         camera.angle_noise,
+        scatter.position_floor,
+        scatter.angle_floor,
     )
     fits: list[MountFit] = []
     too_few: list[str] = []
@@ -208,11 +210,11 @@ def _provenance(fits: list[MountFit], taps: Taps, cell: Cell) -> Provenance:
         residual=math.sqrt(sum(fit.residual**2 for fit in fits) / len(fits)),
         residual_of="residuals relative to the scatter in the object file",
         uncertainty=max(fit.line_deviation for fit in fits),
-        uncertainty_of="line at the object, worst tapper, m",
+        uncertainty_of="position of the line at the object, least certain tapper, m",
         deviations={f"{fit.name}_direction": fit.angle_deviation for fit in fits},
         notes=tuple(
-            f"{fit.name}: speed {100 * (fit.speed_factor - 1):+.1f} % of the curve's, if the "
-            "object's friction is as its file says"
+            f"{fit.name}: speed differs from the curve by {100 * (fit.speed_factor - 1):+.1f} %, "
+            "if the friction in the object file is correct"
             for fit in fits
         ),
     )
@@ -257,8 +259,8 @@ def lines(found: dict[str, Any]) -> list[str]:
         if fit["line_deviation"] > WANTED:
             rows.append(
                 f"note: the line of '{fit['name']}' is known to "
-                f"{1e3 * fit['line_deviation']:.2f} mm at the object ({1e3 * WANTED:.1f} mm "
-                f"is needed); make about {fit['taps_wanted']} taps"
+                f"{1e3 * fit['line_deviation']:.2f} mm at the object (needed: "
+                f"{1e3 * WANTED:.1f} mm); make about {fit['taps_wanted']} taps"
             )
     rows += [f"note: unchanged: {sentence}" for sentence in found["too_few_taps"]]
     if found["without_taps"]:

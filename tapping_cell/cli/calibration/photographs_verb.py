@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
     for number, pose in enumerate(poses, start=1):
         picture = eye.photograph(sheet, pose, noise=float(random.uniform(1.0, 3.0)), blur=0.7)
         cv2.imwrite(str(folder / f"{arguments.what}_{number:02d}.png"), picture)
-    print(f"{len(poses)} pictures in {folder}")
+    print(f"{len(poses)} images in {folder}")
     return 0
 
 
@@ -147,8 +147,8 @@ def _draw(
 def view_of_target(
     random: np.random.Generator, camera: CameraModel, size: tuple[float, float]
 ) -> CameraPose:
-    """Return a typical camera pose over a target of ``size`` in m: tilted by 5 to 40 degrees in any
-    direction, with the target anywhere in the image and filling a third to two thirds of it."""
+    """Return a random camera pose above a target of ``size`` in m, tilted by 5 to 40 degrees in any
+    direction. The target is anywhere in the image and fills a third to two thirds of it."""
     distance = size[0] / (random.uniform(0.35, 0.65) * camera.width / camera.fx)
     tilt, side = np.radians(random.uniform(5.0, 40.0)), random.uniform(0.0, 2.0 * math.pi)
     x, y = np.sin(tilt) * np.cos(side), np.sin(tilt) * np.sin(side)
@@ -158,7 +158,7 @@ def view_of_target(
 
 
 def view_of_table(random: np.random.Generator, camera: CameraModel, number: int) -> CameraPose:
-    """Return a camera pose around the table that shows the whole table."""
+    """Return a camera pose from which the whole table is visible."""
     side = number * math.pi / 3 + random.uniform(-0.3, 0.3)
     height = 0.80 * camera.fx / camera.width + random.uniform(0.0, 0.1)
     place = (0.35 * math.cos(side), 0.35 * math.sin(side), float(height))

@@ -4,7 +4,7 @@ markers.
 Print the PDF at 100 % (no "fit to page") and measure the ruler at the bottom of the page. For
 reference markers, a table file sheet.table.yaml is written next to the PDF. If the ruler does not
 measure 100 mm, correct this file with calibrate table --sheet. With --output sheet.png, one page is
-written as an image with a resolution of --dpi.
+written as an image; --dpi sets the resolution.
 
   python -m tapping_cell calibrate print --paper a4 --output sheet.pdf
   python -m tapping_cell calibrate print --paper a1 --what table --table config/table.yaml \\
@@ -133,13 +133,13 @@ def run(arguments: argparse.Namespace) -> int:
     output: Path = arguments.output.expanduser()
     picture = output.suffix.lower() == ".png"
     if picture and len(arguments.what) != 1:
-        raise CalibrationRefused("a PNG has only one page: name it with --what, or write a .pdf")
+        raise CalibrationRefused("a PNG has only one page; select it with --what, or write a .pdf")
     if not picture and output.suffix.lower() != ".pdf":
-        raise CalibrationRefused(f"{output}: end it in .pdf, or in .png for one page")
+        raise CalibrationRefused(f"{output}: the name must end in .pdf, or in .png for one page")
     given: Path | None = arguments.table
     references_shown = bool({"table", "cut"} & set(arguments.what))
     if given is not None and not references_shown:
-        raise CalibrationRefused("--table is for the pages table and cut: name one with --what")
+        raise CalibrationRefused("--table applies to the pages table and cut: name one with --what")
     table = output.with_suffix(".table.yaml") if references_shown and given is None else None
     for path in (output, table):
         if path is not None and path.exists() and not arguments.force:
@@ -156,7 +156,7 @@ def run(arguments: argparse.Namespace) -> int:
         write_png(output, drawn[0], arguments.dpi)
     else:
         write_pdf(output, drawn, "tapping cell: sheets for calibration")
-    print(f"written: {output}: {', '.join(arguments.what)}; print at 100 %, measure the ruler")
+    print(f"written: {output}: {', '.join(arguments.what)}; print at 100 % and measure the ruler")
     if table is not None:
         table.write_text(text, encoding="utf-8")
         print(f"written: {table}: the reference markers of that sheet")

@@ -31,7 +31,7 @@ def check_count(name: str, count: int, least: int) -> None:
     """Reject a number of measurements that is insufficient for a calibration.
 
     Raises:
-        RecordError: names the option, its value and the range.
+        RecordError: the number is out of range. The message names the option, value and range.
     """
     if not least <= count <= 1000:
         raise RecordError(f"{name} is {count}; it must be {least} to 1000")

@@ -1,11 +1,11 @@
 """Calibrate the map of the reference markers from images, or from a printed sheet and its ruler.
 
 Take at least six images with the calibrated camera, from above and from all sides, each showing
-several markers (move the camera, not the markers). All markers must lie flat on the table. The
-frame is that of --table OLD. Without it, the origin is marker --origin, and the x axis passes
-through marker --x-axis. Without these, the origin is the centre of all markers, and the x axis is
-along their mean direction. The markers' printed size sets the scale; a measured --distance between
-the centres of two markers is more accurate.
+several markers (move the camera, not the markers). All markers must lie flat on the table. With
+--table OLD, the frame of that file is kept. With --origin and --x-axis, the origin is the first
+marker, and the x axis passes through the second. Without these options, the origin is the centre of
+all markers, and the x axis is along their mean direction. The markers' printed size sets the scale;
+a measured --distance between the centres of two markers is more accurate.
 
   python -m tapping_cell calibrate table views/*.png --camera camera_info.yaml --size 40 \\
       --distance 101 103 660.2 --output table.yaml
@@ -152,7 +152,7 @@ def _from_sheet(arguments: argparse.Namespace) -> tuple[ReferenceMap, Provenance
         residual=0.0,
         residual_of="none (a single reading of a ruler)",
         uncertainty=0.0002 / RULER * farthest,
-        uncertainty_of="farthest marker, m, for a ruler read to 0.2 mm",
+        uncertainty_of="position of the farthest marker, m, for a ruler read to 0.2 mm",
         deviations={},
         notes=(f"the sheet's 100 mm ruler measures {arguments.ruler:g} mm",),
     )
@@ -168,7 +168,7 @@ def _from_images(
     camera = load_camera_model(camera_path)
     old = load_reference_map(arguments.table) if arguments.table else None
     if old is None and arguments.size is None:
-        raise CalibrationRefused("the markers' side is not known: give --size in mm, or --table")
+        raise CalibrationRefused("the marker size is unknown: give --size in mm, or --table")
     dictionary = old.dictionary if old else arguments.dictionary
     known = [m.id for m in old.markers] if old else arguments.ids
     paths = image_files(arguments.images)
@@ -188,7 +188,7 @@ def _from_images(
         observations=int(result.seen.sum()),
         left_out=len(result.strays),
         residual=result.rms,
-        residual_of="root mean square of the distances of corners, pixels",
+        residual_of="root mean square reprojection error of the corners, pixels",
         uncertainty=largest,
         uncertainty_of="position of the least certain marker relative to all markers, m",
         deviations={
@@ -204,7 +204,7 @@ def _from_images(
 def _views(
     paths: list[Path], camera: CameraModel, dictionary: str, known: list[int] | None
 ) -> tuple[list[MarkerView], list[str]]:
-    """Return the marker detections, and messages about images without any."""
+    """Return the marker detections, and messages about images without detections."""
     images = {path: read_grey(path) for path in paths}
     unseen = [f"{path.name}: cannot be read" for path, image in images.items() if image is None]
     kept = {path: image for path, image in images.items() if image is not None}
@@ -224,7 +224,9 @@ def _views(
 
 def _sizes(ids: list[int], size: float) -> Mapping[int, float]:
     if not 3.0 <= size <= 1000.0:
-        raise CalibrationRefused(f"markers of {size:g} mm are outside 3 to 1000 mm; --size is mm")
+        raise CalibrationRefused(
+            f"marker size {size:g} mm is outside 3 to 1000 mm; --size is in mm"
+        )
     return {number: size / 1e3 for number in ids}
 
 
@@ -235,10 +237,13 @@ def _placed(
     notes = []
     if arguments.distance:
         references, factor = _at_distance(references, arguments.distance)
-        notes.append(f"scale from a measured distance; the printed sizes were off by {factor:.5f}")
+        notes.append(
+            "scale from a measured distance; the printed sizes were wrong by the factor "
+            f"{factor:.5f}"
+        )
     if arguments.origin is not None or arguments.x_axis is not None:
         if arguments.origin is None or arguments.x_axis is None:
-            raise CalibrationRefused("--origin and --x-axis go together: give both markers")
+            raise CalibrationRefused("--origin needs --x-axis, and vice versa: give both markers")
         frame = frame_of_markers(references, arguments.origin, arguments.x_axis)
         notes.append(f"origin: marker {arguments.origin}; x axis through {arguments.x_axis}")
         return in_frame(references, frame), notes
@@ -246,7 +251,7 @@ def _placed(
         frame, moved = frame_of_map(references, old)
         notes.append(f"frame of {arguments.table.name}; markers moved by {moved * 1e3:.3f} mm rms")
         return in_frame(references, frame), notes
-    return references, [*notes, "origin in the middle of the markers, x along their mean direction"]
+    return references, [*notes, "origin: centre of the markers; x axis: their mean direction"]
 
 
 def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceMap, float]:
@@ -260,12 +265,12 @@ def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceM
     places = {m.id: (m.x, m.y) for m in references.markers}
     for number in (first, second):
         if number not in places:
-            raise CalibrationRefused(f"--distance: marker {number} was not seen")
+            raise CalibrationRefused(f"--distance: marker {number} was not detected")
     apart = math.dist(places[first], places[second])
     if first == second or not 0.8 * apart <= wanted <= 1.25 * apart:
         raise CalibrationRefused(
             f"--distance: markers {first} and {second} are about {apart * 1e3:.1f} mm apart "
-            f"by their printed size; {wanted * 1e3:g} mm is not plausible"
+            f"according to their printed size; {wanted * 1e3:g} mm is not plausible"
         )
     return scaled(references, wanted / apart), wanted / apart
 
@@ -307,5 +312,5 @@ def lines(found: dict[str, Any]) -> list[str]:
         )
     rows += [f"note: {text}" for text in found["notes"]]
     if found["rms_px"] is not None:
-        rows.append(f"corners lie within {found['rms_px']:.3f} px rms")
+        rows.append(f"residual of the corners: {found['rms_px']:.3f} px rms")
     return [*rows, f"written: {found['output']}"]

@@ -94,9 +94,9 @@ def energies_of(cell: Cell) -> list[float]:
 
 
 def order(energies: list[float], taps: int, done: list[float]) -> Iterator[float]:
-    """Yield the remaining energies of ``taps`` taps, most often the ends of the range. The energies
-    are interleaved, so that drift does not distort the curve, and an interrupted record covers
-    all."""
+    """Yield the remaining energies of a series of ``taps`` taps. The ends of the range are used
+    most often. The energies are interleaved, so that drift does not distort the curve and an
+    interrupted record covers the whole range."""
     wanted = Counter(
         {e: max(1, round(taps * n / sum(SHARES))) for e, n in zip(energies, SHARES, strict=True)}
     )
@@ -149,7 +149,7 @@ def _make(
             console.print(f"not recorded: {trial.outcome} ({trial.note})", highlight=False)
             if useless >= _USELESS:
                 raise CalibrationRefused(
-                    f"{useless} consecutive taps are unusable, the last because: {trial.note}"
+                    f"{useless} consecutive taps are unusable; cause of the last: {trial.note}"
                 )
         useless = 0
         growing.append(_row(energy, trial))

@@ -1,15 +1,17 @@
-"""Calibrate the tapper's curve from draw to speed, from the travel of the object after each tap.
+"""Calibrate the striker's speed at each energy, from the travel of the object after each tap.
 
-Each row is one tap: energy (J; or energy_mJ) and distance (m; or distance_mm) travelled by the
-object. Optional columns are its rotation (rad; or rotation_deg) and the incidence of the striker
-relative to the contact normal (rad; or incidence_deg; default 0). Record about 30 taps through the
-object's centre, at six or more energies from the smallest tap to the largest. Friction and
-restitution come from the object file. Writes a copy of the cell file with the new curve in its
-section tapper. A column distance_std gives the camera's error of each travel (default 0.1 mm).
+Each row is one tap: energy (J; or energy_mJ) and the distance travelled by the object (m; or
+distance_mm). Optional columns are the object's rotation (rad; or rotation_deg), the incidence of
+the striker relative to the contact normal (rad; or incidence_deg; default 0) and distance_std, the
+standard deviation of the camera's measurement of the distance (default 0.1 mm). Record about 30
+taps through the object's centre, at six or more energies from the smallest tap to the largest.
+Friction and restitution come from the object file. Writes a copy of the cell file with the new
+curve in its section tapper.
 
-With --record, the running cell makes the record first: taps near the middle of the table, from the
-smallest in the object file to the largest that certainly stays on the table and in view, most of
-them at the two ends of that range. Ctrl-C stops the recording; --resume continues it.
+With --record, the running cell first makes the record. It taps near the middle of the table, from
+the smallest tap in the object file to the largest after which the object certainly stays on the
+table and in view. Most taps are at the two ends of this range. Ctrl-C stops the recording; --resume
+continues it.
 
   python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell up --hardware                              # in another terminal, and then
@@ -102,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
         found["notes"].append(
             f"the old curve went from {old.slowest * 1e3:.0f} to {old.fastest * 1e3:.0f} mm/s; the"
             f" planner now uses {result.speeds[0] * 1e3:.0f} to {result.speeds[-1] * 1e3:.0f} mm/s,"
-            " where there are taps"
+            " the range of the recorded taps"
         )
     print(json.dumps(found, indent=1) if arguments.json else "\n".join(lines(found)))
     return 0
@@ -140,9 +142,9 @@ def _provenance(result: TapperCalibration, table: CsvTable, object_path: Path) -
         observations=result.used,
         left_out=len(result.left_out) + len(table.faults),
         residual=result.scatter,
-        residual_of="scatter of a tap's speed, relative",
+        residual_of="relative scatter of a tap's speed",
         uncertainty=result.uncertainty,
-        uncertainty_of="speed over the curve, relative, without the object file's errors",
+        uncertainty_of="relative error of the curve's speeds, without errors of the object file",
         deviations=dict(zip(names, spread.tolist(), strict=True)),
         notes=(
             f"smallest reliable tap: {result.least_energy * 1e3:.4g} mJ,"

@@ -90,9 +90,7 @@ class Session:
         if self.unattended:
             return
         self.console.print(f"[cyan]>[/] {escape(sentence)}")
-        self.console.input(
-            "  press Enter when this is done, Ctrl-C to stop (to be continued later) "
-        )
+        self.console.input("  press Enter when this is done, or Ctrl-C to stop and continue later ")
 
     def ask(self, question: str, default: str) -> str:
         """Return a person's answer, or the default in unattended mode."""

@@ -37,7 +37,7 @@ HOMING_S = 180.0
 JOINT_STEP = 0.1
 """Rotation (rad) by which each revolute joint is moved to check its direction."""
 SPEED = 1.0
-"""Speed of the fastest joint, rad/s; a quarter of it in set-up mode."""
+"""Speed of the fastest joint, rad/s; in set-up mode a quarter of this speed is used."""
 LIMIT_SHARE = 0.9
 """Fraction of the distance from the park posture to each limit that a joint moves."""
 ARM_POSES, TAPS = 10, 10
@@ -77,7 +77,7 @@ def _checked(session: Session) -> Proof:
 def ports(session: Session) -> Proof:
     """Find the serial ports of arm and tapper. The next step identifies the devices."""
     if not session.hardware:
-        return Proof("the simulated cell brings its own ports")
+        return Proof("the simulated cell has its own ports")
     known = ", ".join(known_ports())
     text = session.cell_file.read_text(encoding="utf-8")
     values: dict[str, float | str] = {}
@@ -85,14 +85,12 @@ def ports(session: Session) -> Proof:
     if cell.file.tapper.dialect == "io":
         raise StepFailed(
             "tapper.dialect is io: commissioning works in set-up mode, which needs the tapper's"
-            " board; see docs/how-to/fire_by_a_digital_output.md for the way without it"
+            " board; without the board, follow docs/how-to/fire_by_a_digital_output.md"
         )
     for name, now in (("arm", cell.arm.port), ("tapper", cell.file.tapper.port)):
-        port = session.ask(f"serial port of the {name}; there are: {known or 'none'}", now)
+        port = session.ask(f"serial port of the {name} (found: {known or 'none'})", now)
         if not Path(port).expanduser().exists():
-            raise StepFailed(
-                f"the {name}'s port {port} does not exist; there are: {known or 'none'}"
-            )
+            raise StepFailed(f"the {name}'s port {port} does not exist; found: {known or 'none'}")
         text = with_value(text, f"{name}.port", port)
         values[name] = port
     session.cell_file.write_text(text, encoding="utf-8")
@@ -157,7 +155,7 @@ def table(session: Session) -> Proof:
 
 
 def _photographs(session: Session, folder: Path, what: str, count: int) -> None:
-    """Provide the images: from the person, or rendered in simulation."""
+    """Ask the person for the images, or render them in simulation."""
     if folder.exists() and any(folder.iterdir()):
         return
     if session.hardware:
@@ -243,14 +241,14 @@ def _homed(session: Session, **options: Any) -> Iterator[tuple[Graph, ArmPoseCli
 
 
 def joints(session: Session) -> Proof:
-    """Move each joint to show its direction, then near each limit, in set-up mode."""
+    """In set-up mode, move each joint to show its direction, then to near each limit."""
     values: dict[str, float | str] = {}
     arm = session.cell().arm
     lower, upper = Joints(*arm.lower), Joints(*arm.upper)
     park = Joints(*arm.park)
     session.instruct(
         "clear everything within the arm's reach and hold the enabling device: each joint moves"
-        " a little, then near its limits"
+        " a little, and then almost to its limits"
     )
     with _homed(session, set_up=True) as (graph, client):
         try:
@@ -264,7 +262,7 @@ def joints(session: Session) -> Proof:
                 assert here is not None
                 moved = getattr(here, name) - getattr(start, name)
                 if abs(moved - JOINT_STEP) > 0.2 * JOINT_STEP:
-                    raise StepFailed(f"{name} was sent {JOINT_STEP} rad and moved {moved:.3f} rad")
+                    raise StepFailed(f"{name} moved {moved:.3f} rad instead of {JOINT_STEP} rad")
                 values[f"{name}_step_deg"] = round(math.degrees(moved), 3)
                 question = f"did the {name} turn counter-clockwise, seen from above?"
                 turned = session.ask(question, "yes")
@@ -289,7 +287,7 @@ def joints(session: Session) -> Proof:
 
 def object_at_rest(session: Session) -> Proof:
     """Measure the pose of the object at rest several times."""
-    session.instruct("put the object on the middle of the table, its marker up")
+    session.instruct("put the object in the middle of the table, with its marker up")
     with _homed(session, set_up=True) as (graph, client):
         places: list[Pose] = []
         seen_at: set[int] = set()
@@ -362,14 +360,15 @@ def arm(session: Session) -> Proof:
         )
     rms = 1e3 * float(found["position_rms"])
     if rms > 1.0:
-        raise StepFailed(f"{rms:.2f} mm residual between arm and camera (limit 1 mm)")
-    return Proof(f"{rms:.3f} mm are left between arm and camera", {"residual_mm": round(rms, 4)})
+        raise StepFailed(f"residual between arm and camera {rms:.2f} mm (limit 1 mm)")
+    return Proof(f"residual between arm and camera {rms:.3f} mm", {"residual_mm": round(rms, 4)})
 
 
 def tapper(session: Session) -> Proof:
     """Measure the striker's speed over its energies."""
     session.instruct(
-        "take the marker off the striker, put the object on the middle, close the guard"
+        "take the marker off the striker, put the object in the middle of the table and close the "
+        "guard"
     )
     record = session.folder / "tapper.csv"
     resumed = ("--resume",) if record.exists() else ()
@@ -406,7 +405,7 @@ def goal(session: Session) -> Proof:
     turn = math.degrees(abs(finished.residual_rotation))
     _checked(session)
     return Proof(
-        f"reached after {finished.taps} taps, {distance:.2f} mm and {turn:.2f} deg off",
+        f"reached after {finished.taps} taps, remaining error {distance:.2f} mm, {turn:.2f} deg",
         {"taps": finished.taps, "residual_mm": round(distance, 3), "residual_deg": round(turn, 3)},
     )
 

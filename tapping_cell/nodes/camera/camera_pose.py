@@ -83,8 +83,8 @@ CAMERA_PERIOD_S = 1.0
 STAMP_AHEAD_S = 1.0
 """Maximum time by which an image stamp may be ahead of this node's clock."""
 MOST_LATE = 15
-"""Consecutive images with stamps before the last accepted stamp, after which tracking restarts.
-They span about half a second, which is too long for reordered messages."""
+"""Number of consecutive images, each older than the last accepted image, after which tracking
+restarts. They span about half a second, which is too long for reordered messages."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,7 +325,7 @@ class CameraPose(CellNode[Parameters]):
         self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
         if self._late >= MOST_LATE and self._camera is not None and self._cell is not None:
             self.get_logger().warning(
-                f"{self._late} consecutive images are older than an earlier one: the camera's "
+                f"{self._late} consecutive images are older than an earlier image: the camera's "
                 "clock was set back; tracking restarts"
             )
             self._make_trackers(self._camera, self._cell)

@@ -17,8 +17,8 @@ from tapping_cell.vision import CameraError, CameraModel
 PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
-"""Sensor data with a queue of half a second, so that a busy machine delays images without losing
-any."""
+"""Sensor data with a queue of half a second, so that a short delay of this process loses no
+image."""
 COMPRESSED_PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )
@@ -77,8 +77,8 @@ def unpack(message: Image) -> NDArray[np.uint8]:
     encoding = ENCODINGS.get(message.encoding)
     if encoding is None:
         raise ImageRefused(
-            f"the image's encoding is '{message.encoding}'; known are {', '.join(ENCODINGS)}: set "
-            "the camera to one of them, best to mono8"
+            f"the image's encoding is '{message.encoding}'; set the camera to one of "
+            f"{', '.join(ENCODINGS)}, preferably mono8"
         )
     width, needed = message.width * encoding.size, message.step * message.height
     if message.step < width or len(message.data) < needed or needed == 0:
@@ -205,8 +205,8 @@ def from_camera_info(message: CameraInfo) -> CameraModel:
     if max(message.binning_x, message.binning_y) > 1:
         raise CameraError(
             f"camera_info has binning {message.binning_x} x {message.binning_y}, which is not "
-            "supported; set the camera to full resolution, or calibrate with the binning and "
-            "leave it out"
+            "supported; set the camera to full resolution, or calibrate the binned images and "
+            "publish camera_info without binning"
         )
     if (roi.x_offset, roi.y_offset, roi.width, roi.height) not in ((0, 0, 0, 0), whole):
         raise CameraError(

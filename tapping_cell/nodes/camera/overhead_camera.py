@@ -172,7 +172,7 @@ class OverheadCamera(CellNode[Parameters]):
             self._say(
                 f"the image is {picture.shape[1]} x {picture.shape[0]} pixels but the "
                 f"calibration is for {wanted.width} x {wanted.height}: not sent; calibrate at "
-                "this size or set the camera so"
+                "the image size, or set the camera to the calibrated size"
             )
             return
         self._problem = ""
@@ -193,7 +193,7 @@ class OverheadCamera(CellNode[Parameters]):
         self._frames += 1
 
     def _say(self, sentence: str) -> None:
-        """Log a problem, unless it is the current one."""
+        """Log a problem, unless it was the last one logged."""
         if sentence != self._problem:
             self.get_logger().error(sentence)
         self._problem = sentence

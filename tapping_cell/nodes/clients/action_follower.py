@@ -85,12 +85,13 @@ class ActionFollower(ClientNode, Generic[Event]):
             result = done.result().result
             if number == self._sent or result.error_code != ErrorCode.GOAL_REPLACED:
                 self._on_result(result)
-            # Otherwise the goal was sent twice because the response was late, and replaced itself.
+            # Otherwise the response was late, and the goal was sent again, which replaced its first
+            # copy.
 
         handle.get_result_async().add_done_callback(end)
 
     def _event_of_silence(self) -> Event | None:
-        """Return the event that a lack of messages means, if any."""
+        """Return the event to report because messages are missing, if any."""
         return None
 
     @abstractmethod

@@ -28,14 +28,14 @@ ARRIVED = 0.01
 MOVE_PATIENCE_S = 30.0
 OBSERVATION_PATIENCE_S = 10.0
 UNSEEN_PATIENCE_S = 3.0
-"""Timeout for an observation at rest, and for the marker to come into view at all."""
+"""Timeout for an observation at rest, and for the first observation of the marker."""
 PICTURES = 10
 """Number of images at rest that are fused into an observation."""
 _POLL_S = 0.02
 
 
 class ArmRefused(RuntimeError):
-    """The arm did not reach its target. The message is the arm's own."""
+    """The arm did not reach its target. The message comes from the arm's node."""
 
 
 class Seen(NamedTuple):
@@ -68,7 +68,7 @@ class ArmPoseClient(GoalClient):
         if self.arm_state.state != ArmState.IDLE:
             return [f"the arm is not idle ({self.arm_state.error_msg or 'busy'})"]
         if self.joints() is None or not self.arm_state.homed:
-            return ["the arm's joints have not been read back yet: is it homed?"]
+            return ["the arm's joints have not been read back yet: is the arm homed?"]
         if self.object_state is None:
             return ["camera_pose has not reported the object yet"]
         return []
@@ -85,7 +85,7 @@ class ArmPoseClient(GoalClient):
         None if the camera does not detect the marker at rest there.
 
         Raises:
-            ArmRefused: the arm is not there in time, or reports why it does not move.
+            ArmRefused: the arm does not arrive in time, or reports why it does not move.
         """
         sent = self.node.get_clock().now()
         arrived = self.go(target, speed, check)
@@ -99,7 +99,7 @@ class ArmPoseClient(GoalClient):
         measured joints reached it.
 
         Raises:
-            ArmRefused: the arm is not there in time, or reports why it does not move.
+            ArmRefused: the arm does not arrive in time, or reports why it does not move.
         """
         sent = self.node.get_clock().now()
         self._command(target, speed)

@@ -128,7 +128,7 @@ class CellClient(ClientNode):
         stop.
 
         Raises:
-            NotDone: names the devices that did not confirm the stop.
+            NotDone: a device did not confirm the stop. The message names it.
         """
         asked: dict[str, Future] = {}
         actors = self._actors()
@@ -159,7 +159,7 @@ class CellClient(ClientNode):
         """Clear the stop and the faults of arm and tapper. Return their responses.
 
         Raises:
-            NotDone: a device refuses, with its own message.
+            NotDone: a device refuses, with the message of that device.
         """
         answers = [self._call(self._clear[actor], actor) for actor in self._actors()]
         refused = [words for good, words in answers if not good]
@@ -168,7 +168,7 @@ class CellClient(ClientNode):
         return [words for _, words in answers]
 
     def home(self) -> str:
-        """Start homing the arm. Raises NotDone with the arm's own message."""
+        """Start homing the arm. Raises NotDone with the message of the arm's node."""
         good, words = self._call(self._home, "scara_arm")
         if not good:
             raise NotDone(words)

@@ -95,7 +95,7 @@ class GoalClient(ActionFollower[Event]):
         self.last_run = ""
         """Folder of the run that the recorder finished last; empty before the first."""
         self.planner_active = False
-        """Whether the planner has published its state, which it does once it is active."""
+        """Whether the planner has published its state, which it does after its activation."""
         self._true_pose_received = 0.0
         self._taps_received = 0
         self._phase = ""
@@ -198,7 +198,8 @@ class GoalClient(ActionFollower[Event]):
         return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
 
     def _event_of_silence(self) -> PlannerLost | Finished | None:
-        """That the planner is gone, told once; or the end of a goal that nobody will answer."""
+        """Return PlannerLost once when the planner has gone, or Finished for a goal whose result
+        can no longer arrive."""
         watch, received = self._watch, self._plan
         if watch is None:
             return None
@@ -242,7 +243,7 @@ class GoalClient(ActionFollower[Event]):
         self.planner_active = True
         self._plan = message, time.monotonic()
         if self._watch is not None and self._watch.gone:
-            self._follow(message)  # a planner that resumed the goal sends no feedback for it
+            self._follow(message)  # a planner that has resumed the goal sends no feedback
 
     def _on_last_run(self, message: String) -> None:
         self.last_run = message.data

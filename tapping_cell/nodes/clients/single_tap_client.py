@@ -38,12 +38,12 @@ from tapping_cell.se2 import Pose
 
 BEFORE_S = 1.0
 AFTER_S = 0.7
-"""A track starts this time before the release and ends this time after the object came to rest."""
+"""A track starts BEFORE_S before the release and ends AFTER_S after the object came to rest."""
 KEPT_POSES = 4000
 LONGEST_TAP_S = 120.0
 LONGEST_AWAY_S = 3.0
 """Time (s) after which an action server that is no longer discovered is considered dead. Shorter
-gaps are errors of discovery."""
+gaps occur in discovery while the server is running."""
 LATCHED_QUALITY = Quality(1, latched=True)
 RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PoseWithCovarianceStamped, "object_pose", 50, Quality()),
@@ -80,7 +80,7 @@ class SingleTapClient(GoalClient):
         it is ready."""
         reasons = super().missing()
         if not reasons and not self._single.server_is_ready():
-            reasons.append("the planner does not serve single_tap: it is of an older version")
+            reasons.append("the planner does not serve single_tap: its version is too old")
         return reasons
 
     @property

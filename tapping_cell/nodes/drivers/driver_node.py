@@ -66,9 +66,11 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         return self.logic.stopped
 
     def connect(self, driver: Driver, port: str, cell: Cell, read: Callable[[Any], Any]) -> Any:
-        """Connect to the device and notify the machine. Return the result of ``driver.connect``.
+        """Connect to the device and notify the state machine. Return the result of
+        ``driver.connect``.
 
-        ``port``: path of the port, for diagnostics. ``read``: converts that result for the machine.
+        ``port``: path of the port, for diagnostics. ``read``: converts that result for the state
+        machine.
 
         Raises:
             NotReady: the device is absent or its response is not understood; the life cycle
@@ -93,11 +95,11 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         return answer
 
     def activate(self) -> None:
-        """Allow the machine to act."""
+        """Allow the state machine to act."""
         self.host.lifecycle(Activated())
 
     def deactivate(self) -> None:
-        """Make the machine end its current action."""
+        """Make the state machine end its current action."""
         self.host.lifecycle(Deactivated())
 
     def cleanup(self) -> None:
@@ -109,7 +111,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         self.driver = None
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Pass an emergency stop message to the machine, which stops the device immediately."""
+        """Pass a stop message to the state machine, which stops the device immediately."""
         self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
 

@@ -43,8 +43,8 @@ class KeptShot:
         shot = 0 if found is None else found.get("shot")
         if not isinstance(shot, int) or shot < 0:
             raise ValueError(
-                f"{self._file}, which keeps the last shot that was fired, cannot be read: "
-                "make sure that no tap is under way, then delete it"
+                f"{self._file}, which stores the number of the last shot, cannot be read: "
+                "make sure that no tap is in progress, then delete the file"
             )
         return shot
 

@@ -1,4 +1,4 @@
-"""Node of the tapper: hosts ``logic.tapper`` with the tapper's driver."""
+"""Node of the tappers: hosts ``logic.tapper`` with the driver of all tapper boards."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.hardware.output_tapper import OutputTapperDriver
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import TapperDriver, TapperSettings
+from tapping_cell.hardware.tapper_boards import TapperBoards, numbered
 from tapping_cell.hardware.tapper_protocol import Mode
 from tapping_cell.logic import enabling
 from tapping_cell.logic.tapper import TapperLogic, TapperOptions
@@ -32,15 +33,9 @@ class Parameters:
     autostart: bool = text("configure and activate automatically at start-up", default=True)
     cell_file: str = text("path of the cell file; if empty, the package's default", default="")
     port: str = text(
-        "path of the tapper's serial port; if empty, the one in the cell file", default=""
-    )
-    board: int = quantity(
-        "index of the tapper board that this node drives: 0 for the first port in the cell file, "
-        "1 for the second",
-        "",
-        0,
-        15,
-        default=0,
+        "path of the tapper's serial port; if empty, the one in the cell file. In a cell with "
+        "several tapper boards, the second has this path with the suffix _1, and so on",
+        default="",
     )
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
@@ -56,7 +51,7 @@ class Parameters:
         default=0.3,
     )
     silence_limit: float = quantity(
-        "maximum age of the last message of planner and camera for charging and firing",
+        "maximum age of the last messages of planner and camera for the tapper to charge or fire",
         "s",
         0.1,
         5.0,
@@ -88,7 +83,7 @@ class Parameters:
     )
 
 
-class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
+class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
     """See the module's docstring."""
 
     logic: TapperLogic
@@ -100,35 +95,29 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         self.host.publishes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.ArmState, "arm_state", LATCHED)
-        self.host.subscribes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.PlanState, "plan_state", LATCHED)
         self.host.subscribes(messages.ObjectState, "object_state", LATCHED)
         self.host.subscribes(messages.ObjectStates, "object_states", LATCHED)
         self.host.subscribes(messages.Bool, enabling.TOPIC, COMMAND)
         self.host.calls(messages.HoldStill, "hold_still")
 
-    def role_of(self, executable: str) -> str:
-        """Return the role, which contains the number of the board, if it is not the first."""
-        board = self.settings.board
-        return f"{executable}_{board}" if board else executable
-
     def configure(self) -> None:
-        """Read the cell file, open the port and start a session, which discharges the tapper."""
+        """Read the cell file, open the ports and start sessions, which discharge every tapper."""
         cell = load_cell(self.settings.cell_file or None)
-        if self.settings.board >= len(cell.boards):
-            raise ConfigurationError(
-                f"parameter board is {self.settings.board}, but {cell.path} has"
-                f" {len(cell.boards)} (0 to {len(cell.boards) - 1})"
-            )
         tapper = cell.file.tapper
         if tapper.output is not None:
             output = self._output_driver(tapper, tapper.output)
             self.connect(output, tapper.output.name, cell, lambda reply: reply)
             return
-        port = str(self.port_path(self.settings.port or cell.boards[self.settings.board].port))
-        mode = Mode.SETUP if self.settings.set_up else Mode.RUN
-        driver = TapperDriver(SerialTransport(port, tapper.baud), TapperSettings(mode=mode))
-        self.connect(driver, port, cell, lambda reply: reply)
+        ports = [
+            str(self.port_path(numbered(self.settings.port, index) or board.port))
+            for index, board in enumerate(cell.boards)
+        ]
+        settings = TapperSettings(mode=Mode.SETUP if self.settings.set_up else Mode.RUN)
+        boards = TapperBoards(
+            [TapperDriver(SerialTransport(port, tapper.baud), settings) for port in ports]
+        )
+        self.connect(boards, ", ".join(ports), cell, lambda reply: reply)
 
     def destroy_node(self) -> None:
         """Destroy the link together with the node."""
@@ -141,7 +130,7 @@ class TapperTrigger(DriverNode[Parameters, TapperDriver | OutputTapperDriver]):
         if self.settings.set_up:
             raise ConfigurationError(
                 "parameter set_up is true, but tapper.dialect is io: set-up mode needs the tapper's"
-                " board, which limits the energy and reads the enabling switch by itself"
+                " board, which limits the energy and reads the enabling switch"
             )
         if self._link is not None and self._linked_to != section:
             self._link.destroy()
@@ -185,9 +174,7 @@ def make_logic(parameters: Parameters) -> TapperLogic:
         parameters.moved_limit,
         parameters.turned_limit,
     )
-    return TapperLogic(
-        TapperOptions(parameters.state_rate, limits, parameters.set_up, board=parameters.board)
-    )
+    return TapperLogic(TapperOptions(parameters.state_rate, limits, parameters.set_up))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

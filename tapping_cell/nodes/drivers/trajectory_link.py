@@ -37,7 +37,7 @@ KEPT_S = 1.0
 """Time for which samples are kept."""
 STATUS = {4: GoalState.SUCCEEDED}
 """Goal state for each status code of an action result. Every other code means failure."""
-ENDINGS = {5: "cancelled, as by another program's trajectory", 6: "aborted"}
+ENDINGS = {5: "cancelled, perhaps by another program", 6: "aborted"}
 
 
 class RosTrajectoryLink(RosLink):
@@ -178,8 +178,8 @@ class RosTrajectoryLink(RosLink):
             self._open = False
             raise HardwareFault(
                 FaultReason.DISCONNECTED,
-                f"nothing accepts trajectories on {self._way()} any more: check the arm's "
-                "driver and that its joint_trajectory_controller is active",
+                f"no controller accepts trajectories on {self._way()} any longer: check that the "
+                "arm's driver is running and its joint_trajectory_controller is active",
             )
         message = self._message(points)
         with self._lock:
@@ -219,7 +219,7 @@ class RosTrajectoryLink(RosLink):
                 return
             if not handle.accepted:
                 self._progress = Progress(
-                    GoalState.FAILED, "it refused the goal (see its log; is it active?)"
+                    GoalState.FAILED, "the controller refused the goal (see its log)"
                 )
                 return
             self._handle = handle
@@ -263,7 +263,7 @@ class RosTrajectoryLink(RosLink):
 
     def _absence(self) -> str:
         return (
-            f"nothing accepts trajectories on {self._way()}: start the arm's driver and "
+            f"no controller accepts trajectories on {self._way()}: start the arm's driver and "
             "activate its joint_trajectory_controller, or correct arm.ros2_control.controller"
         )
 

@@ -113,7 +113,7 @@ class CellView:
         self.emergency_stop = False
         self.held_by_page = False
         self.stops: dict[str, tuple[str, ...]] = {}
-        """Causes of each actor's stop that have not been reset."""
+        """Causes of each actor's latched stop; empty if the actor is not stopped."""
         self.simulated = False
 
     @property
@@ -224,7 +224,7 @@ class CellView:
             return Mode("not ready", seen.error_msg, seen.error_code)
         if self._plan is None or time.monotonic() - self._plan_received > 2 * SILENCE_LIMIT_S:
             return Mode("not ready", "the planner sends no messages; start tap_planner")
-        return Mode("ready", "the cell takes a goal")
+        return Mode("ready", "the cell accepts goals")
 
     def state(self) -> dict[str, object]:
         """Return all values that change."""

@@ -22,13 +22,13 @@ from tapping_cell.vision import View
 HANDLE_BEYOND = 0.03
 """Distance in m from the farthest point of the outline to the handle that rotates the ghost."""
 ARROW, ARROW_AHEAD = 0.06, 0.012
-"""Length in m of the striker's line that is drawn behind and before the tip of the striker at
+"""Lengths in m of the striker's line as drawn, behind and in front of the tip of the striker at
 rest."""
 ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % of a bivariate normal distribution, in standard
 deviations."""
 FARTHEST = 5.0
-"""Maximum distance in m from the table's origin. A pixel that maps to a point beyond it does not
+"""Maximum distance in m from the table's origin. A pixel that maps to a point farther away does not
 show the table."""
 SIDE = 0.001
 """Step in m for determining the direction on the table that points to the right in the image."""

@@ -1,8 +1,8 @@
 """Queue of goals, and named goals. This module has no side effects: the page's node sends the
 goals.
 
-The queue starts only when a person runs it. It sends the next goal when the last one was reached,
-and pauses after any other result, because the cause may also affect the next goal.
+The queue starts only when a person runs it. It sends the next goal after the current goal was
+reached, and pauses after any other result, because the cause may also affect the next goal.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class GoalQueue:
         self._numbers = itertools.count(1)
         self._waiting: dict[int, Wanted] = {}
         self.running = False
-        """Whether the next goal is sent when the last one was reached."""
+        """Whether the next goal is sent after the current goal was reached."""
         self.held = ""
         """Reason why the queue paused automatically, or an empty text."""
 

@@ -42,12 +42,12 @@ class Guard:
     token: str
     """Token that a page must send; empty if none is required."""
     addresses: bool
-    """Whether any numeric address is accepted as Host as well, since it cannot be rebound."""
+    """Whether any numeric address is also accepted as Host, because DNS rebinding needs a name."""
 
     @classmethod
     def make(cls, address: str, more_names: Iterable[str], token: str) -> Guard:
-        """Return the guard of a server bound to ``address``. If no token is given, one is generated
-        if the page is reachable from other machines."""
+        """Return the guard of a server bound to ``address``. If ``token`` is empty and the page is
+        reachable from other machines, a token is generated."""
         local = is_loopback(address)
         own = () if local else (socket.gethostname(), f"{socket.gethostname()}.local")
         names = {name.strip().lower() for name in (*LOOPBACK_NAMES, *own, *more_names)}
@@ -122,8 +122,8 @@ def _with_port(name: str, port: int) -> str:
 
 
 def urls(address: str, port: int, token: str) -> list[str]:
-    """Return the URLs of the page. The token follows the #, because browsers never send that part,
-    so that no log contains it."""
+    """Return the URLs of the page. The token follows the #, because browsers do not send that part,
+    so it appears in no server's log."""
     tail = f":{port}/" + (f"#token={token}" if token else "")
     if is_loopback(address):
         return [f"http://{'[::1]' if address == '::1' else 'localhost'}{tail}"]

@@ -193,8 +193,7 @@ class OperatorPage(CellNode[Parameters]):
     # Life cycle
 
     def configure(self) -> None:
-        """Read the cell file, and the map of the table that determines which goals the planner
-        refuses."""
+        """Read the cell file, and create the check for goals that the planner would refuse."""
         cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
         self._arrangements.use_cell(cell)
         self._cell = cell
@@ -235,8 +234,8 @@ class OperatorPage(CellNode[Parameters]):
         except OSError as error:
             raise NotReady(
                 f"the page cannot be served at {self.settings.address}, port {port} "
-                f"({error.strerror or error}); end what uses the port or set the parameters "
-                f"address and {parameter}"
+                f"({error.strerror or error}); end the program that uses the port, or set "
+                f"the parameters address and {parameter}"
             ) from error
 
     def deactivate(self) -> None:
@@ -438,7 +437,7 @@ class OperatorPage(CellNode[Parameters]):
         if self._last_run and Path(self._last_run).parent != self.runs.folder:
             return (
                 f"The last run was recorded to {self._last_run}; the page serves only runs in "
-                f"{self.runs.folder}. Set its parameter 'runs' to the recorder's folder."
+                f"{self.runs.folder}. Set the page's parameter 'runs' to the recorder's folder."
             )
         if self._watch is not None and not self._watch.runs("run_recorder"):
             return "Runs are not recorded: run_recorder is not running."
@@ -523,7 +522,7 @@ class OperatorPage(CellNode[Parameters]):
             ghost = self._ghost_of(request.object)
             if ghost is None:
                 raise BadRequest(
-                    "the camera's pose over the table is not known yet; type the goal instead"
+                    "the camera's pose above the table is not known yet; type the goal instead"
                 )
             answer(ghost.answer(request))
         except BadRequest as error:
@@ -532,7 +531,7 @@ class OperatorPage(CellNode[Parameters]):
     def _confirm(self, request: Confirm, who: str, answer: server.Answer) -> None:
         def told(future: Future) -> None:
             response: ConfirmTap.Response = future.result()
-            words = "tap confirmed" if request.confirm else "tap skipped; another one is planned"
+            words = "tap confirmed" if request.confirm else "tap skipped; another tap is planned"
             sentence = with_code(response.error_msg, response.error_code)
             answer(_answer("confirm", response.accepted, words if response.accepted else sentence))
             if response.accepted:
@@ -679,7 +678,7 @@ class OperatorPage(CellNode[Parameters]):
         self._call(self._home_client, Trigger.Request(), "home", "scara_arm", answer)
 
     def _enable(self, held: bool) -> None:
-        """Relay each heartbeat of a held key. When the next one is missing, the key counts as
+        """Relay each heartbeat of a held key. If the next heartbeat is missing, the key counts as
         released."""
         self._enabling.publish(Bool(data=held))
 

@@ -59,7 +59,7 @@ class Recovery:
             if self._tapper_halted:
                 pressed = "now" if tapper_halted else "done"
                 button = "press_button" if simulated else ""
-                text = "Press the clear button at the tapper; clear the faults within 10 s of it."
+                text = "Press the clear button at the tapper, then clear the faults within 10 s."
                 steps.append(Step(text, pressed, button))
             held = f" Stops: {', '.join(holders)}." if holders else ""
             steps.append(Step(f"Clear the stop and the faults.{held}", now, "clear"))
@@ -67,6 +67,6 @@ class Recovery:
             return steps
         home = "done" if homed and not halted else "later" if halted else "now"
         busy = arm is not None and arm.state == ArmState.HOMING
-        text = "The arm is homing." if busy else "Home the arm: it finds its end switches."
+        text = "The arm is homing." if busy else "Home the arm: it moves to its end switches."
         steps.append(Step(text, home, "" if busy else "home"))
         return steps

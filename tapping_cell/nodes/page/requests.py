@@ -34,7 +34,7 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Query the ghost's pose when its centre appears at (u, v) in the image.
+    """Query the pose of the ghost whose centre appears at (u, v) in the image.
 
     ``u`` and ``v`` are fractions of the image's width and height from its top left corner; the
     angle is in rad. ``object`` is the name of its object; if empty, the cell's own.
@@ -49,7 +49,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """Query the ghost's pose when its handle appears at (u, v) in the image. x and y are in m."""
+    """Query the pose of the ghost at x, y (m) whose handle appears at (u, v) in the image."""
 
     number: int
     x: float
@@ -61,7 +61,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Query the ghost's position in the image when it lies at this pose on the table."""
+    """Query the position in the image of the ghost at this pose on the table."""
 
     number: int
     pose: Pose
@@ -258,7 +258,7 @@ def parse(text: str | bytes) -> Request:
         return SetPlanner(_name(content, "planner"))
     if kind in COMMANDS:
         return Command(str(kind))
-    raise BadRequest(f"'do' is {_shown(kind)}; known are {', '.join(KINDS)}")
+    raise BadRequest(f"'do' is {_shown(kind)}, but must be one of {', '.join(KINDS)}")
 
 
 def _pose(content: dict[str, object]) -> Pose:
@@ -317,7 +317,7 @@ def _truth(content: dict[str, object], name: str) -> bool:
 def _number(content: dict[str, object], name: str) -> float:
     value = content.get(name)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise BadRequest(f"{name} is {_shown(value)}, not a number; type one such as 12.5")
+        raise BadRequest(f"{name} is {_shown(value)}; type a number such as 12.5")
     if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # also rejects NaN
         raise BadRequest(
             f"{name} is {_shown(value)}; a number between -{LARGEST_NUMBER:g} and "

@@ -55,8 +55,8 @@ PING_PERIOD_S = 5.0
 MOST_MESSAGES = 100
 """Maximum number of messages of one page per second, beyond which its connection is closed."""
 MOST_COMMANDS = 10
-"""Maximum number of goals and commands of one page per second; further ones are refused. A stop is
-never refused."""
+"""Maximum number of goals and commands of one page per second. Further requests are refused, except
+for a stop."""
 MOST_ANSWERS = 64
 """Maximum number of queued responses for one page."""
 MOST_DOWNLOADS = 2
@@ -330,7 +330,7 @@ class RunHandler(_Guarded):
     async def get(self, key: str, name: str, what: str) -> None:
         """Send the report as a page, or the run's archive in chunks."""
         if not self.server.knows(key):
-            self.refuse(403, "this link belongs to a page that is closed; use one of an open page")
+            self.refuse(403, "this link belongs to a closed page; use a link on an open page")
         elif what == "run.zip":
             await self._archive(name)
         else:
@@ -345,7 +345,7 @@ class RunHandler(_Guarded):
 
     async def _archive(self, name: str) -> None:
         if self.server.downloads >= MOST_DOWNLOADS:
-            self.refuse(503, f"{MOST_DOWNLOADS} downloads are under way; try again when one ends")
+            self.refuse(503, f"{MOST_DOWNLOADS} downloads are in progress; try again later")
             return
         self.server.downloads += 1
         try:

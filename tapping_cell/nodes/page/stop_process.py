@@ -1,8 +1,8 @@
 """Process that serves STOP and publishes the page's ``emergency_stop``.
 
 :class:`tapping_cell.nodes.page.stop_link.StopLink` starts it and writes first its configuration and
-then its requests to standard input, one JSON value per line. It reads each change of the level from
-standard output. The process ends when standard input is closed, so it never outlives the page.
+then its requests to standard input, one JSON value per line. The process writes each change of the
+level to standard output. It ends when standard input is closed, so it never outlives the page.
 """
 
 from __future__ import annotations
@@ -58,8 +58,7 @@ async def _serve(configuration: dict[str, Any], publish: Any) -> None:
     output = sys.stdout.fileno()
 
     def report(held: bool, who: str) -> None:
-        # A parent that does not read must not block the stop. A `check` request returns what it
-        # missed.
+        # A parent that does not read must not block the stop, so it may miss this change.
         try:
             os.write(output, json.dumps({"held": held, "who": who}).encode() + b"\n")
         except BlockingIOError:

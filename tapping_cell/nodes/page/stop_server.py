@@ -34,11 +34,8 @@ class StopLevel:
     def __init__(
         self, publish: Callable[[bool], None], report: Callable[[bool, str], None], held: bool
     ) -> None:
-        """``publish``: sends the level to the cell. ``report``: sends it, and its author, to the
-        node.
-
-        ``held``: continue a stop that was held before this process started.
-        """
+        """``publish``: sends the level to the cell. ``report``: sends the level and its author to
+        the page's node. ``held``: continue a stop that was held before this process started."""
         self.held = held
         self._publish = publish
         self._report = report
@@ -48,8 +45,8 @@ class StopLevel:
             self._publish_now()
 
     def stop(self, who: str) -> None:
-        """Hold the stop. It is published even if already held, because the actors may have been
-        reset."""
+        """Hold the stop. A stop that is already held is published again, because the actors may
+        have been reset."""
         self.held = True
         wait = self._published_at + REPEAT_PERIOD_S - time.monotonic()
         if wait <= 0:
@@ -140,7 +137,8 @@ class StopServer(HTTPServer):
 
     @classmethod
     def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
-        """Return a server of the level for pages of ``guard`` that are served at ``page_port``."""
+        """Return a server for ``level`` that accepts pages that are served at ``page_port`` and
+        that ``guard`` admits."""
         handlers: list[Any] = [
             ("/", StopHandler, {"level": level, "guard": guard, "page_port": page_port})
         ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from geometry_msgs.msg import Point
@@ -120,15 +121,22 @@ def _points(name: str, kind: int, points: Points, size: float, colour: ColorRGBA
     marker = Marker(ns=name, type=kind, action=Marker.ADD, color=colour)
     marker.pose.orientation.w = 1.0
     marker.scale.x = marker.scale.y = size
-    marker.points = [Point(x=float(x), y=float(y)) for x, y in points]
+    marker.points = list(_message_points(np.asarray(points, dtype=float).tobytes()))
     return marker
+
+
+@lru_cache(maxsize=256)
+def _message_points(numbers: bytes) -> tuple[Point, ...]:
+    """Return points (n, 2), given as the bytes of their array, as messages. Most points of a scene
+    are those of the scene before."""
+    return tuple(Point(x=x, y=y) for x, y in np.frombuffer(numbers).reshape(-1, 2).tolist())
 
 
 def _line(name: str, number: int, points: Points, pose: Pose, colour: ColorRGBA) -> Marker:
     marker = Marker(ns=name, id=number, type=Marker.LINE_STRIP, action=Marker.ADD, color=colour)
     marker.pose = to_message(pose)
     marker.scale.x = LINE_WIDTH
-    marker.points = [Point(x=float(x), y=float(y)) for x, y in points]
+    marker.points = list(_message_points(np.asarray(points, dtype=float).tobytes()))
     if len(points) > 2:
         marker.points.append(marker.points[0])
     return marker

@@ -91,8 +91,8 @@ class TapPlanner(CellNode[Parameters]):
         host.publishes(messages.GoalReport, "goal_report", LATCHED)
         host.offers(MarkerArray, "markers", LATCHED)
         # A reliable subscription does not match best-effort publishers, and a best-effort
-        # subscription may miss messages of a reliable publisher. With both, a goal received twice
-        # counts once.
+        # subscription may miss messages of a reliable publisher. Therefore both are used, and a
+        # goal that is received twice counts once.
         self._goals_received: deque[int] = deque(maxlen=COMMAND.depth)
         for profile in (COMMAND, BEST_EFFORT_COMMAND):
             self.create_subscription(
@@ -146,7 +146,7 @@ class TapPlanner(CellNode[Parameters]):
         self.host.lifecycle(Configured(cell, goals, kept_goal=kept, kept_goal_age=age))
 
     def activate(self) -> None:
-        """Allow the machine to act."""
+        """Allow the state machine to act."""
         self.host.lifecycle(Activated())
 
     def deactivate(self) -> None:
@@ -154,7 +154,7 @@ class TapPlanner(CellNode[Parameters]):
         self.host.lifecycle(Deactivated())
 
     def cleanup(self) -> None:
-        """Deactivate the machine: an orderly shutdown also ends the goal."""
+        """Deactivate the state machine, because an orderly shutdown also ends the goal."""
         self.host.lifecycle(ShutDown())
         self.host.close()
 
@@ -167,7 +167,7 @@ class TapPlanner(CellNode[Parameters]):
             self.logic.goals.use(str(value))
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Pass an emergency stop message to the machine, which aborts its goal."""
+        """Pass an emergency stop message to the state machine, which aborts its goal."""
         self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
     def destroy_node(self) -> None:

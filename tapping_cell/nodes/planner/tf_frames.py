@@ -59,7 +59,7 @@ class TfFrames:
         if frame in known:
             return f"the pose of the goal's frame '{frame}' at the goal's stamp is unknown: {error}"
         return (
-            f"the goal's frame_id is '{frame}', which is not connected to '{TABLE}'; known are "
+            f"the goal's frame_id is '{frame}', which is not connected to '{TABLE}'; use one of "
             f"{', '.join((TABLE, *known))}"
         )
 

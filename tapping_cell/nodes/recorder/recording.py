@@ -50,7 +50,7 @@ class RecordedTopic:
 def new_folder(
     parent: Path, name: str, most_runs: int, least_free: float, prepared: bool = False
 ) -> Path:
-    """Create a folder for a run. It must not exist yet. ``least_free`` is in bytes.
+    """Create a folder for a run, which must not exist yet. ``least_free`` is in bytes.
 
     ``prepared``: a folder of this name without a run was created for this run, as the verb demo
     does for the nodes' logs. Otherwise, an existing folder belongs to another cell whose run
@@ -58,8 +58,7 @@ def new_folder(
 
     Raises:
         CannotRecord: there are too many runs, the free disk space is too small, or the folder
-            cannot
-            be created.
+            cannot be created.
     """
     try:
         parent.mkdir(parents=True, exist_ok=True)
@@ -81,9 +80,9 @@ def new_folder(
     except OSError as error:
         raise CannotRecord(
             f"no run folder can be made in {parent} ({error.strerror}); set the parameter "
-            "folder to a writable folder"
+            "'folder' to a writable path"
         ) from error
-    raise CannotRecord(f"every name like {name} in {parent} is taken; choose another name")
+    raise CannotRecord(f"{parent} has a folder for every name like {name}; choose another name")
 
 
 def check_disk_space(folder: Path, least_free: float) -> None:
@@ -96,8 +95,8 @@ def check_disk_space(folder: Path, least_free: float) -> None:
     free = shutil.disk_usage(folder).free
     if free < least_free:
         raise CannotRecord(
-            f"the disk of {folder} has {free / MEGABYTE:.0f} MB free and least_free is "
-            f"{least_free / MEGABYTE:.0f} MB; make room: move old runs away"
+            f"the disk of {folder} has {free / MEGABYTE:.0f} MB free, and least_free is "
+            f"{least_free / MEGABYTE:.0f} MB: move old runs to another disk"
         )
 
 

@@ -63,9 +63,9 @@ from tapping_cell.report.message_types import MessageTypes
 from tapping_cell.report.run_reader import NOTES, PICTURES
 
 LEAD_S = 2.0
-"""Time before its goal at which a bag starts."""
+"""Time by which the start of a bag precedes its goal."""
 TAIL_S = 1.0
-"""Time after the end of its goal at which a bag ends, so that it contains the final observation."""
+"""Time from the end of a goal to the end of its bag, which thus contains the final observation."""
 SILENCE_S = 30.0
 """Timeout for messages of the planner, after which the recording ends without the end of the
 goal."""
@@ -146,7 +146,7 @@ class Parameters:
         default=10_000,
     )
     seed: int = quantity(
-        "random seed of the simulated world, for the record; negative for none",
+        "random seed of the simulated world, stored in the run's summary; negative for none",
         "",
         -1,
         2**31 - 1,
@@ -158,8 +158,8 @@ def checked_folder(folder: str) -> str:
     """Check the parameter ``folder``. Raises ValueError with a message."""
     if not folder or not folder.isprintable() or len(folder) > LONGEST_PATH:
         raise ValueError(
-            f"folder has {len(folder)} characters; give a path of 1 to {LONGEST_PATH} characters "
-            "that can be printed"
+            f"folder has {len(folder)} characters; give a path of 1 to {LONGEST_PATH} "
+            "printable characters"
         )
     return folder
 
@@ -168,8 +168,8 @@ def checked_name(name: str) -> str:
     """Check the parameter ``name``. Raises ValueError with a message."""
     if name and not is_run_name(name):
         raise ValueError(
-            f"name is '{name[:40]}' with {len(name)} characters; give at most {LONGEST_NAME} that "
-            "can be printed, without / and not beginning with a dot, or none for time and goal"
+            f"name is '{name[:40]}' with {len(name)} characters; give at most {LONGEST_NAME} "
+            "printable characters without / and without a dot at the beginning, or leave it empty"
         )
     return name
 

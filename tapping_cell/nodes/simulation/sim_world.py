@@ -31,6 +31,7 @@ from tapping_cell.configuration.cell import (
 )
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.schema import ConfigurationError, load, quantity, text
+from tapping_cell.hardware.tapper_boards import numbered
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_identity import claim, key_of
@@ -38,7 +39,7 @@ from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import SimulatedDevices
-from tapping_cell.simulation.fixed_devices import FixedDevices, numbered
+from tapping_cell.simulation.fixed_devices import FixedDevices
 from tapping_cell.simulation.pacing import Pace
 from tapping_cell.simulation.pseudo_terminal import PortTakenError
 from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
@@ -80,7 +81,7 @@ class Parameters:
     )
     slow_motion: float = quantity(
         "factor by which slides are played in slow motion, for a machine too slow for the frame "
-        "rate; time stamps are those of real time",
+        "rate; time stamps are those of the undelayed slide",
         "",
         1.0,
         100.0,
@@ -147,8 +148,8 @@ class SimWorld(CellNode[Parameters]):
         if self._claim is None:
             raise NotReady(
                 "another simulated world runs on this machine in ROS domain "
-                f"{self.context.get_domain_id()}, namespace '{self.get_namespace()}': end it, or "
-                "give this one a ROS_DOMAIN_ID or a namespace of its own"
+                f"{self.context.get_domain_id()}, namespace '{self.get_namespace()}': end that "
+                "world, or start this one with another ROS_DOMAIN_ID or namespace"
             )
         try:
             devices = self._make_devices(cell, truth)
@@ -232,8 +233,8 @@ class SimWorld(CellNode[Parameters]):
             )
             contacts = self._world.take_contacts()
         if taken == now:
-            # The offset is not updated during a slide: a task switch between reading the two clocks
-            # would shift the stamps of the images.
+            # The offset is not updated during a slide, because a task switch between the readings
+            # of the two clocks would shift the stamps of the images.
             self._world_began = Time(nanoseconds=clock - round(1e9 * now))
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)
@@ -307,7 +308,7 @@ class SimWorld(CellNode[Parameters]):
         self, request: ResetWorld.Request, response: ResetWorld.Response
     ) -> ResetWorld.Response:
         if self._world is None or self._cell is None or not self.active:
-            response.message = "the world is not active yet; call again when it is"
+            response.message = "the world is not active yet; call again when sim_world is active"
             return response
         name = request.object_id or self._cell.object.name
         if name not in self._world.worlds:
@@ -333,7 +334,7 @@ class SimWorld(CellNode[Parameters]):
             elif is_finite(request.object_pose):
                 pose = from_message(request.object_pose)
             else:
-                response.message = "the pose holds a number that is not finite; nothing was moved"
+                response.message = "the pose contains an infinity or NaN; nothing was moved"
                 return response
             if abs(pose.x) > table.length / 2 or abs(pose.y) > table.width / 2:
                 response.message = (

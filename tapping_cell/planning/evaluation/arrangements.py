@@ -307,8 +307,8 @@ def _tool_touches(tap: TapOf, bodies: Sequence[Body], true: Mapping[str, Array])
 
 def _observe(body: Body, true: Array, rng: np.random.Generator) -> Observation:
     camera = body.planner.settings.camera
-    noise = np.array([camera.position, camera.position, camera.angle])
-    return Observation(Pose(*(true + noise * rng.standard_normal(3)).tolist()), camera.covariance)
+    seen = true + camera.deviations * rng.standard_normal(3)
+    return Observation(Pose(*seen.tolist()), camera.covariance)
 
 
 def _longer(

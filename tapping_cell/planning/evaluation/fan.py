@@ -30,9 +30,10 @@ def fan_of_runs(
                 break
             tap = planner.choose(distance, left[2])
             noise = rng.standard_normal(3)
-            length = float(tap.distance) * (1.0 + scatter.distance * noise[0])
-            heading = math.atan2(left[1], left[0]) + scatter.direction * noise[2]
-            turn = float(tap.rotation) * (1.0 + scatter.rotation * noise[1])
+            size, turn = float(tap.distance), float(tap.rotation)
+            length = size + float(scatter.along(size)) * noise[0]
+            heading = math.atan2(left[1], left[0]) + float(scatter.across(size)) / size * noise[2]
+            turn += float(scatter.turning(turn)) * noise[1]
             place = place + np.array([length * math.cos(heading), length * math.sin(heading), turn])
             track.append((float(place[0]), float(place[2])))
         runs.append(np.array(track))

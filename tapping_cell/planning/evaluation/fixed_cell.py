@@ -10,14 +10,15 @@ import numpy as np
 
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.evaluation.observing import decide
 from tapping_cell.planning.evaluation.task import End, Results
+from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.planning.interface import Array
-from tapping_cell.planning.session import Decision, Done, ObserveAgain, Strike
+from tapping_cell.planning.session import Done, Strike
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.se2 import Pose, wrap_angle
 
 
@@ -103,17 +104,16 @@ def _run_one(
         adapt=evaluation.adapt,
         most_taps=evaluation.most_taps,
     )
-    camera = settings.camera
-    camera_noise = np.array([camera.position, camera.position, camera.angle])
+    camera, noise = settings.camera, settings.camera.deviations
     left = False
-    decision, seen = _decide(session, pose, camera_noise, rng)
+    decision, seen = decide(session, pose, pose + noise * rng.standard_normal(3), camera, rng)
     while isinstance(decision, Strike):
         pose = pose + _answer(true, decision, pose, settings, rng)
         pose[2] = wrap_angle(pose[2])
         left = left or float(area.clearance(pose[:2])) < 0.0
         before = seen
-        session.observe(decision, before, pose + camera_noise * rng.standard_normal(3))
-        decision, seen = _decide(session, pose, camera_noise, rng)
+        session.observe(decision, before, pose + noise * rng.standard_normal(3))
+        decision, seen = decide(session, pose, pose + noise * rng.standard_normal(3), camera, rng)
     if isinstance(decision, Done):
         end = End.DONE
     elif session.taps >= evaluation.most_taps:
@@ -161,31 +161,6 @@ def _answer(
     hit = tapper.tap.strike(pose, line, speed)
     if bool(hit.missed) or not 0.0 <= float(hit.travel) <= tapper.stroke:
         return np.zeros(3)
-    scatter, noise = settings.scatter, rng.standard_normal(3)
-    moved = hit.displacement
-    length = float(np.hypot(moved[0], moved[1])) * (1.0 + scatter.distance * noise[0])
-    heading = math.atan2(moved[1], moved[0]) + scatter.direction * noise[2]
-    return np.array(
-        [
-            length * math.cos(heading),
-            length * math.sin(heading),
-            float(moved[2]) * (1.0 + scatter.rotation * noise[1]),
-        ]
-    )
-
-
-def _decide(
-    session: FixedTapperSession, pose: Array, camera_noise: Array, rng: np.random.Generator
-) -> tuple[Decision, Array]:
-    """Return the session's decision and the measured pose, after the longer observations that the
-    session requests."""
-    camera = session.settings.camera
-    seen = pose + camera_noise * rng.standard_normal(3)
-    for observations in range(1, LONG_OBSERVATION + 1):
-        decision = session.decide(
-            seen, camera.covariance / observations, observe_again=observations < LONG_OBSERVATION
-        )
-        if not isinstance(decision, ObserveAgain):
-            break
-        seen = seen + (pose + camera_noise * rng.standard_normal(3) - seen) / (observations + 1)
-    return decision, seen
+    gains = np.array([[1.0, 1.0, 0.0, 0.0]])
+    moved = scattered(hit.displacement[None, :], gains, pose[None, :], settings.scatter, rng)
+    return np.asarray(moved[0])

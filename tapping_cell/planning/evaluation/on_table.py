@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from tapping_cell.planning.errors import PlanningError
+from tapping_cell.planning.evaluation.observing import decide
 from tapping_cell.planning.evaluation.task import (
     End,
     Evaluation,
@@ -17,8 +18,7 @@ from tapping_cell.planning.evaluation.task import (
 )
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
-from tapping_cell.planning.session import Decision, Done, ObserveAgain, PositioningSession, Strike
-from tapping_cell.planning.stopping import LONG_OBSERVATION
+from tapping_cell.planning.session import Done, PositioningSession, Strike
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.se2 import Pose, wrap_angle
 
@@ -89,13 +89,12 @@ def _run_one(
         most_taps=evaluation.most_taps,
     )
     camera, settings = evaluation.settings.camera, evaluation.settings
-    camera_noise = np.array([camera.position, camera.position, camera.angle])
     pose, over, seconds = start.copy(), False, math.nan
     if clock is not None:
         tip, seconds = clock.parked, 0.0
         session.arm = tip
-    seen = pose + camera_noise * rng.standard_normal(3)
-    decision, seen = _decide(session, pose, seen, evaluation, rng)
+    seen = pose + camera.deviations * rng.standard_normal(3)
+    decision, seen = decide(session, pose, seen, camera, rng)
     while isinstance(decision, Strike):
         moved = evaluation.answer(
             pose[None, :], seen[None, :], np.array([decision.commanded]), gain, rng
@@ -107,9 +106,9 @@ def _run_one(
             spent, tip = clock.tap(tip, Pose(*seen.tolist()), decision)
             session.arm = tip
             seconds += spent
-        before, seen = seen, pose + camera_noise * rng.standard_normal(3)
+        before, seen = seen, pose + camera.deviations * rng.standard_normal(3)
         session.observe(decision, before, seen)
-        decision, seen = _decide(session, pose, seen, evaluation, rng)
+        decision, seen = decide(session, pose, seen, camera, rng)
     if isinstance(decision, Done):
         end = End.DONE
     elif session.taps >= evaluation.most_taps:
@@ -120,24 +119,3 @@ def _run_one(
     distance, rotation = math.hypot(left[0], left[1]), float(wrap_angle(left[2]))
     within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
     return session.taps, int(end), within, distance, rotation, over, seconds
-
-
-def _decide(
-    session: PositioningSession,
-    pose: Array,
-    seen: Array,
-    evaluation: Evaluation,
-    rng: np.random.Generator,
-) -> tuple[Decision, Array]:
-    """Return the session's decision and the measured pose, after the longer observations that the
-    session requests."""
-    camera = evaluation.settings.camera
-    camera_noise = np.array([camera.position, camera.position, camera.angle])
-    for observations in range(1, LONG_OBSERVATION + 1):
-        decision = session.decide(
-            seen, camera.covariance / observations, observe_again=observations < LONG_OBSERVATION
-        )
-        if not isinstance(decision, ObserveAgain):
-            break
-        seen = seen + (pose + camera_noise * rng.standard_normal(3) - seen) / (observations + 1)
-    return decision, seen

@@ -39,7 +39,7 @@ def run_open_trials(
     goal = pose + draw_tasks(evaluation, count, rng)
     true_gains = draw_gains(evaluation, count, rng)
     gains = Gains.start((count,))
-    camera_noise = np.array([camera.position, camera.position, camera.angle])
+    camera_noise = camera.deviations
     seen = pose + camera_noise * rng.standard_normal((count, 3))
     taps = np.zeros(count, dtype=np.int64)
     end = np.full(count, End.ENDLESS, dtype=np.int64)
@@ -119,9 +119,7 @@ def observe_longer(
 
     Undecided objects are observed again, at most ``LONG_OBSERVATION`` times in total; ``seen`` is
     overwritten with the mean of the observations."""
-    camera_noise = np.array(
-        [settings.camera.position, settings.camera.position, settings.camera.angle]
-    )
+    camera_noise = settings.camera.deviations
     tolerance = settings.tolerance_position, settings.tolerance_angle
     if settings.box is not None:
         left, box = _remaining(goal[rows], seen[rows]), settings.stopping

@@ -73,22 +73,24 @@ class PhysicsWorld:
 def scattered(
     moved: Array, gains: Array, poses: Array, scatter: Scatter, rng: np.random.Generator
 ) -> Array:
-    """Apply constant gains (n, 4) and random scatter to displacements (n, 3) at poses (n, 3)."""
+    """Apply constant gains (n, 4) and random scatter to displacements (n, 3) at poses (n, 3).
+
+    A tap that did not move the object stays without effect, and none moves it backwards.
+    """
     noise = rng.standard_normal((3, moved.shape[0]))
-    length = gains[:, 0] * (1.0 + scatter.distance * noise[0])
-    turned = scatter.direction * noise[2]
-    cos, sin = length * np.cos(turned), length * np.sin(turned)
-    travel = np.arctan2(moved[:, 1], moved[:, 0]) - poses[:, 2]
-    drift = gains[:, 3] * np.cos(travel) - gains[:, 2] * np.sin(travel)
-    turn = moved[:, 2] * gains[:, 1] + np.hypot(moved[:, 0], moved[:, 1]) * gains[:, 0] * drift
-    return np.stack(
-        [
-            cos * moved[:, 0] - sin * moved[:, 1],
-            sin * moved[:, 0] + cos * moved[:, 1],
-            turn * (1.0 + scatter.rotation * noise[1]),
-        ],
-        axis=-1,
-    )
+    asked = np.hypot(moved[:, 0], moved[:, 1])
+    size = gains[:, 0] * asked
+    hit = size > 0.0
+    safe = np.where(hit, size, 1.0)
+    length = np.maximum(size + scatter.along(size) * noise[0], 0.0)
+    travel = np.arctan2(moved[:, 1], moved[:, 0])
+    heading = travel + scatter.across(size) / safe * noise[2]
+    frame = travel - poses[:, 2]
+    drift = gains[:, 3] * np.cos(frame) - gains[:, 2] * np.sin(frame)
+    turn = moved[:, 2] * gains[:, 1] + size * drift
+    turn = turn + np.copysign(scatter.turning(turn), turn) * noise[1]
+    taps = np.stack([length * np.cos(heading), length * np.sin(heading), turn], axis=-1)
+    return np.where(hit[:, None], taps, 0.0)
 
 
 class World(Protocol):

@@ -80,7 +80,7 @@ def _without_repeats(found: list[tuple[int, Quad]], rate: float) -> list[tuple[i
     """Keep one of the quads that decode to the same marker at the same position; ``rate`` is their
     maximum distance as a fraction of the perimeter."""
     kept: list[tuple[int, Quad]] = []
-    # The largest quad is the marker's rim itself; a smaller one is within the rim.
+    # The largest quad is the rim of the marker itself; a smaller quad lies within the rim.
     for number, corners in sorted(found, key=lambda each: -_perimeter(each[1])):
         limit = rate * _perimeter(corners)
         middle = corners.mean(axis=0)

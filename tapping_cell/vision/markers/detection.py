@@ -31,9 +31,9 @@ _ENLARGED = 2_200_000
 class Effort(enum.IntEnum):
     """Level of a search.
 
-    A thorough search takes half as long again as a quick one and finds smaller markers. An enlarged
-    search doubles the width and height of images of up to 2.2 million pixels. It takes five times
-    as long and finds markers whose modules are little more than a pixel wide.
+    A thorough search takes 1.5 times as long as a quick search and finds smaller markers. An
+    enlarged search doubles the width and height of images of up to 2.2 million pixels. It takes
+    five times as long and finds markers whose modules are little more than a pixel wide.
     """
 
     QUICK = 0
@@ -146,10 +146,10 @@ def find_markers(
 
 @dataclass(frozen=True, slots=True)
 class ObjectMarker:
-    """The marker on an object's top: its pose on the object and its height over the table.
+    """The marker on an object's top: its pose on the object and its height above the table.
 
     ``size`` is the side of the black square in m, ``offset`` the marker's pose in the object's
-    frame (m, m, rad), and ``height`` the height of the printed face over the table in m.
+    frame (m, m, rad), and ``height`` the height of the printed face above the table in m.
     """
 
     dictionary: str

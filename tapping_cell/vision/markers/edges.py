@@ -33,7 +33,8 @@ _WIDE, _WIDEST = 0.75, 8
 """Half width of the window for blurred edges (motion, defocus), in modules and at most in pixels.
 Wider windows would reach the modules next to the black border."""
 _OBLIQUE = 0.8
-"""Ratio of the sides' distance to their mean length, below which the distance sets the window."""
+"""Ratio of the distance of opposite sides to their mean length. Below this ratio, the distance
+determines the window."""
 _ROWS_ALIKE = 3
 """Maximum lag, in rows, of the error correlation."""
 _MOST_OBSERVATIONS = 8
@@ -50,9 +51,9 @@ class MarkerEdges:
     they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
     ``spread`` (M,) is the standard deviation of one row across the side, in pixels (divide it by
     the root of the number of rows). ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) is
-    the displacement of the worst side relative to that of its window, which occurs if the levels at
-    the ends are contaminated (1: no information). ``good`` (M,) marks markers with four complete
-    sides whose blur is not excessive.
+    the displacement of the measured side per displacement of its window, for the worst side (1: no
+    information). Contaminated levels at the window's ends cause such a displacement. ``good`` (M,)
+    marks markers with four complete sides whose blur is not excessive.
     """
 
     points: Array
@@ -246,7 +247,7 @@ def _edges(samples: _EdgeSamples) -> MarkerEdges:
     squares = (samples.kept * samples.residual**2).sum(axis=1)
     squares /= np.maximum(samples.kept.sum(axis=1) - 2.0, 1.0) * (1.0 + samples.slope**2)
     # Noise correlated between neighbouring rows is also correlated between the pixels of a window,
-    # so the larger factor is applied instead of both.
+    # so only the larger of the two factors is applied.
     squares *= max(_level_noise(2 * samples.half_width + 1), _together(samples))
     spread = np.sqrt(squares.reshape(count, 4).mean(axis=1))
     number = np.maximum(samples.mask.sum(axis=1), 1.0)
@@ -274,8 +275,8 @@ def _together(samples: _EdgeSamples) -> float:
     """Factor, at least 1, on the variance of a side's line due to correlated errors of nearby rows.
 
     Smoothed, demosaiced and compressed images have such correlation, and so have rounded grey
-    levels without noise. It is estimated from the residuals of all sides. Fitting a line to n rows
-    reduces the mean product of residuals by 2 / n of their variance, which is added again.
+    levels without noise. The factor is estimated from the residuals of all sides. Fitting a line to
+    n rows reduces the mean product of residuals by 2 / n of their variance; this bias is corrected.
     """
     kept = samples.kept
     residual = kept * samples.residual
@@ -295,10 +296,10 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     """Correction of the sides (S,) along q for uneven illumination, to be added.
 
     The levels are measured at a distance m outside and inside the edge. If the illumination
-    increases outwards by a fraction g per pixel, the levels at the edge differ from these. To first
-    order, an edge in a window of L pixels to either side then appears L g (m - L / 2) too far out;
-    opposite sides of a marker are displaced in the same direction. The slope of the illumination
-    comes from ``white`` (S,) beside the sides.
+    increases outwards by a fraction g per pixel, the levels at the edge differ from the measured
+    levels. To first order, an edge in a window of L pixels to either side then appears L g (m - L /
+    2) too far out; opposite sides of a marker are displaced in the same direction. The slope of the
+    illumination comes from ``white`` (S,) beside the sides.
     """
     corners, each = samples.corners, np.arange(len(white))
     away = samples.half_width - 0.5 * (_outermost(2 * samples.half_width + 1) - 1)
@@ -324,8 +325,8 @@ def _along(p: Array, levels: Array, mask: Array) -> Array:
 
 
 def _outermost(window: int) -> int:
-    """Number of pixels at each end of a window that give the levels. In a narrow window, the second
-    pixel already belongs to the edge."""
+    """Number of pixels at each end of a window from which the levels are taken. In a narrow window,
+    the second pixel already belongs to the edge."""
     return 1 if window <= 7 else 2
 
 
@@ -405,7 +406,7 @@ def straight_corners(points: Array, weights: Array) -> Array:
 
 
 def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
-    """Select these markers, in this order."""
+    """Return the markers with the indices ``rows``, in this order."""
     return MarkerEdges(
         edges.points[rows],
         edges.weights[rows],
@@ -419,7 +420,7 @@ def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
 
 
 def join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
-    """Concatenate the markers of both."""
+    """Concatenate the markers of two sets."""
     return MarkerEdges(
         np.concatenate([first.points, second.points]),
         np.concatenate([first.weights, second.weights]),

@@ -24,8 +24,8 @@ _ROUNDS = 2
 def better_corners(image: Image, quad: Array, modules: int) -> Array:
     """Corrected corners (4, 2) of the black square near ``quad`` (4, 2), in pixels.
 
-    The corners of ``quad`` may be off by most of a module. They are returned unchanged if no
-    consistent edges are found.
+    The corners of ``quad`` may be off by most of a module. If no consistent edges are found,
+    ``quad`` is returned unchanged.
     """
     corners = quad
     for _ in range(_ROUNDS):

@@ -66,7 +66,8 @@ class MarkerFollower(ObjectFollower):
         return self._searched_at == stamp and self._detected is not None
 
     def aim(self, stamp: float, view: View | None) -> Aim | None:
-        """Return the marker at its detected position in this frame, or at its predicted one."""
+        """Return the marker at its detected position in this frame, or at its predicted
+        position."""
         quad = self._detected if self._searched_at == stamp else self._where(stamp, view)
         return None if quad is None else (quad, self._pattern)
 
@@ -84,7 +85,7 @@ class MarkerFollower(ObjectFollower):
             self.forget()
             self.trouble = (
                 Problem.DUPLICATE_MARKER,
-                f"marker {self.marker.id} of the object is seen more than once; cover others",
+                f"marker {self.marker.id} of the object is seen more than once; cover the others",
             )
         elif self._detected is not None:
             self.trouble = None

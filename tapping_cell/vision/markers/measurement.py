@@ -14,10 +14,10 @@ from tapping_cell.vision.markers.search import patterns_agree
 from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
 
 _SMALL = 4.5
-"""Pixels per module below which the whole pattern is fitted. It is then four times as accurate as
-the edges, whose windows no longer end in uniform black and white."""
+"""Pixels per module below which the whole pattern is fitted. The fit is then four times as accurate
+as the edges, because their windows no longer end in uniform black and white."""
 _SMALL_EDGES = 2.5
-"""Factor on the noise of the edges of such a marker if the pattern cannot be fitted."""
+"""Factor on the noise of the edges of a marker below ``_SMALL`` whose pattern cannot be fitted."""
 
 
 def measure(
@@ -26,7 +26,8 @@ def measure(
     """Measure markers near ``quads`` (M, 4, 2); return also which were measured and verified.
 
     ``searched`` states that the quads come from a search, whose corners may be some pixels off and
-    are corrected if necessary. Otherwise they are predicted from a marker's last position.
+    are corrected if necessary. Otherwise the quads are predicted from the last positions of the
+    markers.
     """
     modules = np.array([pattern.shape[0] for pattern in patterns])
     small = narrowest(quads) < _SMALL * modules

@@ -32,11 +32,12 @@ _FREE, _USUAL_FREE = 4.0, 8.0
 """Degrees of freedom of the residuals when four sides are fitted by a square, and degrees of
 freedom of the prior for their usual noise."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
-"""Allowed difference of length and width, in pixels and as a fraction of the side. Above it, an
-object beside the marker was taken for one of its sides."""
+"""Allowed difference of length and width, in pixels and as a fraction of the side. A larger
+difference means that an object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
 """Allowed ratio of this difference to that of nearby reference markers (root mean square), for a
-poor lens, bent paper or a sharpened image; and the upper limit of the difference so allowed."""
+poor lens, bent paper or a sharpened image; and the largest difference that this ratio may allow, as
+a fraction of the side."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
@@ -93,8 +94,9 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
 
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
-    """Difference of length and width, as a fraction of the side, that the object's marker may have
-    given the reference markers in the other rows."""
+    """Allowed difference of length and width of the object's marker, as a fraction of the side. It
+    follows from this difference of the reference markers in the other rows; it is 0 if there are
+    fewer than three."""
     references = np.delete(edges.corners, row, axis=0)
     if len(references) < 3:
         return 0.0
@@ -114,8 +116,8 @@ def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
     Four sides have eight positions and rotations, of which a square determines four. The other four
-    show glare, sharpening, compression and bent paper. They are a small sample, so a prior for
-    their usual value is included.
+    degrees of freedom show glare, sharpening, compression and bent paper. Because they are a small
+    sample, a prior for their usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total

@@ -3,7 +3,7 @@
 The grey values are modelled by the blurred printed pattern, projected by the known camera at the
 known height. The pose has three unknowns. Illumination and ink enter linearly (a gain and an
 offset, each with a gradient across the marker), and so does, to first order, the deviation of the
-blur from the assumed one. Gauss-Newton starts from the pose given by the edges (Lucas and Kanade
+blur from the assumed blur. Gauss-Newton starts from the pose given by the edges (Lucas and Kanade
 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so it
 causes no bias.
 
@@ -37,9 +37,9 @@ _LAGS = 4
 _LEAST_POWER = 0.1
 """Minimum power of the noise at every spatial frequency, relative to white noise."""
 _SAME_PLACE = 0.03
-"""Distance in pixels up to which the linearisation is reused. There, the second-order error is at
-most a thousandth of a pixel. For the noise of a frame, a fifth of this distance, the error is below
-5e-5 pixel."""
+"""Distance in pixels up to which the linearisation is reused. At this distance, the second-order
+error is at most a thousandth of a pixel. The noise of a frame is a fifth of this distance and
+causes an error below 5e-5 pixel."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 
@@ -163,8 +163,8 @@ def align_again(
 ) -> Alignment | None:
     """Align the marker in a frame in which it has not moved according to the edges (``start``).
 
-    It takes one step of Gauss-Newton from the last alignment, in a tenth of the time. None means
-    only that the marker or the illumination changed, not that the marker is absent.
+    One step of Gauss-Newton from the last alignment suffices, which takes a tenth of the time. None
+    means only that the marker or the illumination changed, not that the marker is absent.
     """
     gap = start - linearisation.pose
     if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * linearisation.pixel:
@@ -319,8 +319,8 @@ def _columns(
 def window_rays(camera: CameraModel, x0: int, y0: int, x1: int, y1: int) -> Array:
     """Directions (y1 - y0, x1 - x0, 2) of the pixels of an image window.
 
-    They are exact at 8 x 8 Chebyshev nodes and interpolated by a polynomial, because a lens is
-    smooth (error below 1e-6 pixel for windows of a few hundred pixels).
+    The directions are exact at 8 x 8 Chebyshev nodes and interpolated by a polynomial, because a
+    lens is smooth (error below 1e-6 pixel for windows of a few hundred pixels).
     """
     degree = 7
     nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))

@@ -2,10 +2,10 @@
 
 A marker that is lifted, tilted or of another size than stated appears as a square of another size,
 or not as a square. One image does not show which of these is the cause, but the error of the shape
-limits the error of the pose. If a point at the horizontal distance r from the camera is higher than
-assumed by a fraction s of the camera's height, it appears larger by s and further away by s r. A
-plane tilted by a appears rotated by up to a r / (2 h), h being the camera's height. It also appears
-sheared or elongated by this amount.
+limits the error of the pose. If a marker at the horizontal distance r from the camera is higher
+than assumed by a fraction s of the camera's height, it appears larger by s and further away by s r.
+A marker tilted by a appears rotated by up to a r / (2 h), h being the camera's height, and sheared
+or elongated by the same amount.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 
 In this order: a constant fraction (print, lens); pixels of the side (position of edges between
 pixels, nonlinear grey levels); pixels, times p / (1 - p), for edges with ``MarkerEdges.pull`` p;
-standard deviations of the noise. None of 140 images exceeded the sum. Their sides measured 28 to
-149 pixels, and they included gamma, Bayer patterns and blur.
+standard deviations of the noise. None of 140 images exceeded the sum. The markers' sides measured
+28 to 149 pixels, and the images included gamma, Bayer patterns and blur.
 """
 
 
@@ -58,8 +58,9 @@ def shape_deviation(
 ) -> ShapeDeviation:
     """Compute how marker ``row`` of ``edges``, whose pose is ``fit``, differs from its file.
 
-    ``bloom`` is the mean displacement (pixels) of the reference markers' sides outwards. It is
-    subtracted, because an effect of camera and ink on all markers is not a difference of size.
+    ``bloom`` is the mean displacement (pixels) of the reference markers' sides outwards. This
+    displacement is subtracted, because an effect of camera and ink on all markers is not a
+    difference of size.
     """
     pixel = float(view.pose.translation[2]) / view.camera.fx
     seen = view.on_plane(edges.points[row].reshape(-1, 2), marker.height).reshape(4, -1, 2)
@@ -95,15 +96,16 @@ def shape_deviation(
 
 
 class ShapeWarnings:
-    """Creates warnings about the shape, with constant values while the shape is nearly constant."""
+    """Creates warnings about the shape, whose values change only if the shape changes
+    noticeably."""
 
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
         self._said: tuple[float, float] | None = None
 
     def sentence(self, shape: ShapeDeviation, camera_height: float) -> str:
-        """Warning about the shape, for a camera ``camera_height`` (m) over the table; empty if
-        none."""
+        """Warning about the shape, for a camera ``camera_height`` (m) above the table; empty if
+        there is none."""
         worst = max(abs(shape.stretch), shape.strain) / shape.allowance
         if worst <= (1.0 if self._said is None else 0.8):
             self._said = None
@@ -113,8 +115,8 @@ class ShapeWarnings:
             self._said = said = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * said[0] * 1e3
         return (
-            f"{self._described(*said)}: lifted (by {lifted:.0f} mm?), tilted, or not of the "
-            "object file's size and height; the reported uncertainty includes this"
+            f"{self._described(*said)}: lifted (by {lifted:.0f} mm?), tilted, or of another "
+            "size or height than in the object file; the reported uncertainty includes this"
         )
 
     def refusal(self, shape: ShapeDeviation, limit: float) -> str:
@@ -122,7 +124,7 @@ class ShapeWarnings:
         self._said = None
         return (
             f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
-            "lifted, tilted or not of the object file's size and height"
+            "lifted, tilted or of another size or height than in the object file"
         )
 
     def _described(self, stretch: float, strain: float) -> str:

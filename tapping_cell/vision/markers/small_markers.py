@@ -2,10 +2,10 @@
 
 If a module is only one to four pixels wide, the pixels beside an edge already belong to the next
 module, so the levels of black and white cannot be measured there. The pattern is known, however.
-Its image is a sum of blurred steps at both sides of each module (normal distribution function),
-with illumination that varies across the marker. Gauss-Newton adjusts the four corners, the blur and
-the illumination until the pattern explains the pixels (Lucas and Kanade 1981 with a homography).
-The residuals give the covariance.
+The pattern's image is a sum of blurred steps at both sides of each module (normal distribution
+function), with illumination that varies across the marker. Gauss-Newton adjusts the four corners,
+the blur and the illumination until the pattern explains the pixels (Lucas and Kanade 1981 with a
+homography). The residuals give the covariance.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 
 _QUIET = 0.6
-"""Width of the white margin used, in modules; a narrow margin has one module."""
+"""Width of the white margin used, in modules; a narrow margin is one module wide."""
 _BLUR, _LEAST_BLUR, _MOST_BLUR = 0.7, 0.35, 2.5
 """Sigma of the blur in pixels: initial value and bounds."""
 _ROUNDS = 15
@@ -41,8 +41,8 @@ _MODULE_OFF = 0.4
 """Maximum deviation of a module's mean from the pattern, relative to the contrast."""
 _MODULES_WRONG = 0.04
 _PRINTED = 0.02
-"""Standard deviation of such a corner, in pixels, that is independent of the noise. Sharpening and
-compression of the image do not average out (measured on photographs)."""
+"""Standard deviation of a fitted corner, in pixels, that is independent of the noise. Errors due to
+sharpening and compression of the image do not average out (measured on photographs)."""
 
 
 _TANH = 0.7978846, 0.0356774

@@ -1,7 +1,7 @@
 """Measure the marker of a nearly stationary object from all its pixels.
 
-Pixel noise differs from frame to frame and averages out. Deviations of the print from its pattern,
-differences between pixels, and the positions of the edges between pixels remain as long as the
+Pixel noise differs from frame to frame and averages out. The errors due to the print, to
+differences between pixels and to the positions of the edges between pixels remain as long as the
 object does not move. The fraction of the variance that remains is estimated by comparing the
 unexplained residual of a frame with the change from one frame to the next.
 """
@@ -30,11 +30,12 @@ alignment corrects it."""
 _BLUR_STEP = 0.15
 """Relative change of the blur at which the template is computed again."""
 _FIXED_EDGES = 0.25
-"""Fraction of the variance of edges that does not average out: 0.0025 pixel of 0.005 (measured)."""
+"""Fraction of the edges' variance that does not average out (standard deviation: 0.0025 of 0.005
+pixel, measured)."""
 _LEAST_FIXED = 0.01
 _DOWNWARDS = 0.95
 """Cosine of the angle between the optical axis and the table's normal, below which edges are used
-instead. A template is blurred equally in all directions of the plane; an oblique view is not
+instead. A template is blurred equally in all directions of the plane, but an oblique image is not
 (measured on photographs)."""
 _MEMORY = 30
 """Number of frames over which the noise is averaged."""

@@ -26,9 +26,9 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 Trouble = tuple[Problem, str]
 
 RIM_BIAS = 7e-6
-"""Standard deviation (m) of the error common to all frames, due to the position of an edge in a
-pixel, light across the rim and a wall (measured on rendered scenes). Chamfers, dirt and errors in
-the file are not included."""
+"""Standard deviation (m) of the error common to all frames, due to the position of an edge within a
+pixel, uneven light across the rim and the side wall (measured on rendered scenes). Chamfers, dirt
+and errors in the object file are not included."""
 _PROBLEMS = {
     OTHER_SIZE: Problem.MISSHAPEN_OBJECT,
     NO_DOT: Problem.DOT_HIDDEN,
@@ -119,7 +119,7 @@ class OutlineFinder:
             )
             self._refused = (
                 Problem.DUPLICATE_OBJECT,
-                f"the object's outline is seen more than once, at {places}; take the others away",
+                f"the object's outline is seen more than once, at {places}; remove the others",
             )
             return self._refused
         if found:
@@ -135,6 +135,6 @@ class OutlineFinder:
         shade = "brighter" if self.outline.brighter else "darker"
         return (
             Problem.OBJECT_HIDDEN,
-            f"the object's outline is not seen: nothing {shade} than the table has its size, "
-            "or too little of it is visible",
+            f"the object's outline is not seen: no area {shade} than the table has the "
+            "object's size, or too little of the object is visible",
         )

@@ -51,7 +51,7 @@ LEAST_CONTRAST = 8.0
 SIZE_SPREAD = 0.004
 """Standard deviation of an object's size relative to its file."""
 _EVEN = 0.02
-"""Deviation of a sector from the whole rim, in pixels, that is normal for a good rim."""
+"""Usual deviation of a sector from the whole rim, in pixels, for an object with a good rim."""
 _SLOPE_SPREAD = 0.5
 """Standard deviation of the brightness gradient across the rim, in grey levels per pixel."""
 _SMEARED = 2.0
@@ -62,7 +62,7 @@ error of a step is of third order, 0.005 pixel at this distance."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 _LONG = 0.15
-"""Minimum fraction of a polygon's rim for a side to be a long side."""
+"""Minimum length of a long side of a polygon, as a fraction of the length of the rim."""
 _BRIGHTEST = 2.5
 """Maximum brightness of a sector, relative to typical sectors, for which a higher noise is
 assumed."""
@@ -157,7 +157,7 @@ def fit_outline(
     dot = outline.dot if with_dot else None
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
     smeared = float(np.hypot(*moving)) > _SMEARED
-    # A fit without the dot only prepares one with the dot.
+    # A fit without the dot only prepares a fit with the dot.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
     most = ROUGH_PIXELS if rough else MOST_PIXELS
     state = _State(start.copy(), blur, size)
@@ -190,8 +190,8 @@ def fit_outline(
 def fit_again(image: Image, linearisation: Linearisation, expected: Array) -> OutlineFit | None:
     """Fit the outline in a frame in which the object has not moved according to ``expected`` (3,).
 
-    It takes a fifth of the time. None means only that the object or the illumination changed, not
-    that the object is absent.
+    This takes a fifth of the time of :func:`fit_outline`. None means only that the object or the
+    illumination changed, not that the object is absent.
     """
     if _way(expected - linearisation.state.pose, linearisation.scene) > 2.0 * _SAME_PLACE:
         return None
@@ -253,7 +253,7 @@ class _State:
     weight: Array | None = None
     dot_weight: Array | None = None
     good: NDArray[np.bool_] | None = None
-    taken: NDArray[np.bool_] | None = None  # None exactly if ``good`` is None
+    taken: NDArray[np.bool_] | None = None  # None if and only if ``good`` is None
     scatter: float = 1.0
     information: Array | None = None
 
@@ -309,7 +309,8 @@ class _State:
         # Remainder after elimination of the levels, by sector: globals, displacement of the rim,
         # grey values.
         left = normal[:, LEVELS:, LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
-        # The levels of an excluded sector are still updated, so that it can be included again.
+        # The levels of an excluded sector are still updated, so that the sector can be included
+        # again.
         gate: Array = np.ones(sectors)
         if self.good is not None and self.taken is not None:
             gate = (self.good & self.taken).astype(float)
@@ -444,7 +445,7 @@ class _State:
         return np.array([0.0, 0.0, 0.0, 1.0 - self.size, 0.0, -self.smear, 1.0 - self.dot_size])
 
     def _level_prior(self, sectors: int) -> Array:
-        """Precisions (S, 4, 4) of the levels: those of the wall and of the slope matter."""
+        """Precisions (S, 4, 4) of the levels' priors; very low for top and surroundings."""
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
         prior = np.zeros((sectors, LEVELS, LEVELS))
         prior[:, 0, 0] = prior[:, 2, 2] = 1e-6

@@ -1,9 +1,9 @@
 """Predict the pixels around an outline, and their derivatives with respect to the pose.
 
 A pixel near the rim shows the top, the side wall below it, or the surroundings. The fractions of
-these follow from its distances to the outline of the top and to the silhouette of the whole body,
-with a Gaussian blur. The pixels are arranged in rows, one for each sector of the rim, so that the
-levels of all sectors are solved for in one operation.
+these three follow from the pixel's distances to the outline of the top and to the silhouette of the
+whole body, with a Gaussian blur. The pixels are arranged in rows, one for each sector of the rim,
+so that the levels of all sectors are solved for in one operation.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SIZE, BLUR, SMEAR, DOT_SIZE = 3, 4, 5, 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The rim's pixels, (S, K), by sector; rows are padded with duplicates that are not ``real``.
+    """The rim's pixels, (S, K), by sector; ``real`` is False for the duplicates that pad the rows.
 
     ``top`` and ``floor`` (2, S, K) are their projections to the plane of the top and to the table,
     in m; ``pixels`` are flat indices in the image; ``counts`` (S,) are the numbers of real pixels
@@ -78,8 +78,8 @@ def rim_model(
     """Derivatives (LEVELS + GLOBALS + 1, S, K) of the grey values.
 
     They are with respect to the levels of their sector, to the globals, and to a displacement of
-    the rim outwards by a pixel. ``levels`` (S, LEVELS) may be unknown; ``width`` is the half width
-    of the band in pixels.
+    the rim outwards by a pixel. ``levels`` (S, LEVELS) are None if unknown; ``width`` is the half
+    width of the band in pixels.
     """
     cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
     x, y = _within(shape.pose, cos, sin, band.top)

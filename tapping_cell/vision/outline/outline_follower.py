@@ -67,6 +67,6 @@ class OutlineFollower(ObjectFollower):
         return answer
 
     def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
-        """Return the uncertainty common to all frames, due to edges between pixels and to light
-        across the rim."""
+        """Return the uncertainty common to all frames, due to the positions of edges within pixels
+        and to uneven light across the rim."""
         return self._shared, ""

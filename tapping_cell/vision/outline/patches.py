@@ -1,7 +1,8 @@
 """Find objects divided by the edge of a shadow, as evenly lit patches and pairs of patches.
 
-If a hard shadow falls across an object, no threshold separates the object from the table. Its parts
-are still patches without edges inside, and two of them together form its shape.
+If a hard shadow falls across an object, no threshold separates the object from the table. The parts
+of the object are still patches without edges inside, and two of them together form the object's
+shape.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ _MOST_PATCHES = 60
 def patches(small: Image, area: float, reach: float) -> Iterator[Points]:
     """Yield convex hulls (N, 1, 2) of patches and of neighbouring pairs of patches, in pixels.
 
-    ``area`` (pixels) and ``reach`` (from the centre, pixels) are the object's.
+    ``area`` is the object's area and ``reach`` its maximum distance from its centre, in pixels.
     """
     soft = cv2.GaussianBlur(small, (3, 3), 0).astype(np.float32)
     slope = np.hypot(

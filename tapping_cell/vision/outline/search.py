@@ -34,8 +34,9 @@ _LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
 """Minimum visible fraction of the rim. An arc of a circle fits in only one place, but a polygon
 displaced along some of its sides still agrees with these sides."""
 _LEAST_SIDE = 0.25
-"""Minimum visible fraction of each long side of a polygon. Otherwise, two sides of a triangle and a
-wall that appears to be part of the top fit well at a distance of some millimetres."""
+"""Minimum visible fraction of each long side of a polygon. Without this limit, a triangle displaced
+by some millimetres can fit well: two of its sides agree, and its third side agrees with a wall as
+bright as the top."""
 LARGEST_STRETCH = 0.03
 """Maximum relative difference between an object's apparent size and its file."""
 _CERTAIN = 1e-5
@@ -51,10 +52,11 @@ _FORM = 0.12
 """Maximum relative deviation (rms) of a blob's shape, which may be due to walls or occlusion."""
 _CANDIDATES = 6
 _NEAR = 30
-"""Maximum rotation of the best angle due to a wall, in steps of :func:`turn_differences` (15
-deg)."""
+"""Maximum error of the best angle due to a wall, in steps of :func:`turn_differences`: 15
+degrees."""
 _DOUBTFUL = 0.006
-"""Relative difference of an object's size above which the fit is repeated with the size fixed."""
+"""Relative difference of the fitted size from the file above which the fit is repeated with the
+size fixed."""
 _INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
 """Distances in pixels from the rim at which the top and its surroundings (beyond the wall) are
 compared, and offsets of the pixels averaged there."""
@@ -62,7 +64,8 @@ compared, and offsets of the pixels averaged there."""
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A region of about the right size that is not the object; ``reason`` is a constant below."""
+    """A region of about the right size that is not the object; ``reason`` is one of the constants
+    below."""
 
     reason: str
     sentence: str
@@ -151,7 +154,7 @@ def fit_closely(
         return turned
     whole = fit_surely(image, view, outline, turned, blur=blur)
     if whole is None:
-        return Refused(NO_DOT, "its dot is not seen where it should be")
+        return Refused(NO_DOT, "its dot is not seen at the expected position")
     return accept(whole, outline)
 
 
@@ -168,8 +171,8 @@ def fit_surely(
     """Call :func:`fit_outline`, and repeat it with the size of the file if the size seems wrong.
 
     One side of a tall polygon may be confused with a wall as bright as the top, so that the outline
-    is displaced and too small. This fit is nearly as good as the correct one, which is found with
-    the size fixed.
+    is displaced and too small. The wrong fit is nearly as good as the correct fit, which is found
+    with the size fixed.
     """
     fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
     if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
@@ -200,8 +203,8 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
     seen = 0.0 if rim is None else rim.seen
     return Refused(
         OTHER_SHAPE,
-        f"the image agrees with its outline along {seen * 100:.0f} % of the rim (at least "
-        f"{least * 100:.0f} % are needed)",
+        f"the image agrees with its outline along only {seen * 100:.0f} % of the rim (at least "
+        f"{least * 100:.0f} % is needed)",
     )
 
 
@@ -213,17 +216,17 @@ def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
     if fit.seen < least or fit.contrast < LEAST_CONTRAST:
         return Refused(
             OTHER_SHAPE,
-            f"{fit.seen * 100:.0f} % of its rim are seen with a contrast of {fit.contrast:.0f} "
+            f"{fit.seen * 100:.0f} % of its rim is seen with a contrast of {fit.contrast:.0f} "
             f"grey levels (at least {least * 100:.0f} % and {LEAST_CONTRAST:.0f} are needed)",
         )
     if fit.least_side < _LEAST_SIDE:
         return Refused(
             OTHER_SHAPE,
-            f"of one of its sides {fit.least_side * 100:.0f} % are seen (at least "
-            f"{_LEAST_SIDE * 100:.0f} % of each are needed)",
+            f"only {fit.least_side * 100:.0f} % of one of its sides is seen (at least "
+            f"{_LEAST_SIDE * 100:.0f} % of each side is needed)",
         )
     if outline.dot is not None and fit.dot_contrast < LEAST_CONTRAST:
-        return Refused(NO_DOT, "its dot is not seen where it should be")
+        return Refused(NO_DOT, "its dot is not seen at the expected position")
     return fit
 
 
@@ -232,7 +235,8 @@ def wrong_size(fit: OutlineFit) -> Refused:
     return Refused(
         OTHER_SIZE,
         f"it appears {(fit.size - 1.0) * 100:+.1f} % larger than in its file (limit "
-        f"{LARGEST_STRETCH * 100:.0f} %): lifted, tilted, another object, or a wrong height",
+        f"{LARGEST_STRETCH * 100:.0f} %): lifted or tilted, another object, or a wrong height "
+        "in the file",
     )
 
 
@@ -252,7 +256,7 @@ def rough_places(
     if shrink < 3:
         small = np.asarray(cv2.blur(small, (3, 3)), dtype=np.uint8)
     if outline.dot is not None:
-        # Remove the dot, because one near the rim would split the blob.
+        # Remove the dot, because a dot near the rim would split the blob.
         across_dot = (math.ceil(2.0 * outline.dot.radius / pixel / shrink) + 1) | 1
         fill = cv2.MORPH_OPEN if outline.dot.brighter else cv2.MORPH_CLOSE
         cover = np.ones((across_dot, across_dot), dtype=np.uint8)
@@ -298,7 +302,8 @@ def rough_places(
 def _places(
     view: View, outline: ObjectOutline, hull: NDArray[np.int32], scale: Array
 ) -> Iterator[_Place]:
-    """Candidate poses, if a convex hull (N, 1, 2) in the downscaled image is the outline."""
+    """Candidate poses for a convex hull (N, 1, 2) in the downscaled image; none if the shape
+    differs."""
     seen = (hull.reshape(-1, 2) + 0.5) * scale - 0.5
     rim = view.on_plane(_walked(seen), outline.height)
     return (place for place in _matched(view, outline, rim) if place.difference < _FORM)
@@ -322,8 +327,8 @@ def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
 
 
 def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]:
-    """Match a rim (N, 2), projected to the plane of the top, with the outline: with that of the top
-    alone, and with that of top and wall together."""
+    """Match a rim (N, 2), projected to the plane of the top, with the outline of the top alone, and
+    with the outline of top and wall together."""
     middle, radii = _middle(rim), _radii(rim)
     model = outline.radii()
     size = float(radii.mean() / model.mean())
@@ -368,8 +373,8 @@ def _silhouette(view: View, outline: ObjectOutline, pose: Array) -> Array:
 def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) -> bool:
     """Return False if the rim cannot be within some pixels of a pose (3,).
 
-    In this case, the greys on both sides of the rim do not differ along enough of it. The test
-    takes a hundredth of the time of a failed fit.
+    The test compares the grey levels on both sides of the rim at that pose, which takes a hundredth
+    of the time of a failed fit.
     """
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     points = _walked(outline.points(24))
@@ -408,12 +413,12 @@ def turn_by_dot(
     if contrast[best] < LEAST_CONTRAST:
         return Refused(
             NO_DOT,
-            f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels, at "
+            f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels; at "
             f"least {LEAST_CONTRAST:.0f} are needed)",
         )
     away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius
     if away.any() and contrast[away].max() > 0.6 * contrast[best]:
-        return Refused(TWO_DOTS, "two dots are seen where one should be, so its angle is not known")
+        return Refused(TWO_DOTS, "two dots are seen instead of one, so its angle is unknown")
     return np.asarray(poses[best])
 
 

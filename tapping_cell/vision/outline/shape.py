@@ -17,7 +17,7 @@ from tapping_cell.vision.camera import Array
 
 _SAME = 0.03
 """Difference (rms, relative to the mean radius) below which a rotated outline counts as the same.
-Manufacturing tolerance is a tenth of it; the rest allows for a hidden part."""
+The manufacturing tolerance is a tenth of this value; the rest allows for a hidden part."""
 ANGLES = 720
 """Number of angles at which radii of a rim are compared."""
 _LEAST_DOT = 0.002
@@ -56,7 +56,7 @@ class ObjectOutline:
     """Visible outline of an object without a marker.
 
     It is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise) in m. Its top
-    is ``height`` m over the table and ``brighter`` or darker than the table.
+    is ``height`` m above the table and ``brighter`` or darker than the table.
     """
 
     height: float
@@ -77,10 +77,10 @@ class ObjectOutline:
         turns = self.turns()
         if self.dot is None:
             if len(turns) != 1:
-                what = "every turn" if not turns else f"a turn of {math.degrees(turns[1]):.0f} deg"
+                what = "any turn" if not turns else f"a turn of {math.degrees(turns[1]):.0f} deg"
                 raise OutlineError(
-                    f"the outline looks the same after {what}, so that nothing shows the angle: "
-                    "put a dot on it off its middle ('outline.dot'), or a marker"
+                    f"the outline looks the same after {what}, so its angle cannot be "
+                    "determined: add an off-centre dot ('outline.dot') or a marker"
                 )
             return
         self._check_dot(self.dot, turns)
@@ -104,9 +104,9 @@ class ObjectOutline:
             apart *= 2.0 * math.sin(0.5 * min(turns[1], 2.0 * math.pi - turns[-1]))
         if apart < 1.5 * dot.radius:
             raise OutlineError(
-                f"the dot lies {apart * 1e3:.1f} mm from where it would be after a turn that the "
-                f"outline does not show; at least {1.5 * dot.radius * 1e3:.1f} mm are needed: put "
-                "it farther from the middle"
+                f"the dot is {apart * 1e3:.1f} mm from its position after a rotation that leaves "
+                f"the outline unchanged (at least {1.5 * dot.radius * 1e3:.1f} mm are needed); "
+                "put the dot farther from the centre"
             )
 
     @property

@@ -41,9 +41,11 @@ _SHADOW = 0.4
 """Minimum fraction of the object's contrast for a pixel to belong to it instead of a soft
 shadow."""
 _EVERY = 8
-"""Distance of projected pixels of the rectified image; the pixels between are interpolated."""
+"""Spacing of the pixels of the rectified image that are projected; those between are
+interpolated."""
 _APART = 0.05
-"""Area of another region, relative to the object's area, above which it is a second object."""
+"""Area of another region, relative to the object's area, above which that region is a second
+object."""
 _LEAST_REACH = 0.006
 """Minimum radius (m) of an object; smaller regions are dirt."""
 _ACROSS = np.arange(-6.0, 6.01, 0.25)
@@ -90,9 +92,10 @@ def trace_object(
     height: float,
     dictionary: str | None = None,
 ) -> TracedObject:
-    """Trace the single object in an image; its top is ``height`` (m) over the table.
+    """Trace the single object in an image; its top is ``height`` (m) above the table.
 
-    Its marker may be any of ``dictionary`` (the table's, if None) that is not a reference marker.
+    The object's marker may be any marker of ``dictionary`` (None: the table's dictionary) except
+    the reference markers.
 
     Raises:
         NotTraced: the image shows no table, no object, several objects, or no simple shape.
@@ -120,7 +123,7 @@ def trace_object(
 
 
 def _view(image: Image, camera: CameraModel, table: ReferenceMap) -> View:
-    """Locate the camera over the table from the reference markers."""
+    """Locate the camera relative to the table by the reference markers."""
     size = table.markers[0].size
     others = {marker.id for marker in table.markers}
     free = next(number for number in range(len(others) + 1) if number not in others)
@@ -148,7 +151,7 @@ def _marker(
         return None, None
     if len(found) > 1:
         raise NotTraced(
-            f"{len(found)} markers besides the table's are seen (ids "
+            f"{len(found)} markers besides those of the table are seen (ids "
             f"{', '.join(str(one.id) for one in found)}): leave one object on the table"
         )
     number = found[0].id
@@ -233,7 +236,8 @@ class _Plane:
 def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
     """Brightness of every pixel relative to the table beside it; 0 if nothing is visible.
 
-    The table's brightness is a quadratic surface, fitted iteratively to the pixels close to it.
+    The table's brightness is modelled by a quadratic surface, fitted iteratively to the pixels
+    close to it.
     """
     rows, columns = seen.shape
     v, u = (2.0 * np.arange(n, dtype=np.float32) / max(n - 1, 1) - 1.0 for n in (rows, columns))
@@ -313,8 +317,8 @@ def _encloses(outline: NDArray[np.int32], pixel: Array) -> bool:
 def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     """Points (N, 2) of the rim in pixels, with sub-pixel accuracy.
 
-    The brightness is sampled across each point of the coarse rim. The rim is where it crosses half
-    of the brightness inside.
+    The brightness is sampled across each point of the coarse rim. The rim is the position at which
+    it is halfway between the brightness inside and outside.
     """
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     rough = max(contours, key=cv2.contourArea)[:, 0].astype(float)
@@ -340,8 +344,8 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     place = _ACROSS[last] + (one - 0.5) / np.maximum(one - two, 1e-9) * (_ACROSS[1] - _ACROSS[0])
     if len(place) < 0.5 * count:
         raise NotTraced(
-            "the object's rim is not sharp: improve focus and light, so that it casts no "
-            "hard shadow"
+            "the object's rim is not sharp: improve the focus, and the light so that the "
+            "object casts no hard shadow"
         )
     return np.asarray(rough[good] + place[:, None] * outward[good])
 

@@ -29,8 +29,9 @@ class TableSettings:
     half of its markers disturbed is suspect, and after ``confirm_frames`` suspect frames the camera
     counts as moved. The table is refused if it has moved by more than ``largest_move`` in total (m,
     measured at the references). A marker that disagrees with the rest of the map by more than
-    ``displaced`` pixels is excluded. The sides together may appear longer than in the map by
-    ``bloom`` pixels or ``bloom_share`` of a side; beyond that, the map is contradicted.
+    ``displaced`` pixels is excluded. All sides together may appear longer or shorter than in the
+    map by ``bloom`` pixels or by ``bloom_share`` of a side, whichever is more; a larger difference
+    contradicts the map.
     """
 
     least_references: int = 2
@@ -48,12 +49,12 @@ class TableFit:
     """Result of a table fit.
 
     ``pose`` is the camera's pose and ``covariance`` (6, 6) is for steps of ``CameraPose.moved``.
-    ``used`` (M,) marks the inlier markers, and ``residuals`` (U, 4, 2) are those of their corners,
-    as directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to the pose,
-    and ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom`` is the
-    common displacement of all markers' sides outwards (a direction). ``error`` is the largest error
-    of a marker's corners (pixels, root mean square). ``unsquare`` is the standard deviation (a
-    direction) of deviations of the sides from squares, in excess of the noise.
+    ``used`` (M,) marks the inlier markers, and ``residuals`` (U, 4, 2) are the residuals of their
+    corners, as directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to
+    the pose, and ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom``
+    is the common displacement of all markers' sides outwards (a direction). ``error`` is the
+    largest error of a marker's corners (pixels, root mean square). ``unsquare`` is the standard
+    deviation (a direction) of deviations of the sides from squares, in excess of the noise.
     """
 
     pose: CameraPose
@@ -138,8 +139,9 @@ def fit_table(
     ``noise`` (M,) is :func:`side_noise`, ``focal`` the number of pixels per unit of direction. Ink
     bleeding, nonlinear grey levels and stray light displace the sides of all markers outwards or
     inwards by the same unknown amount, which is fitted with the pose. Markers (those in ``used``
-    (M,), if given) are excluded one by one while one disagrees with the rest by more than
-    ``settings.displaced`` pixels. Returns None if fewer than ``settings.least_references`` remain.
+    (M,), if given) are excluded one at a time as long as a marker disagrees with the rest by more
+    than ``settings.displaced`` pixels. Returns None if fewer than ``settings.least_references``
+    remain.
     """
     count = points.shape[0]
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
@@ -195,7 +197,7 @@ def fit_table(
 
 def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
     """Index of the marker that explains most of the residuals (M, 8) if it is an outlier; None if
-    that is less than half of them.
+    no marker explains half of them.
 
     This need not be the marker with the largest residual, because a marker far from the others
     pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white`` is (M, 8, 8) and
@@ -212,7 +214,7 @@ def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
 def consensus(
     camera: CameraModel, points: Array, rays: Array, settings: TableSettings
 ) -> tuple[CameraPose, NDArray[np.bool_]] | None:
-    """Compute a pose, and which markers (M,) agree with the map, if there are gross outliers.
+    """Compute a pose in the presence of gross outliers, and which markers (M,) are inliers.
 
     The camera's pose is computed from every pair of markers (Fischler and Bolles 1981, all pairs),
     and the pose with the most inliers is chosen. Returns None unless the inliers are a majority and
@@ -238,10 +240,10 @@ def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float
     excess of their ``noise`` (M,) and of the ``usual`` deviation.
 
     Position and rotation of each marker depend on print and lens
-    (:mod:`tapping_cell.vision.table.systematic_error`). The other five degrees of freedom of its
-    corners ``left`` (M, 8) are noise, the small deformation of a square by a lens, or errors of the
-    sides due to blur, objects nearby or a shadow. The result is 0 if it cannot be distinguished
-    from noise (three standard deviations of chi square).
+    (:mod:`tapping_cell.vision.table.systematic_error`). The other five degrees of freedom of a
+    marker's corners ``left`` (M, 8) are noise, the small deformation of a square by a lens, or
+    errors of the sides due to blur, objects nearby or a shadow. The result is 0 if it cannot be
+    distinguished from noise (three standard deviations of chi square).
     """
     count = len(left)
     arm = rays - rays.mean(axis=1, keepdims=True)

@@ -9,7 +9,7 @@ from tapping_cell.vision.table.tracker import TableState, TableTracker
 def table_refusal(
     state: TableState, table: TableTracker, unseen: float, timeout: float
 ) -> tuple[Problem, str] | None:
-    """Return why a frame with the table in ``state`` gives no pose; None if it may give one.
+    """Return why a frame with the table in ``state`` gives no pose; None if a pose may be measured.
 
     ``unseen`` is the time (s) since reference markers were last measured, and ``timeout`` its
     limit.
@@ -26,7 +26,7 @@ def table_refusal(
     if state is TableState.SUSPECT:
         return (
             Problem.CAMERA_MOVED,
-            "the reference markers are not where they were: the camera or the table moves",
+            "the reference markers have changed their positions: the camera or the table is moving",
         )
     if state is TableState.TOO_FAR:
         return (
@@ -50,7 +50,7 @@ def table_notice(table: TableTracker, doubled: list[int], missed: list[int]) -> 
     """
     if table.displaced:
         names = ", ".join(map(str, table.displaced))
-        return f"reference marker {names} is not where the table file puts it; left out"
+        return f"reference marker {names} is not at its position in the table file; it is ignored"
     if doubled:
         names = ", ".join(map(str, doubled))
         return f"reference marker {names} is seen more than once; cover the others"

@@ -3,8 +3,8 @@
 After the camera's pose is fitted, the references still deviate from their positions in the map.
 Part of this is due to an inaccurate lens calibration, part is individual to each marker (printing,
 gluing), and part is noise. Given the amplitudes of the first two, all three are Gaussian.
-Conditioned on the references, they give the expected error of a pose measured at any place and
-height over the table, and its remaining uncertainty (kriging with the camera's pose as trend;
+Conditioned on the references, the model gives the expected error of a pose measured at any place
+and height above the table, and the remaining uncertainty (kriging with the camera's pose as trend;
 Rasmussen and Williams 2006, chapter 2). The amplitudes are averaged over a grid with their
 restricted likelihood as weight, so that the ambiguity left by few references increases the
 covariance.
@@ -34,13 +34,13 @@ The errors of both focal lengths (pixels) are nearly equal; their difference is 
 Deviations stated by a calibration (``CameraModel.deviations``) replace these.
 """
 _STATED_ASPECT = 0.25
-"""Ratio of the standard deviation of the focal lengths' difference to that of both, if the latter
-is stated. Measured: 0.05 for calibrations from images of a board."""
+"""Ratio of the standard deviation of the focal lengths' difference to that of their common error,
+if the latter is stated. Measured: 0.05 for calibrations from images of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
-"""Grids of amplitudes: of the lens errors, in units of these deviations, and of a marker's
-misplacement, in m. Coarser steps make the covariance too small if the true value is between two of
-them."""
+"""Grids of the amplitude of the lens errors, in units of these standard deviations, and of the
+amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if the true
+value is between two of them."""
 _TURNS = (0.1, 0.3, 1.0)
 """Ratios of corner displacement due to a marker's rotation to that due to its shift, for markers
 printed on one sheet up to markers glued individually."""
@@ -52,9 +52,9 @@ _EXACT = (0.3, 0.1, 0.25)
 applies): both; only the lens; only the print."""
 _STATED = 1.0, 0.5
 """Typical amplitude of the lens errors in units of the deviations stated by the calibration, and
-its logarithmic standard deviation. Such a lens is never assumed to be exact."""
+its logarithmic standard deviation. A lens with stated deviations is never assumed to be exact."""
 _LEFT_OUT = 1e-3
-"""Total probability of the unlikely pairs of amplitudes that are dropped. Each may be only a
+"""Total probability of the unlikely pairs of amplitudes that are dropped. Each pair may be only a
 fiftieth as likely as an exact lens and print, but together they matter."""
 
 
@@ -117,11 +117,11 @@ def condition(
     in m^2. ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are the derivatives of the corners, projected
     to the table, with respect to the lens parameters and to the camera's pose. ``gain`` (6, 8 M) is
     the derivative of the fitted pose with respect to the corners. Rows are x and y of successive
-    corners. ``stated``: the deviations behind ``lens`` are those of its calibration, not typical
-    values.
+    corners. ``stated`` is True if ``lens`` is scaled by the deviations that the calibration states,
+    and False if it is scaled by typical deviations.
     """
-    # Use only the position and rotation of each marker. Ink, bloom and blur make it appear larger,
-    # smaller or stretched, and a lens error that explains this would be wrong.
+    # Use only the position and rotation of each marker. Ink, bloom and blur make a marker appear
+    # larger, smaller or stretched, and a lens error that explains this would be wrong.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]

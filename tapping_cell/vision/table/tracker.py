@@ -1,10 +1,11 @@
 """Estimate the camera's pose over the table from the averaged reference markers.
 
 While nothing moves, each marker's corners are averaged over the frames and the pose is fitted to
-the averages. Every frame is compared with the averages, marker by marker. If most of the markers of
-several successive frames are elsewhere, the camera or the table was moved: the averages are
-restarted and the move is reported. The residuals that remain after averaging are due to lens and
-printing rather than noise. They determine the systematic error of a pose measured on this table.
+the averages. Every frame is compared with the averages, marker by marker. If most of the markers
+deviate from their averages in several successive frames, the camera or the table was moved. The
+averages are then restarted and the move is reported. The residuals that remain after averaging are
+due to lens and printing rather than noise. They determine the systematic error of a pose measured
+on this table.
 """
 
 from __future__ import annotations
@@ -98,8 +99,8 @@ class TableTracker:
         disturbed = self._disturbed(rays, rows)
         known = (self._seen[rows] > 0) & ~self._astray[rows]
         apart = int((disturbed & known).sum())
-        # A single disturbed marker was itself moved or is partly occluded, if others can confirm
-        # this.
+        # A single disturbed marker, if there are others to compare it with, was itself moved or is
+        # partly occluded.
         moving = apart >= min(2, len(self.ids) - 1) and 2 * apart >= known.sum() > 0
         if self.pose is not None and (moving or self._too_many_stray(rows, disturbed)):
             self._suspects += 1
@@ -127,11 +128,12 @@ class TableTracker:
 
     @property
     def camera_height(self) -> float:
-        """Height of the camera over the table in m; 0 while unknown."""
+        """Height of the camera above the table in m; 0 while unknown."""
         return 0.0 if self.pose is None else float(self.pose.position[2])
 
     def add(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Add references of a first frame, measured at positions predicted from the others."""
+        """Add markers of the first frame that were measured at positions predicted from the other
+        markers."""
         rays, noise = reference_rays(self.camera, edges), side_noise(edges, self.camera.fx)
         self._average(rays, noise, rows, np.zeros(len(rows), dtype=bool))
         if not self._fit(edges, rows) or self._contradicted(edges):
@@ -145,8 +147,8 @@ class TableTracker:
         return np.asarray((self._seen[rows] > 0) & (shift > self.settings.suspect_shift))
 
     def _too_many_stray(self, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]) -> bool:
-        """Return whether too many markers are elsewhere for them to have been moved individually,
-        although each frame measured only a few of them."""
+        """Return whether so many markers deviate from their averages that they cannot have been
+        moved individually. Each frame measures only a few of the markers."""
         apart = self._astray.copy()
         apart[rows] |= disturbed & (self._strayed[rows] >= self.settings.confirm_frames)
         return int(apart.sum()) > max(1, len(apart) // 4)
@@ -155,7 +157,8 @@ class TableTracker:
         self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
     ) -> None:
         self._strayed[rows] = np.where(disturbed, self._strayed[rows] + 1, 0)
-        # A single marker that stays elsewhere was itself moved. It is ignored until it is back.
+        # A single marker that stays away from its average was itself moved. It is ignored until it
+        # is back.
         self._astray[rows] = disturbed & (self._strayed[rows] > self.settings.confirm_frames)
         kept = rows[~disturbed]
         self._seen[kept] = np.minimum(self._seen[kept] + 1, self.settings.memory)
@@ -165,7 +168,7 @@ class TableTracker:
 
     def _contradicted(self, edges: MarkerEdges) -> bool:
         """Return whether the markers differ so much from the map, in position or size, that neither
-        is reliable."""
+        markers nor map are reliable."""
         s = self.settings
         corners = edges.corners
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())

@@ -12,7 +12,10 @@ from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.learnt_object import LearntObject, learn_object, learning_record
 from tapping_cell.calibration.object_file import object_yaml
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.configuration.objects import ObjectFile, ShapeSection, load_object
+from tapping_cell.configuration.objects import GRAVITY, ObjectFile, ShapeSection, load_object
+from tapping_cell.mechanics import Sliding
+from tapping_cell.planning.evaluation.worlds import scattered
+from tapping_cell.planning.settings import Scatter
 from tapping_cell.simulation.tap_trials import SimulatedTaps
 from tapping_cell.simulation.truth import ScatterTruth, SupportTruth, TruthFile
 
@@ -87,3 +90,23 @@ def test_the_file_that_is_written_is_one(tmp_path) -> None:  # type: ignore[no-u
 def test_too_few_taps_are_refused() -> None:
     with pytest.raises(RecordError, match="at least 5"):
         learn_object(GUESS, np.full((4, 3), 0.01), np.full((4, 3), 0.01))
+
+
+def test_a_floor_of_the_scatter_is_learnt() -> None:
+    """Taps of 2 to 30 mm whose end scatters by 0.3 mm however short they are."""
+    content, *_ = drawn(0)
+    body = content.body()
+    rng = np.random.default_rng(5)
+    length = np.exp(rng.uniform(math.log(0.002), math.log(0.03), 60))
+    heading = rng.uniform(-math.pi, math.pi, 60)
+    asked = np.stack(
+        [length * np.cos(heading), length * np.sin(heading), rng.uniform(-2, 2, 60) * length], -1
+    )
+    sliding = Sliding(body, content.friction, content.torque_factor, GRAVITY)
+    gains = np.tile([1.0, 1.0, 0.0, 0.0], (60, 1))
+    scatter = Scatter(0.03, 0.1, 0.01, position_floor=3e-4)
+    exact = sliding.displace(sliding.twist_for(asked))
+    moved = scattered(exact, gains, np.zeros((60, 3)), scatter, rng)
+    made = learn_object(content, asked, moved)
+    assert made.content.scatter.position_floor == pytest.approx(3e-4, rel=0.35)
+    assert made.content.scatter.distance == pytest.approx(0.03, rel=0.6)

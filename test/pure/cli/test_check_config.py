@@ -84,10 +84,10 @@ def test_the_files_that_a_cell_names_are_looked_at_too(folder: Path) -> None:
     ("file", "key", "value", "words"),
     [
         ("objects/aluminium_disk.yaml", "marker.id", 104, "reference marker"),
-        ("objects/aluminium_disk.yaml", "height", 0.004, "passes over it"),
+        ("objects/aluminium_disk.yaml", "height", 0.004, "passes over the object"),
         ("objects/aluminium_disk.yaml", "marker.size", 0.09, "sticks out"),
         ("cell.yaml", "arm.strike_height", 0.004, "scrapes the table"),
-        ("cell.yaml", "tapper.stroke", 0.05, "on its way through"),
+        ("cell.yaml", "tapper.stroke", 0.05, "for 'tapper.stroke'"),
         ("cell.yaml", "arm.travel_height", 0.011, "above the object"),
         ("cell.yaml", "tapper.stroke", 0.010, "never reaches"),
         ("cell.yaml", "arm.park", [3.0, 1.2, -0.02, 0.0], "arm.park[0]"),

@@ -70,7 +70,7 @@ def test_a_failed_step_is_said_and_the_next_call_goes_on_there(
 
 def test_nobody_leaves_hardware_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["commission", "--yes", "--hardware"]) == 2
-    assert "a person watches every step" in capsys.readouterr().err
+    assert "a person must watch every step" in capsys.readouterr().err
 
 
 def test_a_key_of_a_section_is_replaced_and_nothing_else() -> None:

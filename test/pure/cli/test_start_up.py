@@ -19,7 +19,7 @@ def cell(mode: str = "ready", code: int = 0, **rows: dict[str, str]) -> dict[str
         "nodes": [{**well, "name": name, **rows.get(name, {})} for name in NODES],
         "mode": mode,
         "code": code,
-        "sentence": "the cell takes a goal" if mode == "ready" else "a reason",
+        "sentence": "the cell accepts goals" if mode == "ready" else "a reason",
         "hint": "a remedy.",
         "plan": {"busy": False},
         "recovery": [],

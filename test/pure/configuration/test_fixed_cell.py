@@ -59,10 +59,10 @@ def test_a_tapper_may_differ_from_the_others(file: Path) -> None:
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
-        (lambda f: f["tappers"].__delitem__(slice(4, 8)), "no tap leads inward"),
+        (lambda f: f["tappers"].__delitem__(slice(4, 8)), "no tap moves the object inward"),
         (lambda f: f["tappers"][1].update(channel=0), "are both channel 0"),
-        (lambda f: f.update(strike_height=0.02), "pass over it"),
-        (lambda f: f["tappers"][0].update(position=[0.1, 0.013]), "would touch it"),
+        (lambda f: f.update(strike_height=0.02), "pass over the object"),
+        (lambda f: f["tappers"][0].update(position=[0.1, 0.013]), "would touch the tip"),
         (
             lambda f: f.update(working_area=[0.0, 0.13, 0.07]),
             "hang over the table's edge",

@@ -48,7 +48,7 @@ def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> N
     assert settings.pulse_for(2e-2) == pytest.approx(0.012)
     errors, _ = conflicts(cell)
     assert not errors
-    with pytest.raises(ConfigurationError, match="the output behind /robot/set_output"):
+    with pytest.raises(ConfigurationError, match="would switch the output /robot/set_output"):
         refuse_own_drivers(cell)
     with pytest.raises(ConfigurationError, match="'arm.port'"):
         refuse_simulated_ports(cell)

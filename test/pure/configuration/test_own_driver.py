@@ -37,7 +37,7 @@ def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> N
     assert cell.file.arm.ros2_control is not None
     errors, _ = conflicts(cell)
     assert not errors
-    with pytest.raises(ConfigurationError, match="would move the arm behind /scara_controller"):
+    with pytest.raises(ConfigurationError, match="would move the arm of /scara_controller"):
         refuse_own_drivers(cell)
     refuse_own_drivers(load_cell())
 

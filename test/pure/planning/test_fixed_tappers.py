@@ -18,12 +18,12 @@ from tapping_cell.planning import CircleArea, Refusal, RefusalReason, Strike
 from tapping_cell.planning.coverage import coverage
 from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluate_fixed
 from tapping_cell.planning.evaluation.task import End
-from tapping_cell.planning.fixed_policy import scatter_points
+from tapping_cell.planning.fixed_policy import scatter_points, states_after
 from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
 from tapping_cell.planning.mounts import MountBelief
-from tapping_cell.planning.settings import CameraNoise
+from tapping_cell.planning.settings import CameraNoise, Scatter
 from tapping_cell.se2 import Pose
 
 CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
@@ -157,12 +157,21 @@ def test_a_tapper_that_missed_is_not_asked_again_at_once() -> None:
     assert second.plan.tapper != first.plan.tapper
 
 
-def test_the_scatter_points_have_the_scatter() -> None:
-    points = scatter_points(PLAN, 24)
+def test_the_scatter_points_have_unit_deviation() -> None:
+    points = scatter_points(24)
     assert np.allclose(points.mean(axis=0), 0.0, atol=1e-12)
-    scatter = PLAN.scatter
-    assert points.std(axis=0) == pytest.approx(
-        [scatter.distance, scatter.rotation, scatter.direction]
+    assert points.std(axis=0) == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_states_after_a_tap_have_the_scatter_with_its_floor() -> None:
+    scatter = Scatter(0.05, 0.15, 0.02, 3e-4, 0.01)
+    length, slope = np.array([0.002, 0.02]), np.array([2.0])
+    after = states_after(np.zeros((2, 3)), np.zeros(2), slope, length, scatter, scatter_points(400))
+    assert after.std(axis=1) == pytest.approx(
+        np.stack(
+            [scatter.along(length), scatter.across(length), scatter.turning(2.0 * length)], axis=-1
+        ),
+        rel=0.05,
     )
 
 

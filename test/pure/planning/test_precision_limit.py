@@ -42,3 +42,12 @@ def test_fine_tolerances_are_taken_down_to_what_the_smallest_tap_allows() -> Non
     assert precision_limit(replace(coarse, scatter=Scatter(0.005, 0.05, 0.002))) == ""
     # What the camera cannot tell is the camera's to refuse.
     assert precision_limit(replace(coarse, camera=CameraNoise(1e-4, 1e-3))) == ""
+
+
+def test_a_floor_of_the_scatter_limits_the_tolerance() -> None:
+    coarse = replace(at(0.1), scatter=Scatter(0.01, 0.05, 0.005))
+    assert precision_limit(coarse) == ""
+    rough = replace(coarse, scatter=Scatter(0.01, 0.05, 0.005, position_floor=5e-4))
+    assert "scatter by 0.5 mm in distance and 0.5 mm across" in precision_limit(rough)
+    turned = replace(coarse, scatter=Scatter(0.01, 0.05, 0.005, angle_floor=math.radians(2.0)))
+    assert "by 2 degrees in rotation" in precision_limit(turned)

@@ -4,7 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tapping_cell.logic.goal_validation import REFUSALS
 from tapping_cell.mechanics import Impact, Polygon, Sliding, Striker, Tap
+from tapping_cell.messages import ErrorCode
 from tapping_cell.planning import (
     CameraNoise,
     CircleArea,
@@ -326,6 +328,7 @@ def test_a_polygon_without_a_contact_for_the_safe_taps_is_refused_with_that_reas
     session = PositioningSession((0.1, 0.0, math.pi / 4), planner, space, None, known())
     refusal = session.decide((0.0, 0.0, math.pi / 4))
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.NO_CONTACT
+    assert REFUSALS[refusal.reason] == ErrorCode.NO_CONTACT_FOUND
     assert "no contact of the object" in refusal.sentence
     assert "the arm" not in refusal.sentence
 

@@ -229,7 +229,7 @@ def test_a_recorder_that_saw_the_object_only_after_a_tap_knows_the_start(tmp_pat
 
 def test_a_bag_without_a_goal_is_refused_in_words(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS[:1], told_end=False, refused=True))
-    with pytest.raises(BagError, match="no goal was recorded"):
+    with pytest.raises(BagError, match="contains no goal"):
         read_story(folder / "bag")
 
 

@@ -51,7 +51,7 @@ def test_a_tap_of_a_cell_with_several_tappers_names_its_own() -> None:
     ("goal", "words"),
     [
         (Pose(0.04, 0.0, 0.2), "It aims straight at the goal."),
-        (Pose(0.01, 0.0, 0.2), "It passes the goal on purpose: turning by 11.5 deg takes"),
+        (Pose(0.01, 0.0, 0.2), "It passes the goal on purpose: a rotation of 11.5 deg requires"),
         (Pose(-0.01, 0.0, 0.2), "It moves away from the goal on purpose"),
         (Pose(0.09, 0.0, 0.2), "It stops 50.0 mm before the goal on purpose"),
     ],
@@ -70,7 +70,7 @@ def test_a_reason_that_the_planner_gave_is_told_in_its_words() -> None:
 
 def test_a_result_far_from_what_was_expected_is_called_so() -> None:
     told = tap_sentence(tap(measured=Pose(0.02, 0.0, 0.1)), None)
-    assert "outside the range that holds 95 % of taps" in told
+    assert "outside the range of 95 % of taps" in told
     assert "within the scatter" not in told
 
 
@@ -83,7 +83,7 @@ def test_the_word_for_scatter_holds_for_95_of_100_taps() -> None:
 def test_a_tap_that_was_never_seen_is_not_judged() -> None:
     unseen = Pose(math.nan, math.nan, math.nan)
     told = tap_sentence(tap(measured=unseen), Pose(0.1, 0.0, 0.0))
-    assert "it was not seen afterwards" in told and "nan" not in told
+    assert "the object was not seen afterwards" in told and "nan" not in told
 
 
 angles = st.floats(-3.1, 3.1)

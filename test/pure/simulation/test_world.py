@@ -216,3 +216,22 @@ def test_every_supplied_world_answers_a_tap(file: Path) -> None:
     assert world.strike(Pose(START.x - 0.07, START.y, 0.0), 0.006, 0.3, 0.0)
     moved = math.dist(settled(world)[:2], START[:2])
     assert 0.001 < moved < 0.02
+
+
+@pytest.mark.parametrize("share", [0.0, 0.7])
+def test_small_taps_end_beside_their_end_by_the_floor(share: float) -> None:
+    """The floor of the scatter at the end of taps of two sizes, along, across and in rotation."""
+    floor = ScatterTruth(position_floor=3e-4, angle_floor=0.004)
+    tap = CELL.object.tap(STRIKER)
+    for distance in (0.003, 0.02):
+        wanted = (distance, 0.0, share * tap.cone_slope * distance)
+        plan = tap.plan(wanted, START)
+        tip = Pose(*np.asarray(plan.strike_pose).tolist()) @ Pose(-0.015, 0.0, 0.0)
+        ends = []
+        for seed in range(60):
+            world = world_of(replace(PLAIN, scatter=floor), seed)
+            assert world.strike(tip, 0.006, float(plan.striker_speed), 0.0)
+            world.settle()
+            ends.append((world.pose.x, world.pose.y, START.rotation_to(world.pose)))
+        spread = np.std(ends, axis=0)
+        assert spread == pytest.approx([3e-4, 3e-4, 0.004], rel=0.35)

@@ -73,7 +73,7 @@ def test_a_regular_polygon_looks_the_same_after_as_many_turns_as_it_has_sides(co
     corners = tuple((size * math.cos(a), size * math.sin(a)) for a in angle)
     dot = Dot(0.002, (0.3 * size, 0.0), True) if size > 0.06 else None
     if dot is None:
-        with pytest.raises(OutlineError, match="nothing shows the angle"):
+        with pytest.raises(OutlineError, match="its angle cannot be determined"):
             ObjectOutline(0.01, True, vertices=corners)
         return
     outline = ObjectOutline(0.01, True, vertices=corners, dot=dot)
@@ -85,10 +85,10 @@ def test_a_regular_polygon_looks_the_same_after_as_many_turns_as_it_has_sides(co
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"radius": 0.05}, "every turn"),
+        ({"radius": 0.05}, "any turn"),
         ({"vertices": SIDES}, "90 deg"),
         ({"vertices": [(-0.05, -0.03), (0.05, -0.03), (0.05, 0.03), (-0.05, 0.03)]}, "180 deg"),
-        ({"radius": 0.05, "dot": Dot(0.005, (0.003, 0.0), True)}, "farther from the middle"),
+        ({"radius": 0.05, "dot": Dot(0.005, (0.003, 0.0), True)}, "farther from the centre"),
         ({"radius": 0.05, "dot": Dot(0.005, (0.045, 0.0), True)}, "of the rim"),
         ({"radius": 0.05, "dot": Dot(0.001, (0.03, 0.0), True)}, "to be seen"),
         ({"vertices": [(0.0, 0.0), (0.05, 0.0)]}, "3 corners"),

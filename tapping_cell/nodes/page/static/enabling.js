@@ -1,6 +1,7 @@
 "use strict";
-// The enabling key of set-up mode: says that it is held ten times a second. Whatever ends the holding
-// ends that: the pointer or key goes up, the page loses the focus, the connection drops, the page hangs.
+// The enabling key of set-up mode sends a heartbeat ten times per second while it is held. The
+// heartbeats end if the pointer or key is released, the page loses the focus, the connection is lost
+// or the page hangs.
 
 const ENABLE_PERIOD_MS = 100;
 let enableTimer = 0;

@@ -1,15 +1,15 @@
 "use strict";
-// The ghost of an object on the picture. It follows the pointer at once and roughly; where it really
-// is on the table the node says, by the camera's model, one question after the other.
+// A ghost is the outline of an object's goal on the picture. It follows the pointer immediately, but only
+// approximately. The node computes the exact pose with the camera's model, one request at a time.
 
 class Ghost {
   constructor(group, object, ask, onPose) {
     this.group = group;
     this.object = object;      // name of the object, empty for the cell's own
-    this.ask = ask;            // sends a question to the node; false where there is no connection
-    this.onPose = onPose;      // is told every answer: pose in mm and degrees, refusal, typed
-    this.shape = null;         // the node's last answer
-    this.touched = false;      // a person has placed it: it follows goal and object no longer
+    this.ask = ask;            // sends a request to the node; returns false without a connection
+    this.onPose = onPose;      // called with every response: pose in mm and degrees, refusal, typed
+    this.shape = null;         // the node's last response
+    this.touched = false;      // a person has moved the ghost, so it no longer follows the goal
     this.number = 0;
     this.waiting = false;
     this.next = null;
@@ -30,7 +30,7 @@ class Ghost {
     this.size();
   }
 
-  // Questions: only the latest is worth asking.
+  // Requests. While a request is pending, only the latest new request is kept.
 
   question(content, typed = false) {
     this.next = { content, typed };
@@ -67,7 +67,7 @@ class Ghost {
     this.pump();
   }
 
-  forget() {  // the connection was lost: what was asked is not answered any more
+  forget() {  // the connection was lost, so a pending request will get no response
     this.waiting = false;
     this.next = null;
     this.release();
@@ -129,7 +129,7 @@ class Ghost {
     event.preventDefault();
     this.touched = true;
     this.place(x, y, angle);
-    this.shape = { ...this.shape, x, y, angle };  // the next key adds to this one
+    this.shape = { ...this.shape, x, y, angle };  // the next key press starts from here
   }
 
   // Drawing

@@ -1,5 +1,5 @@
 "use strict";
-// What was: the remaining error of each tap as a plot, and the recorded runs as a table.
+// Plot of the remaining error after each tap, and table of the recorded runs.
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -56,7 +56,7 @@ function runLink(key, run, file, text) {
 
 function renderRuns(runs, key, hint, connected) {
   const last = runs.find((run) => run.outcome !== "refused");
-  const words = hint || (last ? `Last run: ${last.name}, ${last.outcome}.` : "No run was recorded yet.");
+  const words = hint || (last ? `Last run: ${last.name}, ${last.outcome}.` : "No run has been recorded yet.");
   const place = document.getElementById("run-words");
   if (place.textContent !== words) place.textContent = words;
   const report = document.getElementById("last-report"), archive = document.getElementById("download");

@@ -1,10 +1,11 @@
 "use strict";
-// The operator's page: shows what the node operator_page says and sends it what a person asks for.
+// The operator's page: shows the state that the node operator_page sends, and sends a person's
+// commands to that node.
 
 const $ = (id) => document.getElementById(id);
-const SILENCE_MS = 3000;        // without a word from the node the connection counts as lost
-const ANSWER_MS = 6000;         // after which a request without an answer is said to have none
-const STALE_S = 2;              // age of a picture beyond which it is greyed
+const SILENCE_MS = 3000;        // timeout for messages of the node; then the connection is lost
+const ANSWER_MS = 6000;         // timeout for the response to a request
+const STALE_S = 2;              // age of a picture above which it is greyed out
 const MODE_WORDS = {
   ready: "Ready", moving: "Moving", waiting: "Your turn", "not ready": "Not ready", fault: "Fault", stopped: "Stopped",
   lost: "Not connected",
@@ -24,11 +25,11 @@ const CONFIRMED = {
     yes: "Yes, clear them",
   },
   home: {
-    words: "Home the arm? It moves at once, all the way to its end switches. Is its path free, and is everybody clear of it?",
+    words: "Home the arm? It moves immediately, all the way to its end switches. Is its path free, and is everybody clear of the arm?",
     yes: "Yes, home the arm",
   },
 };
-const waiting = new Map();          // requests that wait for an answer
+const waiting = new Map();          // time of each request without a response so far
 
 function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
@@ -51,7 +52,7 @@ function takeToken() {
   const given = new URLSearchParams(location.hash.slice(1)).get("token");
   if (given) {
     sessionStorage.setItem("token", given);
-    history.replaceState(null, "", location.pathname);  // out of sight and of the history
+    history.replaceState(null, "", location.pathname);  // removed from the address bar and the history
   }
   return sessionStorage.getItem("token") || "";
 }
@@ -96,7 +97,7 @@ function say(content) {
   return true;
 }
 
-// Where the answer comes under another name than the request, `to` is that name.
+// `to` is the name in the response, if it differs from the name of the request.
 function request(name, content = {}, to = name) {
   show(to, "", "");
   if (say({ do: name, ...content })) waiting.set(to, performance.now());
@@ -110,7 +111,7 @@ function receive(message) {
     attempts = 0;
     followed = "";
     planned.forget();
-    if (state) state.placeable = false;  // what was known before the connection was lost is not known now
+    if (state) state.placeable = false;  // the last state may be outdated
     const where = message.namespace === "/" ? "" : `${message.namespace} `;
     setText($("cell"), where + message.cell);
     setText($("object"), message.object);
@@ -160,7 +161,7 @@ async function showPicture(from, data) {
     bitmap.close();
     picture = { age, at: performance.now() };
     canvas.dataset.number = number;
-    canvas.dataset.delay = (Date.now() - 1000 * stamp).toFixed(1);  // ms, where both clocks agree
+    canvas.dataset.delay = (Date.now() - 1000 * stamp).toFixed(1);  // ms, if both clocks agree
   } finally {
     if (socket === from) say({ do: "seen", number });
   }
@@ -187,7 +188,7 @@ function renderPicture() {
     words = state && performance.now() - lostAt > 2000
       ? "No picture yet. " + (sentence(seen && seen.sentence) || "Is camera_pose active?") : "";
   } else if (stale) {
-    words = `This picture is ${ageText(age)} old. ` + (sentence(seen && seen.sentence) || "Look after the camera and camera_pose.");
+    words = `This picture is ${ageText(age)} old. ` + (sentence(seen && seen.sentence) || "Check the camera and camera_pose.");
   }
   setText($("stage-words"), words);
   $("stage-words").hidden = !words;
@@ -233,7 +234,7 @@ function render() {
 function renderStop() {
   const ready = connected || stop.served;
   $("stop").disabled = !ready;
-  setText(document.querySelector(".stop-note"), ready ? "arm and tapper" : "not connected: use the wire");
+  setText(document.querySelector(".stop-note"), ready ? "arm and tapper" : "offline: use the wired stop");
 }
 
 const TITLES = { stopped: "The cell is stopped", fault: "The cell has a fault" };
@@ -250,7 +251,7 @@ function renderAttention(mode) {
   }
   card.classList.toggle("mild", !halted);
   setText($("attention-title"), TITLES[mode] || "The arm is not homed");
-  setText($("attention-words"), halted ? sentence(state.sentence) : "It does not know where it is, and takes no tap.");
+  setText($("attention-words"), halted ? sentence(state.sentence) : "Its position is unknown, so it cannot make a tap.");
   setText($("attention-hint"), mode === "fault" ? state.hint : "");
   renderSteps(steps);
 }
@@ -284,7 +285,8 @@ function renderSteps(steps) {
   if (again) again.focus();
 }
 
-// What moves the cell again is confirmed in the card itself: a window on top would hide STOP.
+// Commands that may move the cell are confirmed in the card itself, because a dialog window would
+// hide STOP.
 function ask(what) {
   const before = asking;
   asking = what;
@@ -303,12 +305,12 @@ function ask(what) {
 function renderBanner() {
   let words = "", clock = "";
   if (!connected && refusedFor) {
-    words = $("token-form").hidden ? `Not let in: ${refusedFor}.`
-      : `This cell wants its token (${refusedFor}). The node operator_page printed it when it started.`;
+    words = $("token-form").hidden ? `Connection refused: ${refusedFor}.`
+      : `This cell requires a token (${refusedFor}). The node operator_page printed the token when it started.`;
   } else if (!connected && attempts > 0) {
     const wait = Math.max(0, Math.ceil((retryAt - performance.now()) / 1000));
-    words = "No connection to the cell, which goes on with what it does: to stop it, use its wired emergency stop.";
-    if (state) clock = `What you see is from ${ageText((performance.now() - lostAt) / 1000)} ago. `;
+    words = "No connection to the cell, which may continue to move. To stop it, use its wired emergency stop.";
+    if (state) clock = `The values shown are ${ageText((performance.now() - lostAt) / 1000)} old. `;
     clock += socket ? "Trying to connect\u2026" : `Trying again in ${wait} s.`;
   }
   setText($("banner-clock"), clock);
@@ -348,7 +350,8 @@ function renderGoal() {
 }
 
 function follow(pose) {
-  // Until a person has chosen a goal, the outline lies at the goal under way, or at the object.
+  // Until a person has chosen a goal, the outline is shown at the current goal or, without a goal,
+  // at the object.
   if (!connected || !pose || !pose.every(Number.isFinite) || !state.placeable || ghost.touched || ghost.hold || editing()) return;
   const key = pose.map((n) => n.toFixed(1)).join();
   if (key === followed) return;
@@ -471,7 +474,7 @@ const ghost = new Ghost($("ghost"), "", say, (pose, typed) => {
       FIELDS[name].setAttribute("aria-invalid", "false");
     }
   }
-  setText($("goal-trouble"), pose.refusal ? `The planner will refuse this: ${pose.refusal}` : "");
+  setText($("goal-trouble"), pose.refusal ? `The planner will refuse this goal: ${pose.refusal}` : "");
 });
 
 for (const [name, field] of Object.entries(FIELDS)) {
@@ -540,7 +543,7 @@ setInterval(() => {
   for (const [name, since] of waiting) {
     if (now - since < ANSWER_MS) continue;
     waiting.delete(name);
-    show(name, "no answer so far; check at the list of nodes", "bad");
+    show(name, "no answer so far; check the list of nodes", "bad");
   }
   renderBanner();
   renderPicture();

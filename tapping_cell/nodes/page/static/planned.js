@@ -1,5 +1,6 @@
 "use strict";
-// The tap that is planned: drawn on the picture before it is made, and confirmed where it waits for that.
+// The planned tap: drawn on the picture, with buttons to make or skip it if it waits for
+// confirmation.
 
 class Planned {
   constructor() {
@@ -16,7 +17,8 @@ class Planned {
     this.tap = null;
   }
 
-  // The buttons answer for the tap whose words are shown; another one is shown first, then asked for.
+  // The buttons refer to the tap whose description is shown. After a new tap is shown, they are
+  // disabled for a moment.
   render(tap, drawing) {
     this.draw(drawing);
     const waiting = tap && tap.waiting ? tap : null, card = document.getElementById("planned");
@@ -31,7 +33,7 @@ class Planned {
     setText(document.getElementById("planned-answer"), "");
     setText(document.getElementById("planned-title"), `Make tap ${waiting.number}?`);
     setText(document.getElementById("planned-words"), this.words(waiting));
-    // A click meant for the tap before must not hit this one.
+    // A click that was meant for the previous tap must not confirm this one.
     for (const id of ["planned-yes", "planned-no"]) {
       const button = document.getElementById(id);
       button.disabled = true;
@@ -40,18 +42,18 @@ class Planned {
   }
 
   words(tap) {
-    const why = tap.reason ? ` Why this one: ${tap.reason}.` : "";
+    const why = tap.reason ? ` Reason for this tap: ${tap.reason}.` : "";
     const [distance, angle] = tap.remaining;
     const [x, y] = tap.to;
     return `The striker at ${tap.speed.toFixed(0)} mm/s moves the object by ${tap.distance.toFixed(1)} \u00b1 ${tap.deviation.toFixed(1)} mm `
-      + `and turns it by ${signed(tap.turn)} \u00b1 ${tap.turn_deviation.toFixed(1)}\u00b0, to x ${signed(x)} mm, y ${signed(y)} mm; then ${distance.toFixed(1)} mm and `
-      + `${signed(angle)}\u00b0 are left to the goal.${why}`;
+      + `and turns it by ${signed(tap.turn)} \u00b1 ${tap.turn_deviation.toFixed(1)}\u00b0, to x ${signed(x)} mm, y ${signed(y)} mm. Then ${distance.toFixed(1)} mm and `
+      + `${signed(angle)}\u00b0 remain to the goal.${why}`;
   }
 
   tick() {
     if (!this.tap) return;
     const left = Math.max(0, Math.ceil((this.answerBy - performance.now()) / 1000));
-    setText(document.getElementById("planned-clock"), `Without an answer the goal ends in ${left} s.`);
+    setText(document.getElementById("planned-clock"), `Without an answer, the goal ends in ${left} s.`);
   }
 
   draw(drawing) {

@@ -1,11 +1,11 @@
 "use strict";
-// Goals that wait, goals with names, and what may be set while the cell runs.
+// Queue of goals, named goals, and settings that may be changed while the cell runs.
 
 class Settings {
   constructor() {
     this.rows = "";
     this.names = "";
-    this.asked = null;  // what the box was set to, until the planner says so itself
+    this.asked = null;  // new value of the check box, until the planner reports the same value
     this.on("ask", "change", (box) => {
       this.asked = { value: box.checked, at: performance.now() };
       request("set_ask", { ask: box.checked }, "settings");
@@ -47,14 +47,14 @@ class Settings {
   welcome(message) {
     const list = document.getElementById("planner"), kept = list.value;
     list.replaceChildren(...message.planners.map((name) => new Option(
-      name === message.planner ? `${name} (this cell's)` : name, name)));
+      name === message.planner ? `${name} (this cell's default)` : name, name)));
     list.value = kept || message.planner;
     document.getElementById("tolerance-position").placeholder = `${message.tolerance[0]}`;
     document.getElementById("tolerance-angle").placeholder = `${message.tolerance[1]}`;
     document.getElementById("settings-answer").textContent = "";
   }
 
-  // Empty fields mean the cell's own tolerance.
+  // Empty fields select the cell's tolerance.
   tolerance() {
     const value = {};
     let trouble = "";
@@ -63,7 +63,7 @@ class Settings {
       const good = !typed || (/^(\d+\.?\d*|\.\d+)$/.test(typed) && Number(typed) > 0);
       field.setAttribute("aria-invalid", String(!good));
       if (!good) {
-        trouble = trouble || `The tolerance is '${typed}': type a number of ${unit} above 0, or leave it empty for the cell's own.`;
+        trouble = trouble || `The tolerance is '${typed}': type a number of ${unit} above 0, or leave the field empty for the cell's tolerance.`;
         document.getElementById("more").open = true;
       } else if (typed) {
         value[name] = Number(typed);
@@ -90,7 +90,7 @@ class Settings {
     hold.hidden = !queue.running;
     run.disabled = !connected || Boolean(state.blocked);
     hold.disabled = !connected;
-    const words = count ? `${count} ${count === 1 ? "goal is waiting" : "goals are waiting"}. ${queue.running ? "The next one follows when this one is reached." : queue.held}`
+    const words = count ? `${count} ${count === 1 ? "goal is waiting" : "goals are waiting"}. ${queue.running ? "The next goal follows when the current goal is reached." : queue.held}`
       : queue.running ? "The last goal of the queue is active." : "No goal is waiting.";
     setText(document.getElementById("queue-words"), words);
     const key = JSON.stringify([queue.rows, connected]);

@@ -1,15 +1,15 @@
 "use strict";
-// STOP. It has a port of its own, which is received whatever else the page's node has to do; the page's
-// own connection is the second way.
+// STOP is sent to a dedicated port, which responds however busy the page's node is, and also over
+// the page's own connection.
 
-const STOP_CHECK_MS = 2000;     // between checks that a stop would be received
+const STOP_CHECK_MS = 2000;     // time between two checks that a stop would be received
 const STOP_PATIENCE_MS = 3000;
 
 class Stop {
   constructor(alsoSay, onAnswer, onChange) {
-    this.alsoSay = alsoSay;     // sends it over the page's connection; false where there is none
-    this.onAnswer = onAnswer;   // is told how it went: text, "good" or "bad"
-    this.onChange = onChange;   // is told when `served` changes
+    this.alsoSay = alsoSay;     // sends the stop over the page's connection; false if it is lost
+    this.onAnswer = onAnswer;   // called with the result: text, "good" or "bad"
+    this.onChange = onChange;   // called when `served` changes
     this.served = false;
     this.url = "";
     this.check();
@@ -34,7 +34,7 @@ class Stop {
       this.served = true;
     } catch (error) {
       this.served = false;
-      this.url = "";  // a node that was started again may serve it elsewhere
+      this.url = "";  // a restarted node may use another port
     }
     if (this.served !== before) this.onChange();
     setTimeout(() => this.check(), STOP_CHECK_MS);
