@@ -48,6 +48,7 @@ LONG_SECTIONS = (
     "unknown-worlds",
     "vision-calibrated",
     "vision-covariance",
+    "vision-objects",
     "vision-robustness",
     "world",
 )
