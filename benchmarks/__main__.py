@@ -49,6 +49,7 @@ LONG_SECTIONS = (
     "vision-arm",
     "vision-calibrated",
     "vision-covariance",
+    "vision-objects",
     "vision-robustness",
     "world",
 )

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
-import numpy as np
 from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.node import Node
@@ -23,14 +21,14 @@ from tapping_cell_msgs.msg import (
     ObjectStates,
 )
 
-from tapping_cell.configuration.cell import Cell, load_further_objects
+from tapping_cell.configuration.cell import Cell, cells_of
+from tapping_cell.configuration.preset_layout import preset_layout
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.page.cell_view import counted, shown, triple, with_code
 from tapping_cell.nodes.page.goal_check import GoalCheck
 from tapping_cell.nodes.page.requests import Arrange, BadRequest, Preset
 from tapping_cell.planning import PlanningError
-from tapping_cell.planning.arrangement import middle_of, preset_goals
 from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 
@@ -43,17 +41,6 @@ PROGRESS_WORDS = {
 }
 
 Answer = Callable[[Mapping[str, object]], None]
-
-
-def cells_of(cell: Cell) -> dict[str, Cell]:
-    """Return the cell once for each of its objects, by name, with that object as its own.
-
-    Raises:
-        ConfigurationError: an object file is invalid.
-    """
-    return {
-        own.name: replace(cell, object=own) for own in (cell.object, *load_further_objects(cell))
-    }
 
 
 class Arrangements:
@@ -127,11 +114,11 @@ class Arrangements:
                 raise BadRequest(f"the cell has no object '{unknown[0]}'")
             if missing:
                 raise BadRequest(f"'{missing[0]}' is not seen; uncover it")
-            goals = preset_goals(
+            goals = preset_layout(
+                self.cells,
                 request.preset,
                 {n: from_message(s.pose.pose) for n, s in seen.items() if s is not None},
-                max(self._radius(name) for name in request.objects),
-                middle_of(next(iter(self.checks.values())).free),
+                next(iter(self.checks.values())).free,
             )
         except (BadRequest, PlanningError) as error:
             answer(_answer(False, str(error)))
@@ -189,9 +176,6 @@ class Arrangements:
         if state is not None and state.visible:
             pose = triple(from_message(state.pose.pose))
         return {"name": name, "pose": pose}
-
-    def _radius(self, name: str) -> float:
-        return float(np.max(np.hypot(*np.asarray(self.cells[name].outline()).T)))
 
 
 def progress_row(one: ObjectProgress) -> dict[str, object]:
