@@ -50,6 +50,7 @@ LONG_SECTIONS = (
     "vision-arm",
     "vision-calibrated",
     "vision-covariance",
+    "vision-objects",
     "vision-robustness",
     "world",
 )

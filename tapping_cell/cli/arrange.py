@@ -2,6 +2,7 @@
 
 python -m tapping_cell arrange layout.yaml
 python -m tapping_cell arrange layout.yaml --json
+python -m tapping_cell arrange --preset grid --cell my_cell.yaml
 
 A layout file contains the names of objects and their goal poses, in m and rad:
 
@@ -23,7 +24,9 @@ from rich.console import Console
 
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.errors import tell_error, tell_refusal
-from tapping_cell.configuration.layout_file import LayoutFile
+from tapping_cell.configuration.cell import cells_of, load_cell
+from tapping_cell.configuration.layout_file import LayoutFile, LayoutGoal
+from tapping_cell.configuration.preset_layout import preset_layout
 from tapping_cell.configuration.schema import ConfigurationError, load
 from tapping_cell.nodes.clients.arrange_client import (
     ArrangeClient,
@@ -31,13 +34,30 @@ from tapping_cell.nodes.clients.arrange_client import (
     ObjectEnd,
     ObjectTapped,
 )
+from tapping_cell.planning import PlanningError
+from tapping_cell.planning.arrangement import PRESETS
 from tapping_cell.report.error_codes import hint
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
-        "layout", type=Path, help="layout file with the names of the objects and their goal poses"
+        "layout",
+        type=Path,
+        nargs="?",
+        help="layout file with the names of the objects and their goal poses",
+    )
+    parser.add_argument(
+        "--preset",
+        choices=PRESETS,
+        help="layout of all objects of the cell, instead of a layout file: a line, circle or grid "
+        "in the middle of the table, or places exchanged in pairs (swap)",
+    )
+    parser.add_argument(
+        "--cell",
+        type=Path,
+        default=None,
+        help="cell file of the running cell (only with --preset; default: the package's cell.yaml)",
     )
     parser.add_argument(
         "--namespace",
@@ -60,17 +80,26 @@ def run(arguments: argparse.Namespace) -> int:
     console = session.console_of(arguments)
     session.end_on_signals()
     try:
-        layout = load(LayoutFile, arguments.layout)
+        if (arguments.layout is None) == (arguments.preset is None):
+            raise ConfigurationError("give either a layout file or --preset")
+        cells = {} if arguments.preset is None else cells_of(load_cell(arguments.cell))
+        layout = None if arguments.layout is None else load(LayoutFile, arguments.layout)
     except ConfigurationError as error:
         return tell_refusal(error)
     with ArrangeClient("arrange", arguments.namespace) as client:
         try:
-            wait_for(client, frozenset(), arguments.wait, lambda: None, console)
+            wait_for(client, frozenset(cells), arguments.wait, lambda: None, console)
+            if layout is None:
+                poses = {name: client.poses[name] for name in cells}
+                goals = preset_layout(cells, arguments.preset, poses)
+                layout = LayoutFile(tuple(LayoutGoal(*goal) for goal in goals.items()))
             client.send(layout)
             ended = follow(client, lambda: None, console)
         except session.NotReadyInTime as error:
             tell_error(str(error))
             return 1
+        except PlanningError as error:
+            return tell_refusal(error)
         except KeyboardInterrupt:
             client.cancel()
             console.print("arrangement canceled")

@@ -6,7 +6,6 @@ import contextlib
 import json
 import math
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,12 @@ from rich.console import Console
 from tapping_cell.cli.arrange import follow, result_of, wait_for
 from tapping_cell.cli.errors import tell_error
 from tapping_cell.cli.graph import Graph
-from tapping_cell.configuration.cell import Cell, load_further_objects
+from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.nodes.clients.arrange_client import (
     ArrangeClient,
     ArrangementEnded,
+    ObjectEnd,
     residuals,
 )
 from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
@@ -66,7 +66,7 @@ def arrange(
     inside = _inside(true, layout, cell)
     summary = _summary(ended, true, contacts, inside, took)
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    _draw(history, layout, cell, ended, folder / PICTURE)
+    _draw(history, layout, cell, ended, true, folder / PICTURE)
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
     for name, (distance, turn) in true.items():
@@ -123,14 +123,13 @@ def _draw(
     layout: LayoutFile,
     cell: Cell,
     ended: ArrangementEnded,
+    true: dict[str, tuple[float, float]],
     file: Path,
 ) -> None:
-    """Draw the scene at the start, between the taps and at the end, with the objects' paths."""
+    """Draw the scene at the start, between the taps and at the end, with the objects' paths and
+    outcomes."""
     goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
-    outlines = {
-        own.name: np.asarray(replace(cell, object=own).outline())
-        for own in (cell.object, *load_further_objects(cell))
-    }
+    outlines = {name: np.asarray(each.outline()) for name, each in cells_of(cell).items()}
     table = cell.file.table
     draw_scene(
         ArrangementTrial(
@@ -141,4 +140,27 @@ def _draw(
             table=(table.length, table.width),
         ),
         file,
+        [HEAD, *(_outcome(one, goals.get(one.name), true.get(one.name)) for one in ended.objects)],
     )
+
+
+HEAD = ("object", "goal", "outcome", "taps", "residual, measured", "residual, true")
+
+
+def _outcome(
+    one: ObjectEnd, goal: Pose | None, true: tuple[float, float] | None
+) -> tuple[str, ...]:
+    """Return the outcome of one object as texts, in the order of ``HEAD``."""
+    place = "makes way only"
+    if goal is not None:
+        angle = math.degrees(goal.theta)
+        place = f"{1000 * goal.x:.1f} mm, {1000 * goal.y:.1f} mm, {angle:.1f} deg"
+    measured = one.residual_distance, one.residual_rotation
+    texts = (_residual(*each) if each is not None else "" for each in (measured, true))
+    return (one.name, place, one.state, str(one.taps), *texts)
+
+
+def _residual(distance: float, turn: float) -> str:
+    if not math.isfinite(distance):
+        return ""
+    return f"{1000 * distance:.2f} mm, {math.degrees(turn):.2f} deg"

@@ -979,3 +979,14 @@ def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
                 f"{cell.path}) and would hit it; increase the key or remove the object"
             )
     return files
+
+
+def cells_of(cell: Cell) -> dict[str, Cell]:
+    """Return the cell once for each of its objects, by name, with that object as its own.
+
+    Raises:
+        ConfigurationError: an object file is invalid; see ``load_further_objects``.
+    """
+    return {
+        own.name: replace(cell, object=own) for own in (cell.object, *load_further_objects(cell))
+    }

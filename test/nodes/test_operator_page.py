@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from harness import Bench, bench
@@ -26,6 +27,7 @@ from tapping_cell_msgs.msg import (
     ArmState,
     ErrorCode,
     ObjectState,
+    ObjectStates,
     PlanState,
     StopState,
     TapperState,
@@ -39,6 +41,7 @@ from tornado.websocket import (
 )
 
 from tapping_cell.configuration.cell import load_cell
+from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import camera_to_message, to_message
@@ -377,6 +380,81 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
                 assert (await page.answer("cancel"))["ok"]
                 ended = await page.answer("goal")
                 assert ended["text"] == f"the goal was canceled ({ErrorCode.GOAL_CANCELED})"
+
+        play(scenario)
+
+
+def several(folder: Path) -> Path:
+    """The shipped cell with a second disk; the path of its cell file."""
+    content = yaml.safe_load((shared_folder() / "cell.yaml").read_text(encoding="utf-8"))
+    for key in ("reference_markers", "camera_info", "object"):
+        content[key] = str((shared_folder() / str(content[key])).resolve())
+    other = yaml.safe_load(Path(content["object"]).read_text(encoding="utf-8"))
+    other["name"], other["marker"]["id"] = "second disk", 30
+    content["objects"] = ["second.yaml"]
+    (folder / "second.yaml").write_text(yaml.safe_dump(other), encoding="utf-8")
+    (folder / "cell.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    return folder / "cell.yaml"
+
+
+def test_several_objects_are_placed_preset_and_sent_as_one_arrangement(tmp_path: Path) -> None:
+    nodes: list[Any] = []
+    parameters = {
+        "operator_page": {**PARAMETERS["operator_page"], "cell_file": str(several(tmp_path))},
+        "tap_planner": {"cell_file": str(tmp_path / "cell.yaml")},
+    }
+
+    def make() -> list[Any]:
+        nodes.extend([OperatorPage(), TapPlanner()])
+        return list(nodes)
+
+    with bench(make, parameters) as b:
+        cell = Cell(b, nodes[0])
+        b.wait(lambda: nodes[1].active, "the planner is active", 40.0)
+        own, other = nodes[0]._arrangements.names
+        states = ObjectStates()
+        for name, pose in ((own, Pose(-0.1, 0.0, 0.0)), (other, Pose(0.1, 0.05, 1.0))):
+            state = ObjectState(object_id=name, visible=True, at_rest=True, frames_fused=30)
+            state.pose.pose = to_message(pose)
+            states.objects.append(state)
+
+        async def scenario() -> None:
+            async with cell.open() as page:
+                welcome = await page.receive(
+                    lambda m: isinstance(m, dict) and m["type"] == "welcome"
+                )
+                assert welcome["objects"] == [own, other]
+                await page.say({"do": "preset", "preset": "swap", "objects": [own, other]})
+                assert "is not seen" in (await page.answer("arrange"))["text"]
+                cell.publish("object_states", states)
+                shown = await page.state(lambda s: s["arrangement"]["objects"][1]["pose"])
+                assert shown["arrangement"]["objects"][1]["pose"] == [100.0, 50.0, 57.3]
+                await page.say({"do": "preset", "preset": "swap", "objects": [own, other]})
+                preset = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "preset")
+                assert preset["goals"] == [[own, 100.0, 50.0, 57.3], [other, -100.0, 0.0, 0.0]]
+                await page.say({"do": "preset", "preset": "star", "objects": [own, other]})
+                assert "known are line" in (await page.answer("arrange"))["text"]
+                # Two goals in one place: the planner's own refusal, with both names.
+                goals = [{"object": n, "x": 20, "y": 0, "angle": 0} for n in (own, other)]
+                await page.say({"do": "arrange", "goals": goals})
+                assert (await page.answer("arrange"))["text"] == "arrangement sent"
+                refused = await page.answer("arrange")
+                assert not refused["ok"] and refused["text"].endswith("(115)")
+                assert own in refused["text"] and other in refused["text"]
+                goals[1]["x"] = -150
+                await page.say({"do": "arrange", "goals": goals})
+                state = await page.state(lambda s: s["arrangement"]["active"])
+                assert set(state["arrangement"]["progress"]) == {own, other}
+                await page.say({"do": "cancel"})
+                assert (await page.answer("cancel"))["ok"]
+                state = await page.state(lambda s: not s["arrangement"]["active"])
+                told = state["arrangement"]["progress"][other]
+                assert told["state"] == "not reached" and told["taps"] == 0
+                await page.say(
+                    {"do": "place", "number": 1, "object": "x", "x": 0, "y": 0, "angle": 0}
+                )
+                answer = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "ghost")
+                assert "no object 'x'" in answer["trouble"] and answer["object"] == "x"
 
         play(scenario)
 

@@ -33,11 +33,13 @@ OPENED_LATER: dict[str, dict[str, set[str]]] = {
     "operator_page": {
         "subscribe": {
             "/arm_state",
+            "/arrangement_state",
             "/camera/camera_info",
             "/camera/image_annotated",
             "/camera/pose",
             "/diagnostics",
             "/object_state",
+            "/object_states",
             "/tapper_state",
         },
         "request": {f"/{name}/get_state" for name in MODULES},

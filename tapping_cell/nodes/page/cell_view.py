@@ -302,6 +302,7 @@ class CellView:
             return {
                 "state": "",
                 "busy": False,
+                "object": "",
                 "goal": None,
                 "taps": 0,
                 "code": 0,
@@ -313,6 +314,7 @@ class CellView:
         return {
             "state": PHASES[plan.state],
             "busy": self.busy,
+            "object": plan.object_id,
             "goal": triple(from_message(plan.goal.pose)) if has_goal else None,
             "distance": shown(1e3 * plan.residual_distance),
             "rotation": shown(math.degrees(plan.residual_rotation)),
@@ -332,6 +334,11 @@ class CellView:
         """Current planned tap, if its end has not been reported yet."""
         tap = self._plan.planned_tap if self._plan is not None else None
         return tap if tap is not None and tap.tap_id else None
+
+    @property
+    def planned_object(self) -> str:
+        """Name of the object that the planner moves; empty if unknown."""
+        return "" if self._plan is None else str(self._plan.object_id)
 
     @property
     def blocked(self) -> str:

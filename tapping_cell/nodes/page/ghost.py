@@ -62,6 +62,7 @@ class Ghost:
         return {
             "type": "ghost",
             "number": request.number,
+            "object": request.object,
             "x": round(1e3 * x, 2),
             "y": round(1e3 * y, 2),
             "angle": round(math.degrees(math.remainder(pose.theta, math.tau)), 2),

@@ -42,11 +42,9 @@ from tapping_cell_msgs.msg import (
 )
 from tapping_cell_msgs.srv import ConfirmTap
 
-from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.logic import enabling
-from tapping_cell.logic.goal_validation import REFUSALS
 from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_identity import key_of, state_folder
@@ -60,6 +58,7 @@ from tapping_cell.nodes.conversions import (
 )
 from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.page import guard, server
+from tapping_cell.nodes.page.arrangements import Arrangements
 from tapping_cell.nodes.page.cell_view import (
     CellView,
     counted,
@@ -73,6 +72,7 @@ from tapping_cell.nodes.page.node_watch import ARM, NodeWatch
 from tapping_cell.nodes.page.pictures import to_jpeg
 from tapping_cell.nodes.page.previews import Previews
 from tapping_cell.nodes.page.requests import (
+    Arrange,
     BadRequest,
     Command,
     Confirm,
@@ -80,6 +80,7 @@ from tapping_cell.nodes.page.requests import (
     Move,
     NameGoal,
     Place,
+    Preset,
     QueueGoal,
     Request,
     SendGoal,
@@ -90,10 +91,8 @@ from tapping_cell.nodes.page.requests import (
 )
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
-from tapping_cell.planning import FreeSpace, Refusal, check_goal, planner_names
-from tapping_cell.planning.fixed_session import check_fixed_goal
+from tapping_cell.planning import planner_names
 from tapping_cell.report.error_codes import hint
-from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraError, CameraModel, View
 
 STATE_PERIOD_S = 0.2
@@ -155,9 +154,8 @@ class OperatorPage(CellNode[Parameters]):
         self._server: server.PageServer | None = None
         self.urls: list[str] = []
         self._view = CellView()
-        self._ghost: Ghost | None = None
+        self._ghosts: dict[str, Ghost] = {}
         self._camera: CameraModel | None = None
-        self._refusal: Callable[[Pose], str] = lambda _: ""
         self._watched: list[Subscription] = []
         self._camera_info: Subscription | None = None
         self._watch: NodeWatch | None = None
@@ -167,6 +165,7 @@ class OperatorPage(CellNode[Parameters]):
         self._stop: StopLink | None = None
         self._previews: Previews[tuple[Move | Turn | Place, server.Answer]] | None = None
         self.runs = Runs(Path(self.settings.runs))
+        self._arrangements = Arrangements(self, self._view.note)
         self._action = ActionClient(self, PositionObject, "position_object")
         self._cancel_client = self.create_client(CancelGoal, "position_object/_action/cancel_goal")
         self._clear_clients = {
@@ -196,13 +195,8 @@ class OperatorPage(CellNode[Parameters]):
     def configure(self) -> None:
         """Read the cell file, and create the check for goals that the planner would refuse."""
         cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
-        check = _goal_check(cell)
-
-        def refusal(pose: Pose) -> str:
-            found = check(pose)
-            return with_code(found.sentence, REFUSALS[found.reason]) if found is not None else ""
-
-        self._cell, self._refusal = cell, refusal
+        self._arrangements.use_cell(cell)
+        self._cell = cell
 
     def activate(self) -> None:
         """Open the ports and log the address of the page."""
@@ -330,6 +324,7 @@ class OperatorPage(CellNode[Parameters]):
             ),
             subscribe(PoseStamped, "camera/pose", self._on_camera_pose, LATCHED),
             subscribe(Image, "camera/image_annotated", self._on_picture, LATEST),
+            *self._arrangements.subscribe(),
         ]
         self._watch = NodeWatch(self)
         self._watch.check()
@@ -343,8 +338,10 @@ class OperatorPage(CellNode[Parameters]):
         for subscription in self._watched:
             self.destroy_subscription(subscription)
         self._watched.clear()
-        self._watch = self._timer = self._ghost = None
+        self._watch = self._timer = None
+        self._ghosts = {}
         self._view.forget()
+        self._arrangements.forget()
 
     def _on_camera_info(self, message: CameraInfo) -> None:
         """Store the calibration. One message suffices, because all images have the same
@@ -363,12 +360,22 @@ class OperatorPage(CellNode[Parameters]):
     def _on_camera_pose(self, message: PoseStamped) -> None:
         if self._camera is None or self._cell is None or not is_finite(message.pose):
             return
-        self._ghost = Ghost(
-            View(self._camera, camera_from_message(message.pose)),
-            np.asarray(self._cell.outline()),
-            self._cell.object.height,
-            self._refusal,
-        )
+        view = View(self._camera, camera_from_message(message.pose))
+        self._ghosts = {
+            name: Ghost(
+                view,
+                np.asarray(cell.outline()),
+                cell.object.height,
+                self._arrangements.checks[name].refusal_if_ready,
+            )
+            for name, cell in self._arrangements.cells.items()
+        }
+
+    def _ghost_of(self, name: str) -> Ghost | None:
+        """Return the ghost of an object, or of the cell's own if the name is empty; None while the
+        camera's pose is unknown."""
+        ghosts = self._ghosts
+        return ghosts.get(name) if name else next(iter(ghosts.values()), None)
 
     def _on_picture(self, message: Image) -> None:
         page = self._server
@@ -394,7 +401,8 @@ class OperatorPage(CellNode[Parameters]):
         self._follow_planner(self._watch.name_of("tap_planner"))
         state = self._view.state()
         state["nodes"] = self._watch.rows()
-        state["placeable"] = self._ghost is not None
+        state["placeable"] = bool(self._ghosts)
+        state["arrangement"] = self._arrangements.state()
         state["runs_hint"] = self._runs_hint()
         state["planned_drawing"] = self._planned_drawing()
         state["queue"] = {
@@ -408,7 +416,8 @@ class OperatorPage(CellNode[Parameters]):
     def _planned_drawing(self) -> dict[str, object] | None:
         """Return the drawing of the planned tap in fractions of the image size. Computed once per
         tap."""
-        tap, ghost = self._view.planned, self._ghost
+        tap = self._view.planned
+        ghost = self._ghost_of(self._view.planned_object) or self._ghost_of("")
         if tap is None or ghost is None:
             self._drawn = None
             return None
@@ -443,6 +452,7 @@ class OperatorPage(CellNode[Parameters]):
             "cell": self._cell.file.name,
             "namespace": self.get_namespace(),
             "object": self._cell.object.name,
+            "objects": self._arrangements.names,
             "planners": planner_names(),
             "planner": self._cell.file.goal.planner,
             "tolerance": [
@@ -454,11 +464,17 @@ class OperatorPage(CellNode[Parameters]):
     def on_request(self, page: object, request: Request, who: str, answer: server.Answer) -> None:
         """Process a page's request. Called in the server's thread."""
         if isinstance(request, (Move, Turn, Place)):
-            if self._previews is not None:
-                self._previews.ask(page, (request, answer))
+            if request.object not in ("", *self._arrangements.cells):
+                answer(_trouble(request, f"the cell has no object '{request.object}'"))
+            elif self._previews is not None:
+                self._previews.ask((page, request.object), (request, answer))
         elif isinstance(request, SendGoal):
             goal = Wanted(request.pose, request.tolerance)
             self._do(self._send_goal, goal, who, answer)
+        elif isinstance(request, Arrange):
+            self._do(self._arrangements.send, request, who, answer)
+        elif isinstance(request, Preset):
+            self._do(self._arrangements.preset, request, answer)
         elif isinstance(request, Confirm):
             self._do(self._confirm, request, who, answer)
         elif isinstance(request, SetAsk):
@@ -502,15 +518,15 @@ class OperatorPage(CellNode[Parameters]):
     def _answer_preview(self, asked: tuple[Move | Turn | Place, server.Answer]) -> None:
         """Send the pose of a dragged goal. Called in the previews' thread."""
         request, answer = asked
-        ghost = self._ghost
         try:
+            ghost = self._ghost_of(request.object)
             if ghost is None:
                 raise BadRequest(
                     "the camera's pose above the table is not known yet; type the goal instead"
                 )
             answer(ghost.answer(request))
         except BadRequest as error:
-            answer({"type": "ghost", "number": request.number, "trouble": str(error)})
+            answer(_trouble(request, str(error)))
 
     def _confirm(self, request: Confirm, who: str, answer: server.Answer) -> None:
         def told(future: Future) -> None:
@@ -555,7 +571,8 @@ class OperatorPage(CellNode[Parameters]):
         """Change the queue or the named goals."""
         try:
             if isinstance(request, QueueGoal):
-                refusal = self._refusal(request.pose)
+                assert self._cell is not None
+                refusal = self._arrangements.checks[self._cell.object.name].refusal(request.pose)
                 if refusal:
                     raise QueueFull(f"the planner would refuse this goal: {refusal}")
                 self._queue.add(Wanted(request.pose, request.tolerance))
@@ -635,7 +652,9 @@ class OperatorPage(CellNode[Parameters]):
             )
 
         # A zero goal id cancels every goal, whoever sent it.
-        self._call(self._cancel_client, CancelGoal.Request(), "cancel", "the planner", answer, done)
+        arranging = self._arrangements.active
+        client = self._arrangements.cancel_client if arranging else self._cancel_client
+        self._call(client, CancelGoal.Request(), "cancel", "the planner", answer, done)
         self._view.note(f"cancel pressed on the page ({who})")
 
     def _clear(self, who: str, answer: server.Answer) -> None:
@@ -690,16 +709,6 @@ class OperatorPage(CellNode[Parameters]):
         client.call_async(request).add_done_callback(done or told)
 
 
-def _goal_check(cell: Cell) -> Callable[[Pose], Refusal | None]:
-    """Return a function that checks goals as the planner of this cell does."""
-    if cell.file.arm is None:
-        fixed = assembly.make_fixed_space(cell)
-        return lambda pose: check_fixed_goal(pose, fixed)
-    space = assembly.make_strike_space(cell)
-    free = FreeSpace(space)
-    return lambda pose: check_goal(pose, space, free)
-
-
 def _on_stop_state(view: CellView, actor: str) -> Callable[[StopState], None]:
     def on_message(message: StopState) -> None:
         view.stops[actor] = tuple(message.sources) if message.stopped else ()
@@ -709,6 +718,11 @@ def _on_stop_state(view: CellView, actor: str) -> Callable[[StopState], None]:
 
 def _answer(to: str, ok: bool, sentence: str) -> dict[str, object]:
     return {"type": "answer", "to": to, "ok": ok, "text": sentence}
+
+
+def _trouble(request: Move | Turn | Place, sentence: str) -> dict[str, object]:
+    head = {"type": "ghost", "number": request.number, "object": request.object}
+    return {**head, "trouble": sentence}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from tapping_cell.se2 import Pose
 
 LARGEST_MESSAGE = 4096
-"""Maximum number of bytes in a message. The page's longest message has about 200."""
+"""Maximum number of bytes in a message. An arrangement has about 90 for each object."""
 LARGEST_NUMBER = 1e6
 """Maximum absolute value of lengths in mm and angles in degrees."""
 
@@ -37,13 +37,14 @@ class Move:
     """Query the pose of the ghost whose centre appears at (u, v) in the image.
 
     ``u`` and ``v`` are fractions of the image's width and height from its top left corner; the
-    angle is in rad.
+    angle is in rad. ``object`` is the name of its object; if empty, the cell's own.
     """
 
     number: int
     u: float
     v: float
     angle: float
+    object: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,7 @@ class Turn:
     y: float
     u: float
     v: float
+    object: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,7 @@ class Place:
 
     number: int
     pose: Pose
+    object: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,24 @@ class SendGoal:
 
     pose: Pose
     tolerance: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Arrange:
+    """Move several objects to their poses, within a tolerance in m and rad, where 0 selects the
+    cell's default; ``in_order``: finish them in this order."""
+
+    goals: tuple[tuple[str, Pose], ...]
+    tolerance: tuple[float, float] = (0.0, 0.0)
+    in_order: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """Query the goals of a preset layout for these objects."""
+
+    preset: str
+    objects: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +159,8 @@ Frequent = Hello | Seen | Move | Turn | Place
 Request = (
     Frequent
     | SendGoal
+    | Arrange
+    | Preset
     | QueueGoal
     | Unqueue
     | NameGoal
@@ -166,6 +189,8 @@ KINDS = (
     "turn",
     "place",
     "goal",
+    "arrange",
+    "preset",
     "queue_goal",
     "unqueue",
     "name_goal",
@@ -176,6 +201,8 @@ KINDS = (
     *COMMANDS,
 )
 LONGEST_NAME = 40
+MOST_OBJECTS = 20
+"""Maximum number of objects in a request."""
 
 
 def parse(text: str | bytes) -> Request:
@@ -199,14 +226,22 @@ def parse(text: str | bytes) -> Request:
         return Seen(_whole(content, "number"))
     if kind == "move":
         angle = math.radians(_number(content, "angle"))
-        return Move(_whole(content, "number"), _number(content, "u"), _number(content, "v"), angle)
+        u, v = _number(content, "u"), _number(content, "v")
+        return Move(_whole(content, "number"), u, v, angle, _object(content))
     if kind == "turn":
         x, y = 1e-3 * _number(content, "x"), 1e-3 * _number(content, "y")
-        return Turn(_whole(content, "number"), x, y, _number(content, "u"), _number(content, "v"))
+        u, v = _number(content, "u"), _number(content, "v")
+        return Turn(_whole(content, "number"), x, y, u, v, _object(content))
     if kind == "place":
-        return Place(_whole(content, "number"), _pose(content))
+        return Place(_whole(content, "number"), _pose(content), _object(content))
     if kind == "goal":
         return SendGoal(_pose(content), _tolerance(content))
+    if kind == "arrange":
+        in_order = _truth({"in_order": False, **content}, "in_order")
+        return Arrange(_goals(content), _tolerance(content), in_order)
+    if kind == "preset":
+        names = tuple(_name({"object": each}, "object") for each in _list(content, "objects"))
+        return Preset(_name(content, "preset"), names)
     if kind == "queue_goal":
         return QueueGoal(_pose(content), _tolerance(content))
     if kind == "unqueue":
@@ -232,6 +267,27 @@ def _pose(content: dict[str, object]) -> Pose:
         1e-3 * _number(content, "y"),
         math.radians(_number(content, "angle")),
     )
+
+
+def _goals(content: dict[str, object]) -> tuple[tuple[str, Pose], ...]:
+    """Parse the goals of an arrangement, each for a different object."""
+    rows = [each for each in _list(content, "goals") if isinstance(each, dict)]
+    goals = tuple((_name(row, "object"), _pose(row)) for row in rows)
+    if not goals or len(dict(goals)) < len(_list(content, "goals")):
+        raise BadRequest("'goals' must be a list of one goal or more, each for a different object")
+    return goals
+
+
+def _object(content: dict[str, object]) -> str:
+    """Parse the name of an object. A missing value selects the cell's own object."""
+    return _name(content, "object") if "object" in content else ""
+
+
+def _list(content: dict[str, object], name: str) -> list[object]:
+    value = content.get(name)
+    if not isinstance(value, list) or len(value) > MOST_OBJECTS:
+        raise BadRequest(f"{name} is not a list of at most {MOST_OBJECTS} entries")
+    return value
 
 
 def _tolerance(content: dict[str, object]) -> tuple[float, float]:

@@ -23,6 +23,12 @@ from tapping_cell.planning.arrangement.interface import (
     Scene,
 )
 from tapping_cell.planning.arrangement.layout import check_goals, check_layout
+from tapping_cell.planning.arrangement.presets import (
+    PRESETS,
+    middle_of,
+    preset_goals,
+    preset_places,
+)
 from tapping_cell.planning.arrangement.sequence import SequencePlanner
 from tapping_cell.planning.arrangement.session import (
     AllDone,
@@ -34,6 +40,7 @@ from tapping_cell.planning.arrangement.session import (
 )
 
 __all__ = [
+    "PRESETS",
     "AllDone",
     "AmongOthers",
     "ArrangementDecision",
@@ -51,4 +58,7 @@ __all__ = [
     "TapOf",
     "check_goals",
     "check_layout",
+    "middle_of",
+    "preset_goals",
+    "preset_places",
 ]

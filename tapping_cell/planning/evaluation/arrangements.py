@@ -32,6 +32,8 @@ from tapping_cell.planning.arrangement import (
     ObserveLonger,
     SequencePlanner,
     TapOf,
+    middle_of,
+    preset_places,
 )
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.worlds import scattered
@@ -360,20 +362,10 @@ def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -
 
 def _grid(kinds: Sequence[Kind], between: float) -> list[Pose]:
     """Goals in a square grid about the middle of the workable places, with gaps ``between``."""
-    columns = math.ceil(math.sqrt(len(kinds)))
     radius = max(kind.free.space.object_radius for kind in kinds)
-    pitch = 2.0 * radius + between
-    rows = math.ceil(len(kinds) / columns)
-    workable = kinds[0].free.centres[kinds[0].free.workable]
-    middle = (workable.min(axis=0) + workable.max(axis=0)) / 2
-    return [
-        Pose(
-            float(middle[0]) + pitch * (number % columns - (columns - 1) / 2),
-            float(middle[1]) + pitch * (number // columns - (rows - 1) / 2),
-            0.0,
-        )
-        for number in range(len(kinds))
-    ]
+    pitch, middle = 2.0 * radius + between, middle_of(kinds[0].free)
+    places = preset_places("grid", len(kinds), pitch, middle)
+    return [Pose(float(x), float(y), 0.0) for x, y in places]
 
 
 def _workable(kind: Kind, pose: Pose) -> bool:

@@ -16,6 +16,8 @@ from tapping_cell.nodes.page.guard import Guard, is_loopback, urls
 from tapping_cell.nodes.page.requests import (
     KINDS,
     LONGEST_NAME,
+    MOST_OBJECTS,
+    Arrange,
     BadRequest,
     Command,
     Confirm,
@@ -23,6 +25,7 @@ from tapping_cell.nodes.page.requests import (
     Move,
     NameGoal,
     Place,
+    Preset,
     QueueGoal,
     Seen,
     SendGoal,
@@ -55,7 +58,14 @@ WORDS = (
     "name",
     "position_tolerance",
     "angle_tolerance",
+    "object",
+    "objects",
+    "goals",
+    "in_order",
+    "preset",
 )
+
+GOAL = {"object": "red", "x": 0, "y": 0, "angle": 0}
 
 # ---- messages
 
@@ -87,6 +97,7 @@ def test_a_request_with_any_content_is_read_or_refused_and_every_number_is_finit
         NameGoal: lambda r: r.pose,
         Unqueue: lambda r: (r.number,),
         Confirm: lambda r: (r.tap_id,),
+        Arrange: lambda r: (*(n for _, pose in r.goals for n in pose), *r.tolerance),
         Seen: lambda r: (r.number,),
     }.get(type(request), lambda _: ())
     assert all(math.isfinite(number) for number in numbers(request))
@@ -100,6 +111,12 @@ def test_a_goal_is_in_millimetres_and_degrees() -> None:
     assert goal == SendGoal(Pose(0.0125, -0.003, math.radians(90)))
     close = parse('{"do": "goal", "x": 0, "y": 0, "angle": 0, "position_tolerance": 0.5}')
     assert close == SendGoal(Pose(0.0, 0.0, 0.0), (0.0005, 0.0))
+    both = [{"object": name, "x": 10, "y": 0, "angle": 180} for name in ("red", "blue")]
+    assert parse(json.dumps({"do": "arrange", "goals": both, "in_order": True})) == Arrange(
+        (("red", Pose(0.01, 0.0, math.pi)), ("blue", Pose(0.01, 0.0, math.pi))), in_order=True
+    )
+    preset = {"do": "preset", "preset": "grid", "objects": ["red", "blue"]}
+    assert parse(json.dumps(preset)) == Preset("grid", ("red", "blue"))
     assert parse('{"do": "stop"}') == Command("stop")
     assert parse('{"do": "confirm", "tap_id": 7, "confirm": true}') == Confirm(7, True)
     assert parse('{"do": "hello", "token": 5}') == Hello(5)
@@ -121,6 +138,12 @@ def test_a_goal_is_in_millimetres_and_degrees() -> None:
         ('{"do": "confirm", "tap_id": "7", "confirm": true}', "not a whole number"),
         ('{"do": "name_goal", "name": " ", "x": 0, "y": 0, "angle": 0}', "1 to 40 printable"),
         ('{"do": "forget_goal", "name": "a\\u0000"}', "1 to 40 printable"),
+        ('{"do": "arrange", "goals": []}', "one goal or more"),
+        ('{"do": "arrange", "goals": [7]}', "one goal or more"),
+        ('{"do": "arrange", "goals": {}}', "goals is not a list of at most 20"),
+        (json.dumps({"do": "arrange", "goals": [GOAL, GOAL]}), "each for a different object"),
+        (json.dumps({"do": "arrange", "goals": [GOAL] * (MOST_OBJECTS + 1)}), "at most 20"),
+        ('{"do": "preset", "preset": "grid", "objects": [7]}', "object is 7; 1 to 40"),
         ('{"do": "fly"}', "'do' is \"fly\"; known are hello"),
         ("[1]", "not a JSON object"),
         ('{"do"', "not JSON"),

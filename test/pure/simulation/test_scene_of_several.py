@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -90,6 +91,31 @@ def test_a_further_object_is_found_again_where_somebody_put_it() -> None:
         _, others = tracker.update_several(renderer.render(moved), 1.2 + frame / 30, due)
         found += [one.pose for one in others.values() if one.visible]
     assert found and np.hypot(*(np.array(found[-1])[:2] - moved[1][:2])) < 5e-4
+
+
+def test_objects_keep_their_names_through_occlusion_and_exchanged_places() -> None:
+    renderer = scene()
+    seen = [CELL.object.seen(), SQUARE.seen()]
+    settings = TrackerSettings(other_ids=marker_ids(seen))
+    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+    clock = itertools.count()
+
+    def observe(poses: np.ndarray, frames: int) -> list[np.ndarray | None]:
+        for _ in range(frames):
+            first, others = tracker.update_several(
+                renderer.render(poses), 1.0 + next(clock) / 30, [0]
+            )
+        return [np.array(one.pose) if one.visible else None for one in (first, others[0])]
+
+    hidden = POSES.copy()
+    hidden[1] = [5.0, 5.0, 0.0]  # outside the image
+    exchanged = POSES[::-1]
+    for poses, missing in ((POSES, False), (hidden, True), (exchanged, False)):
+        own, other = observe(poses, 90)
+        assert own is not None and np.hypot(*(own - poses[0])[:2]) < 5e-4
+        assert (other is None) == missing
+        if other is not None:
+            assert np.hypot(*(other - poses[1])[:2]) < 5e-4
 
 
 def test_looking_at_others_changes_nothing_of_the_first_object() -> None:

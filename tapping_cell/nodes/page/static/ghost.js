@@ -1,9 +1,11 @@
 "use strict";
-// The ghost is the goal's outline on the picture. It follows the pointer immediately, but only
+// A ghost is the outline of an object's goal on the picture. It follows the pointer immediately, but only
 // approximately. The node computes the exact pose with the camera's model, one request at a time.
 
 class Ghost {
-  constructor(ask, onPose) {
+  constructor(group, object, ask, onPose) {
+    this.group = group;
+    this.object = object;      // name of the object, empty for the cell's own
     this.ask = ask;            // sends a request to the node; returns false without a connection
     this.onPose = onPose;      // called with every response: pose in mm and degrees, refusal, typed
     this.shape = null;         // the node's last response
@@ -12,13 +14,10 @@ class Ghost {
     this.waiting = false;
     this.next = null;
     this.hold = null;
-    this.aspect = 0.8;
     this.parts = {};
-    for (const name of ["outline", "shade", "arm", "arm-shade", "centre", "knob", "handle"]) {
-      this.parts[name] = document.getElementById("ghost-" + name);
-    }
-    this.group = document.getElementById("ghost");
+    for (const part of group.querySelectorAll("[data-part]")) this.parts[part.dataset.part] = part;
     this.overlay = document.getElementById("overlay");
+    Ghost.all.add(this);
     for (const [name, kind] of [["outline", "move"], ["handle", "turn"]]) {
       const part = this.parts[name];
       part.addEventListener("pointerdown", (event) => this.grab(event, kind));
@@ -28,7 +27,7 @@ class Ghost {
       }
       part.addEventListener("keydown", (event) => this.key(event));
     }
-    new ResizeObserver(() => this.size()).observe(this.overlay);
+    this.size();
   }
 
   // Requests. While a request is pending, only the latest new request is kept.
@@ -44,7 +43,7 @@ class Ghost {
     this.next = null;
     this.number += 1;
     this.typed = typed;
-    this.waiting = this.ask({ ...content, number: this.number });
+    this.waiting = this.ask({ ...content, ...(this.object && { object: this.object }), number: this.number });
   }
 
   place(x, y, angle, typed = false) {
@@ -136,17 +135,17 @@ class Ghost {
   // Drawing
 
   size() {
-    this.overlay.setAttribute("viewBox", `0 0 1000 ${1000 * this.aspect}`);
     const unit = 1000 / (this.overlay.clientWidth || 1000);
     this.parts.handle.setAttribute("r", 24 * unit);
     this.parts.knob.setAttribute("r", 10 * unit);
     this.parts.knob.setAttribute("stroke-width", 2 * unit);
     this.parts.centre.setAttribute("r", 4 * unit);
+    this.parts.label.setAttribute("font-size", 15 * unit);
   }
 
   draw() {
     const { outline, centre, handle } = this.shape;
-    const scale = ([u, v]) => [1000 * u, 1000 * this.aspect * v];
+    const scale = ([u, v]) => [1000 * u, 1000 * Ghost.aspect * v];
     const c = scale(centre), h = scale(handle);
     let moved = (p) => p;
     if (this.hold && this.hold.kind === "move") {
@@ -169,9 +168,23 @@ class Ghost {
         this.parts[name].setAttribute(key, value);
       }
     }
+    this.parts.label.setAttribute("x", cx);
+    this.parts.label.setAttribute("y", cy + 1.4 * Number(this.parts.label.getAttribute("font-size")));
     for (const [name, x, y] of [["centre", cx, cy], ["knob", hx, hy], ["handle", hx, hy]]) {
       this.parts[name].setAttribute("cx", x);
       this.parts[name].setAttribute("cy", y);
     }
   }
 }
+
+Ghost.all = new Set();
+Ghost.aspect = 0.8;  // height of the picture over its width
+Ghost.size = (aspect = Ghost.aspect) => {
+  Ghost.aspect = aspect;
+  document.getElementById("overlay").setAttribute("viewBox", `0 0 1000 ${1000 * aspect}`);
+  for (const each of Ghost.all) {
+    each.size();
+    if (each.shape) each.draw();
+  }
+};
+new ResizeObserver(() => Ghost.size()).observe(document.getElementById("overlay"));

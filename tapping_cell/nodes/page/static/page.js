@@ -13,7 +13,7 @@ const MODE_WORDS = {
 const ANSWERS = {
   goal: "goal-answer", cancel: "goal-answer", stop: "attention-answer", clear: "attention-answer",
   press_button: "attention-answer", home: "attention-answer", confirm: "planned-answer",
-  queue: "queue-answer", settings: "settings-answer",
+  queue: "queue-answer", settings: "settings-answer", arrange: "arrange-answer",
 };
 
 let socket = null, connected = false, refusedFor = "", attempts = 0, retryAt = 0;
@@ -81,7 +81,7 @@ function lose(code, reason) {
   connected = false;
   socket = null;
   waiting.clear();
-  ghost.forget();
+  for (const each of Ghost.all) each.forget();
   refusedFor = code >= 4000 ? reason : "";
   attempts += 1;
   const pause = code === 4401 ? Infinity : Math.min(5000, 400 * 2 ** Math.min(attempts, 5));
@@ -117,12 +117,16 @@ function receive(message) {
     setText($("object"), message.object);
     document.title = where + message.cell;
     settings.welcome(message);
+    arrangement.welcome(message);
     render();
   } else if (message.type === "state") {
     state = message;
     render();
   } else if (message.type === "ghost") {
-    ghost.answer(message);
+    (message.object ? arrangement.marker(message.object) : ghost).answer(message);
+  } else if (message.type === "preset") {
+    waiting.delete("arrange");
+    arrangement.take(message.goals);
   } else if (message.type === "runs") {
     runs = message.runs;
   } else if (message.type === "answer") {
@@ -150,9 +154,8 @@ async function showPicture(from, data) {
     if (canvas.width !== bitmap.width || canvas.height !== bitmap.height) {
       canvas.width = bitmap.width;
       canvas.height = bitmap.height;
-      ghost.aspect = bitmap.height / bitmap.width;
-      $("stage").style.setProperty("--aspect", 1 / ghost.aspect);
-      ghost.size();
+      $("stage").style.setProperty("--aspect", bitmap.width / bitmap.height);
+      Ghost.size(bitmap.height / bitmap.width);
     }
     canvas.getContext("2d").drawImage(bitmap, 0, 0);
     bitmap.close();
@@ -219,6 +222,7 @@ function render() {
   }
   planned.render(connected ? state.plan.planned : null, connected ? state.planned_drawing : null);
   settings.render(state, connected);
+  arrangement.render(state, connected);
   renderAttention(mode);
   renderGoal();
   renderTaps();
@@ -335,12 +339,14 @@ function renderGoal() {
   if (plan.goal) {
     const [x, y, angle] = plan.goal;
     const within = plan.tolerance[0] ? `, within ${plan.tolerance[0]} mm and ${plan.tolerance[1]}\u00b0` : "";
-    words = `Goal x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0${within}: ${plan.state}.`;
+    const whose = !plan.object || plan.object === cell.object ? "Goal" : `Goal of ${plan.object}:`;
+    words = `${whose} x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0${within}: ${plan.state}.`;
   }
   const why = plan.code ? `${plan.sentence} (${plan.code})` : "";
   if (why && why !== $("goal-answer").textContent) words += ` ${why}`;
   setText($("goal-words"), words);
-  follow(plan.busy ? plan.goal : state.object.visible ? state.object.pose : null);
+  const own = !plan.object || plan.object === cell.object;
+  follow(plan.busy && own ? plan.goal : state.object.visible ? state.object.pose : null);
 }
 
 function follow(pose) {
@@ -453,8 +459,10 @@ function readGoal() {
 
 const planned = new Planned();
 const settings = new Settings();
+const arrangement = new Arrangement();
 const stop = new Stop(() => say({ do: "stop" }), (text, kind) => show("stop", text, kind), () => renderStop());
-const ghost = new Ghost(say, (pose, typed) => {
+const ghost = new Ghost($("ghost"), "", say, (pose, typed) => {
+  arrangement.moved(cell.object, pose);
   if (pose.trouble) {
     if (ghost.touched && !typed) setText($("goal-trouble"), pose.trouble);
     return;

@@ -60,7 +60,7 @@ class Planned {
     const group = document.getElementById("planned-drawing");
     group.toggleAttribute("hidden", !drawing);
     if (!drawing) return;
-    const scale = ([u, v]) => [1000 * u, 1000 * ghost.aspect * v];
+    const scale = ([u, v]) => [1000 * u, 1000 * Ghost.aspect * v];
     const points = (list) => list.map((p) => scale(p).map((n) => n.toFixed(1)).join(",")).join(" ");
     const set = (id, list) => document.getElementById(id).setAttribute("points", points(list));
     set("planned-ellipse", drawing.ellipse);

@@ -1,0 +1,201 @@
+"""Arrangements of several objects on the operator's page: presets, sending and progress."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Mapping
+
+from action_msgs.srv import CancelGoal
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from rclpy.task import Future
+from tapping_cell_msgs.action import ArrangeObjects
+from tapping_cell_msgs.msg import (
+    ArrangementState,
+    ErrorCode,
+    ObjectGoal,
+    ObjectProgress,
+    ObjectState,
+    ObjectStates,
+)
+
+from tapping_cell.configuration.cell import Cell, cells_of
+from tapping_cell.configuration.preset_layout import preset_layout
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.page.cell_view import counted, shown, triple, with_code
+from tapping_cell.nodes.page.goal_check import GoalCheck
+from tapping_cell.nodes.page.requests import Arrange, BadRequest, Preset
+from tapping_cell.planning import PlanningError
+from tapping_cell.report.error_codes import hint
+from tapping_cell.se2 import Pose
+
+PROGRESS_WORDS = {
+    ObjectProgress.WAITING: "waiting",
+    ObjectProgress.ACTIVE: "being tapped",
+    ObjectProgress.MAKING_WAY: "making way",
+    ObjectProgress.REACHED: "reached",
+    ObjectProgress.FAILED: "not reached",
+}
+
+Answer = Callable[[Mapping[str, object]], None]
+
+
+class Arrangements:
+    """The objects of the cell, and arrangements that pages send. Called in the executor's thread.
+
+    ``cells``: see ``cells_of``; ``checks``: goal checks by name of the object; ``note``: adds an
+    entry to the page's list of events.
+    """
+
+    def __init__(self, node: Node, note: Callable[[str], None]) -> None:
+        self._node = node
+        self._note = note
+        self.cells: dict[str, Cell] = {}
+        self.checks: dict[str, GoalCheck] = {}
+        self._action = ActionClient(node, ArrangeObjects, "arrange_objects")
+        self.cancel_client = node.create_client(CancelGoal, "arrange_objects/_action/cancel_goal")
+        self._states: dict[str, ObjectState] = {}
+        self._progress = ArrangementState()
+
+    def use_cell(self, cell: Cell) -> None:
+        """Take the objects of a cell. Raises ConfigurationError for an invalid object file."""
+        self.cells = cells_of(cell)
+        self.checks = {name: GoalCheck(each) for name, each in self.cells.items()}
+        self.checks[cell.object.name].prepare()
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the objects if the cell can arrange them, else an empty list."""
+        several = len(self.cells) > 1
+        able = several and next(iter(self.cells.values())).file.arm is not None
+        return list(self.cells) if able else []
+
+    @property
+    def active(self) -> bool:
+        """Whether an arrangement is under way."""
+        return bool(self._progress.active)
+
+    def subscribe(self) -> list[Subscription]:
+        """Subscribe to the topics of several objects."""
+        if not all(check.ready for check in self.checks.values()):
+            threading.Thread(target=self._prepare, name="goal checks", daemon=True).start()
+        subscribe = self._node.create_subscription
+        return [
+            subscribe(ObjectStates, "object_states", self._on_states, LATCHED),
+            subscribe(ArrangementState, "arrangement_state", self._on_progress, LATCHED),
+        ]
+
+    def forget(self) -> None:
+        """Discard the received states when no page is open."""
+        self._states, self._progress = {}, ArrangementState()
+
+    def state(self) -> dict[str, object]:
+        """Return the objects and the progress of the last arrangement for the page, in mm and
+        degrees."""
+        progress = self._progress
+        return {
+            "objects": [self._object_row(name) for name in self.names],
+            "active": self.active,
+            "taps": progress.taps,
+            "progress": {one.object_id: progress_row(one) for one in progress.objects},
+            "sentence": with_code(progress.error_msg, progress.error_code),
+        }
+
+    def preset(self, request: Preset, answer: Answer) -> None:
+        """Answer with the goals of a preset layout."""
+        seen = {name: self._states.get(name) for name in request.objects}
+        missing = [name for name, state in seen.items() if state is None or not state.visible]
+        unknown = [name for name in request.objects if name not in self.cells]
+        try:
+            if unknown:
+                raise BadRequest(f"the cell has no object '{unknown[0]}'")
+            if missing:
+                raise BadRequest(f"'{missing[0]}' is not seen; uncover it")
+            goals = preset_layout(
+                self.cells,
+                request.preset,
+                {n: from_message(s.pose.pose) for n, s in seen.items() if s is not None},
+                next(iter(self.checks.values())).free,
+            )
+        except (BadRequest, PlanningError) as error:
+            answer(_answer(False, str(error)))
+            return
+        rows = [[name, *triple(pose)] for name, pose in goals.items()]
+        answer({"type": "preset", "goals": rows})
+
+    def send(self, request: Arrange, who: str, answer: Answer) -> None:
+        """Send an arrangement to the planner, and its end to the page."""
+        if not self._action.server_is_ready():
+            answer(_answer(False, "the planner is not running; start tap_planner"))
+            return
+        goal = ArrangeObjects.Goal(
+            goals=[_goal_message(name, pose, request.tolerance) for name, pose in request.goals],
+            in_order=request.in_order,
+        )
+
+        def taken(future: Future) -> None:
+            handle = future.result()
+            if not handle.accepted:
+                answer(_answer(False, "the planner did not accept the arrangement"))
+                return
+            answer(_answer(True, "arrangement sent"))
+            handle.get_result_async().add_done_callback(ended)
+
+        def ended(future: Future) -> None:
+            result: ArrangeObjects.Result = future.result().result
+            if result.error_code == ErrorCode.NONE:
+                taps = counted(result.taps, "tap")
+                answer(_answer(True, f"arrangement reached after {taps}"))
+                return
+            sentence = with_code(result.error_msg, result.error_code)
+            answer({**_answer(False, sentence), "hint": hint(result.error_code)})
+
+        self._note(
+            f"arrangement of {counted(len(goal.goals), 'object')} sent from the page ({who})"
+        )
+        self._action.send_goal_async(goal).add_done_callback(taken)
+
+    def _prepare(self) -> None:
+        """Prepare the goal checks of the further objects. Until then the planner alone refuses."""
+        for check in list(self.checks.values()):
+            if not check.ready:
+                check.prepare()
+
+    def _on_states(self, message: ObjectStates) -> None:
+        self._states = {state.object_id: state for state in message.objects}
+
+    def _on_progress(self, message: ArrangementState) -> None:
+        self._progress = message
+
+    def _object_row(self, name: str) -> dict[str, object]:
+        state = self._states.get(name)
+        pose = None
+        if state is not None and state.visible:
+            pose = triple(from_message(state.pose.pose))
+        return {"name": name, "pose": pose}
+
+
+def progress_row(one: ObjectProgress) -> dict[str, object]:
+    """Return the progress of one object, in mm and degrees."""
+    return {
+        "state": PROGRESS_WORDS[one.state],
+        "distance": shown(1e3 * one.residual_distance),
+        "rotation": shown(math.degrees(one.residual_rotation)),
+        "taps": one.taps,
+    }
+
+
+def _goal_message(name: str, pose: Pose, tolerance: tuple[float, float]) -> ObjectGoal:
+    message = ObjectGoal(
+        object_id=name, position_tolerance=tolerance[0], angle_tolerance=tolerance[1]
+    )
+    message.goal_pose.header.frame_id = "table"
+    message.goal_pose.pose = to_message(pose)
+    return message
+
+
+def _answer(ok: bool, sentence: str) -> dict[str, object]:
+    return {"type": "answer", "to": "arrange", "ok": ok, "text": sentence}

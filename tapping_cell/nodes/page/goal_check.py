@@ -1,0 +1,49 @@
+"""Check of goals as the planner does it, for one object of the cell."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from tapping_cell.configuration import assembly
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.logic.goal_validation import REFUSALS
+from tapping_cell.nodes.page.cell_view import with_code
+from tapping_cell.planning import FreeSpace, check_goal
+from tapping_cell.planning.fixed_session import check_fixed_goal
+from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
+from tapping_cell.se2 import Pose
+
+
+class GoalCheck:
+    """The planner's refusals for one object. ``cell``: the cell with this object as its own."""
+
+    def __init__(self, cell: Cell) -> None:
+        self._cell = cell
+        self.ready = False
+        """Whether ``prepare`` has been called; before, a check takes seconds for a polygon."""
+
+    @cached_property
+    def free(self) -> FreeSpace:
+        """Map of workable places."""
+        return FreeSpace(assembly.make_strike_space(self._cell))
+
+    @cached_property
+    def _fixed(self) -> FixedStrikeSpace:
+        return assembly.make_fixed_space(self._cell)
+
+    def prepare(self) -> None:
+        """Compute what the first check needs."""
+        _ = self._fixed if self._cell.file.arm is None else self.free
+        self.ready = True
+
+    def refusal_if_ready(self, pose: Pose) -> str:
+        """Return ``refusal``, or an empty text while the check is not prepared."""
+        return self.refusal(pose) if self.ready else ""
+
+    def refusal(self, pose: Pose) -> str:
+        """Return the planner's message for a goal that it would refuse, or an empty text."""
+        if self._cell.file.arm is None:
+            found = check_fixed_goal(pose, self._fixed)
+        else:
+            found = check_goal(pose, self.free.space, self.free)
+        return with_code(found.sentence, REFUSALS[found.reason]) if found is not None else ""
