@@ -244,7 +244,7 @@ def test_more_frames_than_the_camera_delivers_are_too_few(cell: ReportedCell) ->
 def test_a_tapper_that_is_charged_for_somebody_else_is_busy_for_a_goal(state: int) -> None:
     """Only the boards of a cell without an arm show it: with one, the arm is busy as well."""
     monitor = CellMonitor(silence_limit=0.5)
-    monitor.expect(False, [["east"]])
+    monitor.expect(False)
     monitor.on_tapper(TapperState(state=state, tappers=["east"]), Now(1.0, 10**9))
     missing = monitor.missing(Now(1.1, 1_100_000_000))
     assert missing == (ErrorCode.TAPPER_BUSY, "the tapper is busy")
