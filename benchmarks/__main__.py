@@ -39,6 +39,7 @@ LONG_SECTIONS = (
     "lack-of-fit",
     "lost-nodes",
     "node",
+    "opencv-versions",
     "outline",
     "page-stop",
     "precision",
@@ -82,7 +83,8 @@ def make_parser() -> argparse.ArgumentParser:
         "--experiments",
         type=int,
         metavar="N",
-        help="number of scenes (arrangements, outline), scenes or frames (vision*), experiments "
+        help="number of scenes (arrangements, outline), images (opencv-versions), scenes or frames "
+        "(vision*), experiments "
         "(calibration, lack-of-fit), demos per truth file (demos), callbacks (composition), "
         "goals (cycle, fixed-cycle, two-computers, unknown-worlds), losses (disarm), freezes"
         " of a node (lost-nodes), trials (precision, unknown-objects), or seconds (node, "

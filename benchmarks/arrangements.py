@@ -5,8 +5,8 @@ a radius of 25 mm whose goals form a grid. The trials use the published scatter,
 of 5 % in distance and 15 % in rotation, and a camera with 0.1 mm and 0.1 degrees of noise. The
 ground truth of every pose and every contact is recorded.
 
-Every scene is stored when it ends, so that an interrupted run goes on where it stopped. Scenes of
-another state of the planner are not used.
+Every scene is stored when it ends, so that an interrupted run can be resumed. Scenes that were run
+with another version of the planner are not used.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ DEFAULT_COUNT = 200
 SEED = 1
 
 SCENES = Path(__file__).resolve().parent.parent / "runs" / "benchmark_arrangements.jsonl"
-"""File of the scenes that have ended, one JSON object a line."""
+"""File of the scenes that have ended, with one JSON object per line."""
 
 GAIN_BIAS = (0.05, 0.15)
 OPTIONS = ["--camera-noise", "0.1", "0.1"]
@@ -137,8 +137,8 @@ def _stored_scenes() -> dict[str, dict[str, Any]]:
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
     return [
-        "contacts: scenes in which objects met, or the resting tool would have touched another;",
-        "price: taps over those of each object alone; a decision: seconds of processor",
+        "contacts: scenes with contacts of objects + of the resting tool with another object;",
+        "price: ratio of the taps to those of each object alone; decision: processor time",
         "                          scenes  inside  false  refused  contacts  taps  price  "
         "decision: mean, longest",
         *(_row(row) for row in report["rows"]),

@@ -241,8 +241,8 @@ def lines(report: dict[str, Any]) -> list[str]:
     )
     f = report["arm"]
     rows.append(
-        f"arm, 20 poses seen to 0.1 mm and 0.1 deg, {f['arms']} truths: wrist at the worst of 50"
-        f" other poses {f['mm_median']:.3f} mm median, {f['mm_p95']:.3f} mm p95,"
+        f"arm, 20 poses measured to 0.1 mm and 0.1 deg, {f['arms']} truths: wrist at the worst of"
+        f" 50 other poses {f['mm_median']:.3f} mm median, {f['mm_p95']:.3f} mm p95,"
         f" {f['mm_largest']:.3f} mm at most; heading {f['deg_p95']:.4f} deg p95,"
         f" {f['deg_largest']:.4f} deg at most; errors over standard deviations"
         f" {f['errors_over_deviations']:.2f}; {f['ms_median']:.0f} ms"

@@ -52,7 +52,7 @@ def lines(report: dict[str, Any]) -> list[str]:
         figures = report[shape]
         text.append(
             f"{shape}, {figures['experiments']} experiments of 4 x 10 taps, "
-            f"{figures['fit_s']:.1f} s of processor a fit:"
+            f"{figures['fit_s']:.1f} s of processor time per fit:"
         )
         for name, limit in _LIMITS.items():
             value = figures[name]
@@ -70,8 +70,8 @@ def lines(report: dict[str, Any]) -> list[str]:
                 f"rotation by {100 * value['rotation']:.1f} % (within 10 % in "
                 f"{100 * value['rotation_within']:.0f} %)"
             )
-    text.append("taps of the optimal planner for 10 mm and 10 degrees, by the true over configured")
-    text.append("friction, torque factor, restitution and contact friction:")
+    text.append("taps of the optimal planner for 10 mm and 10 degrees, by ratios of the true to")
+    text.append("the configured friction, torque factor, restitution and contact friction:")
     for row in report["loop"]:
         factors = ", ".join(f"{factor:g}" for factor in row["truth"])
         text.append(

@@ -1,4 +1,4 @@
-"""Time per tap by activity for the published task: 10 mm and 10 degrees, forth and back.
+"""Time per tap by activity for the published task: 10 mm and 10 degrees, back and forth.
 
 Two cells are measured. In the first, every node is a process, with rendered images and emulated
 boards. In the second, the same machines, drivers and boards run in virtual time, in which software
@@ -236,7 +236,7 @@ class QuietTrial(Trial):
             self._receive(topic, message)
 
     def next_goal(self, number: int) -> Pose:
-        """Return the next goal of the published task, forth and back."""
+        """Return the next goal of the published task, back and forth."""
         return _goal(self.physical.object_pose(self.scheduler.now), number)
 
 

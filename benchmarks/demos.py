@@ -1,7 +1,7 @@
 """Benefit of a fitted object file in demos: taps with the configured and with the fitted file.
 
-The cell's own sessions (planner, learning from taps, arm, table) run against the simulated world.
-It integrates every slide in time, with the ground truth's tilt, uneven pressure, scatter and arm
+The cell's own sessions (planner, learning from taps, arm, table) run against the simulated world,
+which integrates every slide in time, with the ground truth's tilt, uneven pressure, scatter and arm
 errors. Images, serial lines and the ROS graph are omitted, so that a demo takes a fifth of a
 second. The ground truths differ from the configuration by a fifth, as in closed_loop, and each fit
 uses 4 runs of 10 single taps with the same ground truth.
@@ -73,8 +73,9 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
     text = [
-        f"mean taps of {report['demos']} demos of 10 to 71 mm and 10 to 30 degrees, by the true"
-        " over configured friction, torque factor, restitution and contact friction:"
+        f"mean taps of {report['demos']} demos of 10 to 71 mm and 10 to 30 degrees, by the"
+        " ratios of the true to the configured friction, torque factor, restitution and contact"
+        " friction:"
     ]
     for row in report["truths"]:
         factors = ", ".join(f"{factor:g}" for factor in row["truth"])

@@ -1,7 +1,7 @@
 """Time from the loss of planner, arm or camera during charging to the discharge of the striker.
 
-A simulated cell runs as processes. The tapper is an emulated board in this process, whose spring
-takes seconds to charge, so that a node can be lost meanwhile. A node is killed (``SIGKILL``) or
+A simulated cell runs as processes. The tapper is a board emulated in this process. Its spring takes
+seconds to charge, so that a node can be lost meanwhile. A node is killed (``SIGKILL``) or
 stopped (``SIGSTOP``), or the camera's images stop while its node keeps running. The benchmark
 measures the actions of the board, not the reports of the nodes.
 """
@@ -112,7 +112,7 @@ class DrawnCell:
         while self.board.state != "CHARGING":
             self.graph.check()
             if time.monotonic() > deadline:
-                raise TimeoutError("no tap was drawn: " + "; ".join(self.client.missing()))
+                raise TimeoutError("no striker was charged: " + "; ".join(self.client.missing()))
             idle = self._phase in OVER and not self.client.missing()
             if idle and time.monotonic() > asked + 5.0:
                 asked = time.monotonic()

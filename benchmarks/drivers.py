@@ -62,23 +62,23 @@ def lines(report: dict[str, Any]) -> list[str]:
     rows = [
         f"{dialect}: {figures['in_position']:.2f} s from command to in position and"
         f" {figures['withdrawn']:.2f} s back to the park pose;"
-        f" {1e3 * figures['to_release']:.1f} ms a tap up to the release beyond motion,"
-        f" settling and draw ({1e3 * figures['whole']:.1f} ms until parked again, and"
-        f" {1e3 * figures['reading']:.1f} ms of reading the arm back before it withdraws, while the"
-        " node waits for the release to end);"
-        f" {figures['sent']:.0f} bytes a tap to the arm's board, at 115200 baud"
-        f" {1e3 * BYTE_S * figures['sent']:.0f} ms more"
+        f" overhead per tap beyond motion, settling and charging:"
+        f" {1e3 * figures['to_release']:.1f} ms until the release,"
+        f" {1e3 * figures['whole']:.1f} ms until parked again, and"
+        f" {1e3 * figures['reading']:.1f} ms for reading the arm back before it withdraws, while"
+        f" the node waits for the end of the release; {figures['sent']:.0f} bytes per tap to the"
+        f" arm's board, which take {1e3 * BYTE_S * figures['sent']:.0f} ms more at 115200 baud"
         for dialect, figures in report["overhead"].items()
     ]
     stop, back = report["stop"], report["reconnect"]
     rows.append(
         f"stop to the wire: p99 {1e3 * stop['p99']:.2f} ms, worst {1e3 * stop['worst']:.2f} ms of"
-        f" {stop['stops']}; a bare write {1e3 * stop['bare_p99']:.2f} ms"
+        f" {stop['stops']} stops; p99 of a plain write {1e3 * stop['bare_p99']:.2f} ms"
     )
     medians = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in back["median"].items())
     rows.append(
         f"reconnection after the port is back: median {medians}; worst {back['worst']:.2f} s"
-        f"; a bare opening {1e3 * back['bare']:.2f} ms"
+        f"; a plain opening {1e3 * back['bare']:.2f} ms"
     )
     return rows
 
@@ -109,7 +109,7 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         cell.tapper.charge(shot, energy)
         cell.tapper.fire(shot, WINDOW, cell.allowed)
         to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
-        # The node queries the arm while it waits for the end of firing: counted separately.
+        # The node queries the arm while it waits for the end of firing, so this time is separate.
         reading = cell.clock.now
         here = cell.arm.read_joints()
         readings.append(cell.clock.now - reading)

@@ -93,7 +93,7 @@ def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
     return [
         f"{node}: emergency_stop to the wire: median {1e3 * figures['median']:.1f} ms, p99"
-        f" {1e3 * figures['p99']:.1f} ms of {figures['stops']} (a bare byte: p99"
+        f" {1e3 * figures['p99']:.1f} ms of {figures['stops']} stops (a plain byte: p99"
         f" {1e3 * figures['bare_p99']:.1f} ms); load {figures['load']:.1f}"
         for node, figures in report.items()
     ]
@@ -158,5 +158,5 @@ def _wait(condition: Callable[[], bool], graph: Graph) -> None:
     while not condition():
         graph.check()
         if time.monotonic() > deadline:
-            raise TimeoutError(f"nothing happened for {PATIENCE_S:.0f} s")
+            raise TimeoutError(f"the awaited event did not occur within {PATIENCE_S:.0f} s")
         time.sleep(0.001)

@@ -1,33 +1,46 @@
-"""Nodes frozen, killed, restarted and stopped in mid-tap, in simulated time: is anything released
-outside the arm's permit, or does anything move without a person's word?
+"""Safety while nodes are frozen, killed, restarted and stopped during taps, in simulated time.
 
-The invariants of ``tapping_cell.verification`` are checked after every event, against the truth of
-the boards. Runs go on until each node was frozen ``count`` times, and lost half as often; any
-violation is printed.
+After every event the invariants of ``tapping_cell.verification`` are checked against the true state
+of the boards, for example that no striker is released outside the arm's promise and that nothing
+moves without a person's permission. Runs continue until each node was frozen ``count`` times, and
+lost half as many times. Every violation is printed.
+
+The cost of the permit is measured in goals without faults: the time from the tapper's request to
+the arm's answer, and the time for which the arm stands still although the striker has ended its
+stroke and the tap was withdrawn. The stroke itself is not counted.
 """
 
 from __future__ import annotations
 
 import os
 import time
+from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from tapping_cell.messages import TapCommand
 from tapping_cell.verification.campaign import Summary, reports_of
 from tapping_cell.verification.faults import NODES, Mix
+from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 1000
-"""Freezes of each node; crashes, restarts and stops of each node half as many."""
+"""Number of freezes of each node; its crashes, restarts and stops together are half as many."""
 FREEZES = Mix(("freeze",), 8.0)
-"""1 ms to 5 s, log-uniform, at random moments of goals and of a program's taps."""
+"""Freezes of 1 ms to 5 s, log-uniform, at random times of goals and of a program's taps."""
 LOSSES = Mix((*("kill",) * 8, "restart", "stop service"), 8.0)
 """All four nodes can be killed; only arm and tapper have a service to stop them."""
 STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
+COST_SEEDS, COST_GOALS = range(1, 5), 5
+LEAST_HOLD_S = 0.16
+"""Duration of ``hold_still`` above which a request begins a promise and does not end one."""
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Both campaigns."""
+    """Both campaigns, and the cost of the permit."""
     return {
+        "cost": _cost(),
         "freezes": _campaign(FREEZES, ("freeze",), count, SEED),
         "losses": _campaign(LOSSES, ("kill", "restart", "stop"), count // 2, SEED + 1),
     }
@@ -57,10 +70,90 @@ def _times(summary: Summary, node: str, ways: tuple[str, ...]) -> int:
     return sum(summary.by_node[f"{way} {node}"] for way in ways)
 
 
+@dataclass(slots=True)
+class _Waits:
+    """Waits for the permit in one run; s."""
+
+    trial: Trial
+    for_answer: list[float] = field(default_factory=list)
+    after_stroke: list[float] = field(default_factory=list)
+    _asked: float = 0.0
+    _free_at: float | None = None
+    """Time from which the arm could leave if it had promised nothing."""
+    _moving: bool = False
+
+    def begin(self) -> None:
+        """Observe the run from here on."""
+        network, scheduler = self.trial.network, self.trial.scheduler
+        arm = self.trial.processes["scara_arm"]
+        on_call, on_answer, on_handled = network.on_call, network.on_answer, arm.on_handled
+        after_event = scheduler.after_event
+
+        def call(service: str, request: Any) -> None:
+            on_call(service, request)
+            if service == "hold_still" and request.duration > LEAST_HOLD_S:
+                self._asked = scheduler.now
+
+        def answer(node: str, service: str, request: Any, response: Any) -> None:
+            on_answer(node, service, request, response)
+            if service == "hold_still" and request.duration > LEAST_HOLD_S:
+                self.for_answer.append(scheduler.now - self._asked)
+
+        def handled(process: str, topic: str, message: Any) -> None:
+            on_handled(process, topic, message)
+            if topic == "tap_command" and message.request == TapCommand.WITHDRAW:
+                self._withdrawn(message.tap_id)
+
+        def event() -> None:
+            after_event()
+            self._watch(self.trial.physical.moving(scheduler.now))
+
+        network.on_call, network.on_answer, arm.on_handled = call, answer, handled
+        scheduler.after_event = event
+
+    def _withdrawn(self, tap_id: int) -> None:
+        for release in self.trial.physical.releases[-1:]:
+            if release.shot == tap_id and not self._moving:
+                speed = self.trial.witness.commands[tap_id].striker_speed
+                struck = release.time + self.trial.physical.flight(speed)
+                self._free_at = max(struck, self.trial.scheduler.now)
+
+    def _watch(self, moving: bool) -> None:
+        if moving and not self._moving and self._free_at is not None:
+            self.after_stroke.append(self.trial.scheduler.now - self._free_at)
+            self._free_at = None
+        self._moving = moving
+
+
+def _cost() -> dict[str, Any]:
+    """Return what the permit costs a tap, in ms."""
+    answers: list[float] = []
+    waits: list[float] = []
+    for seed in COST_SEEDS:
+        trial = Trial(seed, faults=False)
+        observed = _Waits(trial)
+        observed.begin()
+        trial.run(COST_GOALS)
+        answers += observed.for_answer
+        waits += observed.after_stroke
+    return {
+        "taps": len(waits),
+        "answer_ms": round(1e3 * float(np.mean(answers)), 1),
+        "standing_ms": round(1e3 * float(np.mean(waits)), 1),
+        "longest_standing_ms": round(1e3 * max(waits), 1),
+    }
+
+
 def lines(report: dict[str, Any]) -> list[str]:
-    """What struck whom, and what was violated."""
-    told = []
-    for title, part in report.items():
+    """What struck whom, what was violated, and what the permit costs."""
+    cost = report["cost"]
+    told = [
+        f"permit: {cost['answer_ms'] + cost['standing_ms']:.1f} ms a tap ({cost['taps']} taps):"
+        f" {cost['answer_ms']:.1f} ms for the arm's answer, {cost['standing_ms']:.1f} ms (at most"
+        f" {cost['longest_standing_ms']:.1f} ms) after the stroke"
+    ]
+    for title in ("freezes", "losses"):
+        part = report[title]
         told.append(
             f"{title}: {part['goals']} goals, {part['taps']} taps, {part['releases']} releases,"
             f" first seed {part['seed']}000000, {part['wall_time']} s"

@@ -185,8 +185,8 @@ def _against_solve_ivp(sliding: Sliding, forward_per_s: float) -> dict:
 def _solve(speed: float, spin: float, kappa: float, tolerance: float) -> tuple[float, float]:
     """Distance and rotation by ``solve_ivp``, with the textbook forms in K and E.
 
-    The integration variable is the logarithm of the speed, which is regular at the end and
-    therefore best for the solver. The last 1e-7 of the speed contributes 1e-14 of the distance.
+    The integration variable is the logarithm of the speed, in which the slide is regular at its
+    end, as the solver needs. The last 1e-7 of the speed contributes 1e-14 of the distance.
     """
     from scipy.integrate import solve_ivp
 

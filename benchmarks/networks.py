@@ -2,7 +2,7 @@
 
 Needs root, ``unshare``, ``nsenter`` and ``ip``; :func:`why_not` returns what is missing. Without
 delay and loss, a veth pair connects two computers at the kernel's speed. Otherwise every packet
-passes through this module's relay, a switch between TAP devices, with a capacity in the order of a
+passes through this module's relay, a switch between TAP devices, with a capacity of about a
 thousand packets/s.
 """
 
@@ -58,7 +58,7 @@ class Computer:
         )
         assert self._holder.stdout is not None
         if self._holder.stdout.readline().strip() != b"up":
-            raise OSError(f"the computer {name} could not be made")
+            raise OSError(f"the computer {name} could not be created")
 
     @property
     def process_id(self) -> str:
@@ -108,7 +108,7 @@ def computers(
         ValueError: more than two computers without delay and loss.
     """
     if not (delay or loss) and len(names) != 2:
-        raise ValueError("a link without delay and loss joins two computers")
+        raise ValueError("a link without delay and loss connects exactly two computers")
     with contextlib.ExitStack() as stack:
         made = []
         for number, name in enumerate(names, start=1):

@@ -152,7 +152,7 @@ class _Player:
         ):
             graph.check()
             if time.monotonic() > deadline:
-                raise TimeoutError(f"camera_pose did not come up within {PATIENCE_S:.0f} s")
+                raise TimeoutError(f"camera_pose did not become ready within {PATIENCE_S:.0f} s")
             executor.spin_once(timeout_sec=0.1)
         self._late.clear()
         self._inside_before = self._inside
@@ -201,7 +201,7 @@ def lines(report: list[dict[str, Any]]) -> list[str]:
     """Format the report as lines of text."""
     return [
         f"{entry['case']:<34}{100 * entry['cores']:5.1f} % of a core at {entry['rate_hz']:.1f} Hz; "
-        f"answer after {entry['latency_ms']:.1f} ms (p95 {entry['latency_p95_ms']:.1f}), of it "
-        f"{entry['inside_ms']:.1f} ms inside (load {entry['load']:.1f})"
+        f"result after {entry['latency_ms']:.1f} ms (p95 {entry['latency_p95_ms']:.1f}), with "
+        f"{entry['inside_ms']:.1f} ms in the node (load {entry['load']:.1f})"
         for entry in report
     ]

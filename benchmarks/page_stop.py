@@ -2,8 +2,8 @@
 
 The real node runs as a separate process, with its process for STOP. Another process simulates
 ``CLIENTS`` hostile clients with 200 messages per second each. They first send drags, commands and
-invalid data to the page, reconnecting when disconnected, and then checks and invalid data to the
-port of STOP. The latency includes a browser's request over a new connection, the process, the
+invalid data to the page, and reconnect when disconnected. Then they send checks and invalid data to
+the port of STOP. The latency includes a browser's request over a new connection, the process, the
 middleware and the subscription here. The peers are the same request without an attack and a message
 published here.
 """

@@ -36,7 +36,8 @@ LARGEST_TAP = 0.040
 ALL_DIRECTIONS = np.linspace(0.0, math.pi, 9)
 LINE = np.array([0.0, math.pi])
 NEAR = 3.2
-"""Taps beside the line are up to this many smallest taps long, from as near as that."""
+"""Maximum length of taps beside the line to the goal, and maximum distance from the goal at which
+they are considered, in smallest taps."""
 ITERATIONS, EVALUATIONS, SETTLED = 12, 25, 2e-3
 
 
@@ -78,7 +79,7 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def least_taps(settings: PlannerSettings, directions: Array) -> float:
-    """Least expected taps of the task with taps in these directions, rad from the goal's."""
+    """Least expected taps of the task with taps in these directions, rad from that to the goal."""
     problem = _Problem(settings, directions)
     guess = nominal_taps(problem.r[:, None], problem.theta[None, :], settings) + 1.0
     value = problem.solved(np.asarray(guess, dtype=np.float32))

@@ -2,7 +2,7 @@
 
 The computers are network namespaces of this machine (``benchmarks.networks``). Images stay on one
 host or use a link without loss. Goals use a link with 20 ms delay and 1 % packet loss, with camera
-and vision on one computer, the drivers on the second, planner and recorder on the third.
+and vision on one computer, the drivers on the second, and planner and recorder on the third.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ GOALS_A_WORLD = 10
 TASKS = (0.040, math.radians(20.0))
 CAMERA = CameraNoise(0.00005, math.radians(0.05))
 SPREADS = {"within 2": (2.0, 2.0), "within 4 and 2.5": (4.0, 2.5)}
-"""Largest factors between the true and the configured friction and torque factor, either way."""
+"""Largest ratios of the true to the configured friction and torque factor, or the inverse."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:
@@ -169,7 +169,7 @@ def lines(report: dict[str, Any]) -> list[str]:
         taps = row["taps"]
         text.append(
             f"{name:<24} {row['trials']} goals: {row['reached']} reached, "
-            f"{row['refused_before']} refused at once, {row['refused_later']} later, "
+            f"{row['refused_before']} refused before the first tap, {row['refused_later']} later, "
             f"{row['endless']} endless; {row['false_claims']} false claims, "
             f"{row['over_edge']} over the edge; taps mean {taps['mean']:.2f}, "
             f"most {taps.get('max', 0)}"

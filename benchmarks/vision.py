@@ -120,7 +120,7 @@ def _figures(rows: list[tuple[float, float, float]]) -> dict[str, float]:
 def _methods(
     view: View, marker: ObjectMarker
 ) -> dict[str, Callable[[np.ndarray, np.ndarray], Pose]]:
-    """Return the methods that compute a pose from an image; the true pose locates their search."""
+    """Return functions that measure a pose in an image, some of them only near the true pose."""
     pixel = float(view.pose.translation[2]) / view.camera.fx
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     template = make_template(marker, pixel, USUAL_BLUR * pixel)

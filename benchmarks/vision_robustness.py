@@ -373,7 +373,7 @@ def lines_of_cases(report: dict[str, Any]) -> list[str]:
         f"{WRONG_SIGMAS:.0f} sigma and {WRONG_MM} mm or {WRONG_DEG} degrees), "
         f"{report['unrecognised']} disturbances not recognised",
         f"{'':<{width}}  {'runs':>4} {'frames':>6} {'good':>6} {'wrong':>5} {'missed':>6}"
-        f" {'worst mm':>8}  problems",
+        f" {'worst mm':>8}  reported",
     ]
     for name, f in report["cases"].items():
         problems = ", ".join(f"{n} {p.lower()}" for p, n in f["problems"].items())

@@ -53,7 +53,7 @@ def lines(report: dict[str, Any]) -> list[str]:
         for name, row in report["agreement"].items()
     ]
     cost = ", ".join(f"{name} {ms:.0f}" for name, ms in report["ms"].items())
-    return [*text, f"ms of the processor a tap: {cost}"]
+    return [*text, f"processor time per tap in ms: {cost}"]
 
 
 def _agreement(content: ObjectFile) -> dict[str, float]:

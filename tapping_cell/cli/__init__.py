@@ -41,7 +41,7 @@ VERBS = {
     "report": "rewrite the reports of run folders, and compare runs",
     "check-config": "check configuration files without starting anything",
     "doctor": "check the settings of arm and tapper without moving them",
-    "urdf": "write the URDF of the arm, for RViz and Foxglove",
+    "urdf": "write the URDF of the arm or the fixed tappers, for RViz and Foxglove",
     "completion": "print shell code that completes verbs and options",
 }
 

@@ -14,7 +14,13 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from tapping_cell.configuration.cell import load_cell, refuse_own_drivers, refuse_simulated_ports
+from tapping_cell.configuration.cell import (
+    Cell,
+    load_cell,
+    refuse_own_drivers,
+    refuse_simulated_ports,
+)
+from tapping_cell.hardware.fixed_urdf import mounted_tappers_urdf
 from tapping_cell.hardware.urdf import urdf
 from tapping_cell.nodes import security
 
@@ -33,7 +39,7 @@ COMMON = {
     ),
     "page_port": ("8010", "port of the page"),
     "page_stop_port": ("9010", "port of the page's dedicated connection for STOP"),
-    "description": ("true", "start robot_state_publisher with the arm's URDF, if it is installed"),
+    "description": ("true", "start robot_state_publisher with the URDF, if it is installed"),
 }
 """Arguments of every launch file: default and description."""
 
@@ -91,7 +97,10 @@ def _start(
     """Return the nodes once the arguments are known."""
     given = context.launch_configurations
     refuse = refuse_simulated_ports if hardware else refuse_own_drivers
-    refuse(load_cell(given["cell_file"] or None))
+    cell = load_cell(given["cell_file"] or None)
+    refuse(cell)
+    if cell.file.arm is None:
+        nodes = [node for node in nodes if node.name != "scara_arm"]
     shared: list[dict[str, object] | str] = [{"use_sim_time": LaunchConfiguration("use_sim_time")}]
     overrides = [given["params_file"]] if given["params_file"] else []
     if given["page"].lower() == "true":
@@ -127,26 +136,30 @@ def _start(
         for node in nodes
     ]
     if description:
-        started += _describe_arm(given["namespace"], given["cell_file"], shared)
+        started += _describe(given["namespace"], cell, shared)
     return started
 
 
-def _describe_arm(
-    namespace: str, cell_file: str, shared: list[dict[str, object] | str]
+def _describe(
+    namespace: str, cell: Cell, shared: list[dict[str, object] | str]
 ) -> list[Node | LogInfo]:
-    """Return the nodes that publish the arm's URDF, and its links on /tf from its joint states, for
-    RViz and Foxglove."""
+    """Return the nodes that publish the URDF of the arm or of the fixed tappers, and the arm's
+    links on /tf from its joint states, for RViz and Foxglove."""
     if not _has_state_publisher():
         return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
-    cell = load_cell(cell_file or None)
-    if cell.arm.chain() is not None:
+    if cell.file.arm is not None and cell.arm.chain() is not None:
         return [LogInfo(msg="the arm has a URDF of its own, which its own driver publishes")]
+    text = (
+        mounted_tappers_urdf(cell.mounted_tappers())
+        if cell.file.arm is None
+        else urdf(cell.arm.geometry())
+    )
     return [
         Node(
             package="robot_state_publisher",
             executable="robot_state_publisher",
             namespace=namespace,
-            parameters=[*shared, {"robot_description": urdf(cell.arm.geometry())}],
+            parameters=[*shared, {"robot_description": text}],
             remappings=_own_frames(namespace),
         )
     ]

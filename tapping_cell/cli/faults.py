@@ -7,6 +7,7 @@ the devices.
 
     python -m tapping_cell faults --goals 1000 --seed 1   # the whole cell in simulated time
     python -m tapping_cell faults --goals 500 --only 'freeze, freeze at a shot'
+    python -m tapping_cell faults --goals 1000 --fixed-tappers   # the positioning cell
     python -m tapping_cell faults --replay 1000003        # one run of it again, with its trace
     python -m tapping_cell faults --mutants               # would a missing guard be found?
     python -m tapping_cell faults --taps 10000 --seed 1   # drivers and boards alone
@@ -104,6 +105,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=ALL.mean,
         help="mean number of faults per goal, from 1 to 50 (only with --goals or --replay; "
         f"default: {ALL.mean:g})",
+    )
+    parser.add_argument(
+        "--fixed-tappers",
+        action="store_true",
+        help="simulate the positioning cell with fixed tappers, on one board or two, instead of "
+        "the cell with an arm (only with --goals or --replay; --mutants covers both)",
     )
     parser.add_argument(
         "--mutant",
@@ -233,7 +240,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _mix(arguments: argparse.Namespace) -> Mix:
     """Return the requested kinds and mean number of faults."""
     kinds = tuple(kind.strip() for kind in arguments.only.split(",") if kind.strip())
-    return Mix(kinds, arguments.mean_faults)
+    return Mix(kinds, arguments.mean_faults, arguments.fixed_tappers)
 
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:

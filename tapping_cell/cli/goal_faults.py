@@ -12,10 +12,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from tapping_cell.cli.errors import tell_error
 from tapping_cell.report import error_codes
-from tapping_cell.verification.campaign import Summary, run_campaign
+from tapping_cell.verification.campaign import Summary, run_campaign, run_trial
 from tapping_cell.verification.faults import ALL, KINDS, Mix
+from tapping_cell.verification.fixed_faults import FIXED_MAKERS
+from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
 from tapping_cell.verification.mutants import MUTANTS, Mutant
-from tapping_cell.verification.trial import run_trial
 
 TRACE_LINES = 60
 """Number of printed lines of a violation's trace; ``--replay`` prints the whole trace."""
@@ -26,9 +27,10 @@ GOALS_IN_A_STEP = 100
 
 def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -> int:
     """Run a campaign. Return exit code 0 only without any violation."""
-    unknown = sorted(set(mix.only) - set(KINDS))
+    known = tuple(FIXED_MAKERS) if mix.fixed else KINDS
+    unknown = sorted(set(mix.only) - set(known))
     if unknown:
-        tell_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(KINDS)}")
+        tell_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(known)}")
         return 2
     began = time.monotonic()
     with Progress(
@@ -67,11 +69,12 @@ def replay(seed: int, goals: int, mix: Mix = ALL) -> int:
 def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json: bool) -> int:
     """Test each mutant in separate processes. Return exit code 0 only if all mutants are
     detected."""
-    unknown = sorted(set(names) - {mutant.name for mutant in MUTANTS})
+    mutants = (*MUTANTS, *FIXED_MUTANTS)
+    unknown = sorted(set(names) - {mutant.name for mutant in mutants})
     if unknown:
         tell_error(f"no such mutants: {'; '.join(unknown)}")
         return 2
-    chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
+    chosen = [mutant for mutant in mutants if not names or mutant.name in names]
     if not as_json:
         print(f"{'taken out':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
     results: list[dict[str, object]] = []

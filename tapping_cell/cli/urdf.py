@@ -1,4 +1,4 @@
-"""Write the arm of a cell file as URDF, for RViz, Foxglove and motion planners.
+"""Write the arm, or the fixed tappers, of a cell file as URDF for RViz, Foxglove and planners.
 
 python -m tapping_cell urdf --cell my_cell.yaml > arm.urdf
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 from tapping_cell.cli.errors import tell_error
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.hardware.fixed_urdf import mounted_tappers_urdf
 from tapping_cell.hardware.urdf import urdf
 
 
@@ -27,6 +28,9 @@ def run(arguments: argparse.Namespace) -> int:
     except ConfigurationError as error:
         tell_error(str(error))
         return 2
+    if cell.file.arm is None:
+        sys.stdout.write(mounted_tappers_urdf(cell.mounted_tappers()))
+        return 0
     own = cell.arm.ros2_control
     if own is not None and own.chain is not None:
         tell_error(f"the arm of this cell has a URDF of its own: {own.chain.urdf}")

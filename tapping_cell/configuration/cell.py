@@ -28,6 +28,7 @@ from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.chain_urdf import chain_from_urdf
 from tapping_cell.hardware.controller_needs import ControllerNeeds, needs_of
 from tapping_cell.hardware.energy import EnergyCurve
+from tapping_cell.hardware.fixed_urdf import MountedTapper
 from tapping_cell.hardware.motion import MotionSettings
 from tapping_cell.hardware.output_tapper import OutputTapperSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
@@ -796,6 +797,30 @@ class Cell:
             for index, board in enumerate(self.boards)
             for name, channel in board.channels.items()
         }
+
+    def mounted_tappers(self) -> tuple[MountedTapper, ...]:
+        """Return the fixed tappers as bodies, for their URDF.
+
+        Raises:
+            ConfigurationError: the cell has an arm.
+        """
+        made = []
+        for entry in self.fixed_tappers.tappers:
+            tapper = self.tapper_of(entry)
+            made.append(
+                MountedTapper(
+                    entry.name,
+                    Pose(*entry.position, entry.direction),
+                    self.fixed_tappers.strike_height,
+                    tapper.stroke,
+                    tapper.tool_start,
+                    tapper.tool_length,
+                    tapper.tool_radius,
+                    tapper.mass,
+                    tapper.curve().fastest,
+                )
+            )
+        return tuple(made)
 
     @property
     def strike_height(self) -> float:

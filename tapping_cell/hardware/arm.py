@@ -29,6 +29,7 @@ from tapping_cell.hardware.dialect import (
     StraightMove,
 )
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.line_quality import ReceivedBytes
 from tapping_cell.hardware.motion import Waypoint, check_limits, move_duration
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.transport import Connection
@@ -53,6 +54,11 @@ UNHOMING = frozenset(
 """Faults after which the arm's position is no longer trusted."""
 
 
+UNANSWERED = (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE, FaultReason.NEEDS_PERSON)
+"""Faults of a controller that is silent or strange, and of one whose replies are noise."""
+LEAST_BAD_LINES = 3
+"""Number of unreadable lines in one call from which they explain a timeout, if they are at least
+half of all lines."""
 OF_A_STOP = (FaultReason.STOPPED, FaultReason.ALARM, FaultReason.BOARD_RESET)
 """Reasons with which a call can fail because the arm was stopped."""
 
@@ -94,6 +100,7 @@ class ArmDriver:
         self._fresh: ArmReading | None = None
         self._fault: HardwareFault | None = None
         self._stopped = threading.Event()
+        self._begin_call()
 
     @property
     def firmware(self) -> Firmware | None:
@@ -132,8 +139,10 @@ class ArmDriver:
         ``timeout``: longest wait for the port, and then for the controller's answer, s. Homing
         remains valid after a reconnect only if the controller proves that it was not reset and the
         arm has not moved. If connecting fails, the port is closed. Raises HardwareFault:
-        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT, NEEDS_PERSON.
+        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT, PROTOCOL,
+        NEEDS_PERSON.
         """
+        self._begin_call()
         self._connected = False
         self._fresh = None
         try:
@@ -269,6 +278,7 @@ class ArmDriver:
 
         After a stop, an alarm or a reset the arm must be homed again.
         """
+        self._begin_call()
         first = self._fault
         must_unlock = self._stopped.is_set() or first is not None
         self._fault = None
@@ -497,7 +507,39 @@ class ArmDriver:
             "noisy line, then move again",
         )
 
+    def _begin_call(self) -> None:
+        """Count what is received by this call."""
+        counters = self._dialect.counters
+        counters.received = ReceivedBytes()
+        self._lines_before = counters.lines, counters.bad_lines
+
+    def _named(self, fault: HardwareFault) -> HardwareFault:
+        """Return PROTOCOL in place of a fault whose cause is that the replies are unreadable.
+
+        While connecting, unreadable text means another firmware: UNKNOWN_FIRMWARE.
+        """
+        counters = self._dialect.counters
+        lines = counters.lines - self._lines_before[0]
+        bad = counters.bad_lines - self._lines_before[1]
+        received, name = counters.received, self._transport.name
+        if fault.reason in UNANSWERED and received.are_noise:
+            what = f"{received.strange} of {received.total} bytes from {name} are no text"
+        elif fault.reason is FaultReason.TIMEOUT and bad >= max(LEAST_BAD_LINES, 0.5 * lines):
+            what = f"{bad} of {lines} lines from the arm's controller on {name} were unreadable"
+        else:
+            return fault
+        if not self._connected and not received.are_noise:
+            return HardwareFault(
+                FaultReason.UNKNOWN_FIRMWARE,
+                f"{what}: check arm.dialect, the port, arm.baud and the cable",
+            )
+        return HardwareFault(
+            FaultReason.PROTOCOL,
+            f"{what}: check arm.baud, the cable and its grounding, and that the port is the arm's",
+        )
+
     def _require_line(self) -> None:
+        self._begin_call()
         if self._stopped.is_set():
             raise self._fault or self._stop_fault()
         if not self.connected:
@@ -524,6 +566,7 @@ class ArmDriver:
             fault = self._fault or self._stop_fault()
         if fault is self._fault:
             return fault
+        fault = self._named(fault)
         self.counters.last_error = fault.sentence
         if fault.reason is FaultReason.DISCONNECTED:
             self._connected = False
@@ -540,6 +583,7 @@ class ArmDriver:
 
     def _halted(self, fault: HardwareFault) -> HardwareFault:
         """Stop an arm whose motion has not ended, and latch the reason."""
+        fault = self._named(fault)
         said = "the arm was stopped" if self.stop() else "a stop could not be sent to it"
         return self._latch(
             HardwareFault(fault.reason, f"{fault}; {said}: clear the fault and home again")

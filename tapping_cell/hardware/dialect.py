@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from tapping_cell.hardware.finding import Finding
+from tapping_cell.hardware.line_quality import ReceivedBytes
 
 AXIS_COUNT = 4
 
@@ -58,7 +59,11 @@ class LineCounters:
     retries: int = 0
     resends: int = 0
     timeouts: int = 0
+    lines: int = 0
+    """Number of lines received."""
     bad_lines: int = 0
+    """Number of these that were unreadable."""
+    received: ReceivedBytes = field(default_factory=ReceivedBytes)
 
 
 class ArmDialect(Protocol):

@@ -293,12 +293,14 @@ class GrblDialect:
     def _pump(self, wait: float) -> bool:
         """Read for up to ``wait`` s and decode the data; return False if nothing was received."""
         data = self._transport.read(wait)
+        self.counters.received.take(data)
         self._buffer += data
         while True:
             decoded = grbl.decode(self._buffer)
             self._buffer = decoded.rest
             if decoded.frame is None:
                 return bool(data)
+            self.counters.lines += 1
             self._sort(decoded.frame)
 
     def _sort(self, frame: grbl.Frame) -> None:

@@ -359,6 +359,7 @@ class MarlinDialect:
     def _pump(self, wait: float) -> bool:
         """Read for up to ``wait`` s and decode the data; return False if nothing was received."""
         data = self._transport.read(wait)
+        self.counters.received.take(data)
         self._buffer += data
         while True:
             decoded = marlin.decode(self._buffer)
@@ -366,6 +367,7 @@ class MarlinDialect:
             frame = decoded.frame
             if frame is None:
                 return bool(data)
+            self.counters.lines += 1
             if isinstance(frame, marlin.Bad):
                 self.counters.bad_lines += 1
             elif isinstance(frame, marlin.Halted) and self._known:

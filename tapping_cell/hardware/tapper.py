@@ -23,6 +23,7 @@ from enum import Enum
 
 from tapping_cell.hardware import tapper_protocol as protocol
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.line_quality import ReceivedBytes
 from tapping_cell.hardware.tapper_protocol import (
     Command,
     Mode,
@@ -105,6 +106,8 @@ class TapperCounters:
     retries: int = 0
     timeouts: int = 0
     bad_frames: int = 0
+    damaged_frames: int = 0
+    """Number of these that began or ended like a frame of the tapper."""
     reconnects: int = 0
     stops: int = 0
     last_error: str = ""
@@ -138,11 +141,19 @@ class TapperDriver:
         # A FIRE of an earlier process may still be on its way to the board.
         self._release_by = self._latest_release(transport.now(), protocol.LONGEST_WINDOW)
         self._stopped = threading.Event()
+        self._received = ReceivedBytes()
+        self._sends = 0
+        self._damaged = 0
+        """Number of the requests sent since ``_begin_exchange`` that damaged frames answered."""
 
     @property
     def connected(self) -> bool:
         """True if a session is open, as far as is known."""
         return self._boot is not None and self._transport.is_open
+
+    def now(self) -> float:
+        """Return the time of the host's steady clock, s."""
+        return self._transport.now()
 
     @property
     def port(self) -> str:
@@ -181,8 +192,8 @@ class TapperDriver:
         """Open the line and a new session, which discharges the tapper, and set the mode.
 
         ``timeout``: longest wait for the port, and then for an answer, s. Raises HardwareFault:
-        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, TIMEOUT, STOPPED. The port is then closed, except
-        after STOPPED.
+        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, PROTOCOL, TIMEOUT, STOPPED. The port is then
+        closed, except after STOPPED.
         """
         again = self._boot is not None
         self._boot = None
@@ -202,6 +213,7 @@ class TapperDriver:
     def _greet(self, deadline: float) -> Reply:
         """Send HELLO until the board answers; return its reply."""
         self._buffer = b""
+        self._begin_exchange()
         # The session number is random, so that a stray frame of an old session cannot match it.
         self._session = self._draw_number(0xFFFF) + 1
         while True:
@@ -211,6 +223,7 @@ class TapperDriver:
             if reply is not None and reply.result is Result.WELCOME:
                 break
             if self._transport.now() > deadline:
+                self._require_readable()
                 raise self._noted(
                     FaultReason.UNKNOWN_FIRMWARE,
                     f"nothing on {self._transport.name} answers like the tapper: check the port,"
@@ -350,7 +363,7 @@ class TapperDriver:
         if told != (shot, energy_uj, channel):
             self.discharge()
             raise self._noted(
-                FaultReason.PROTOCOL,
+                FaultReason.REJECTED,
                 f"the tapper is charged for shot {reply.shot} with {reply.energy:g} J on "
                 f"channel {reply.channel}, but shot {shot} with {energy:g} J on channel {channel} "
                 "was requested, so the tapper was discharged",
@@ -524,6 +537,7 @@ class TapperDriver:
         self._require_session()
         sequence = self._next_sequence()
         frame = protocol.encode(self._session, sequence, command, *arguments)
+        self._begin_exchange()
         try:
             reply = self._exchange(frame, sequence, self.settings.attempts)
         except HardwareFault as fault:
@@ -532,6 +546,7 @@ class TapperDriver:
                 self._boot = None
             raise
         if reply is None:
+            self._require_readable()
             raise self._noted(
                 FaultReason.TIMEOUT,
                 f"the tapper on {self._transport.name} does not answer {command.value}"
@@ -548,6 +563,29 @@ class TapperDriver:
             )
         return reply
 
+    def _begin_exchange(self) -> None:
+        """Count what is received from now on."""
+        self._received = ReceivedBytes()
+        self._sends = self._damaged = 0
+
+    def _require_readable(self) -> None:
+        """Raise PROTOCOL if replies were received, but most of them were unreadable."""
+        name, received = self._transport.name, self._received
+        if received.are_noise:
+            what = f"{received.strange} of {received.total} bytes from {name} are no text"
+        elif 2 * self._damaged > self._sends:
+            what = (
+                f"the replies of the tapper on {name} to {self._damaged} of {self._sends} requests"
+                " were damaged"
+            )
+        else:
+            return
+        raise self._noted(
+            FaultReason.PROTOCOL,
+            f"{what}: check tapper.baud, the cable and its grounding, and that the port is the"
+            " tapper's",
+        )
+
     def _exchange(self, frame: bytes, sequence: int, attempts: int) -> Reply | None:
         """Send a frame up to ``attempts`` times until its reply arrives; return None without a
         reply."""
@@ -561,6 +599,8 @@ class TapperDriver:
     def _send(self, frame: bytes, sequence: int, timeout: float) -> Reply | None:
         """Send a frame once; return its reply within ``timeout`` s, or None."""
         self._transport.write(frame)
+        self._sends += 1
+        damaged = self.counters.damaged_frames
         until = self._transport.now() + timeout
         while (left := until - self._transport.now()) > 0:
             for reply in self._listen(left):
@@ -568,11 +608,14 @@ class TapperDriver:
                     self.last_reply = reply
                     return reply
         self.counters.timeouts += 1
+        self._damaged += self.counters.damaged_frames > damaged
         return None
 
     def _listen(self, wait: float) -> list[Reply]:
         """Return the replies received within ``wait`` s; return as soon as bytes arrive."""
-        self._buffer += self._transport.read(wait)
+        data = self._transport.read(wait)
+        self._received.take(data)
+        self._buffer += data
         replies: list[Reply] = []
         while True:
             decoded = protocol.decode(self._buffer)
@@ -585,6 +628,7 @@ class TapperDriver:
                 raise self._other_firmware(decoded.frame.version)
             else:
                 self.counters.bad_frames += 1
+                self.counters.damaged_frames += decoded.frame.damaged
 
     def _require_session(self) -> None:
         if self._stopped.is_set():

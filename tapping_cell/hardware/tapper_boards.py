@@ -18,6 +18,8 @@ from tapping_cell.hardware.tapper_protocol import Reply, State
 
 CHANNELS_PER_BOARD = 32
 """Distance between the channel numbers of two boards."""
+OTHERS_ASKED_S = 0.1
+"""Maximum age, at the last check before FIRE, of the other boards' replies, s."""
 PRECEDENCE = (
     State.STOPPED,
     State.CHARGED,
@@ -144,12 +146,18 @@ class TapperBoards:
         and the shot was discharged.
         """
         driver = self._drivers[self._charged]
+        asked_at = driver.now()
         try:
             self._require_rest(self._charged)
         except HardwareFault:
             driver.discharge()
             raise
-        return driver.fire(shot, window, still_allowed)
+
+        def allowed(by: float) -> bool:
+            # If this process was frozen meanwhile, the other boards' replies are too old.
+            return driver.now() - asked_at <= OTHERS_ASKED_S and still_allowed(by)
+
+        return driver.fire(shot, window, allowed if len(self._drivers) > 1 else still_allowed)
 
     def wait_for_return(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
         """Wait until the released striker is back, and return the state of all boards."""

@@ -143,6 +143,11 @@ class Bad:
     data: bytes
     why: str
 
+    @property
+    def damaged(self) -> bool:
+        """Whether the bytes begin or end like a frame, so that a tapper has sent them."""
+        return self.data.startswith(b"@") or b"*" in self.data
+
 
 @dataclass(frozen=True, slots=True)
 class Decoded:

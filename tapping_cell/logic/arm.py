@@ -1,4 +1,4 @@
-"""State machine of the arm: homes before it moves and stands still while a shot may be fired.
+"""State machine of the arm, which homes before it moves and stands still while a shot may be fired.
 
 The arm reports that it is in position only after it has read back its joints. Before the tapper
 fires, it calls ``hold_still``. By granting this request the arm promises not to begin any motion
@@ -54,11 +54,11 @@ from tapping_cell.se2 import Pose
 READ_PERIOD_S = 0.05
 """Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
 FRESH_READING_S = 0.25
-"""Maximum age of the read-back for which a promise is given."""
+"""Maximum age of the read-back at which the arm still promises to stand still."""
 SHORT_REST_S = 0.05
-"""Remaining time of a promise from which on the arm prepares to move."""
+"""Remaining time of a promise at which the arm begins to prepare its next move."""
 DISCHARGED_S = 0.7
-"""Time after the last report of a charged striker by which the board has discharged automatically:
+"""Time after the last report of a charged striker within which the board discharges automatically:
 0.5 s without a request, plus the return of the drive."""
 LONGEST_WAIT_S = 3.0
 """Maximum time that the arm waits, after a tap is over, for the striker to be discharged."""
@@ -159,7 +159,7 @@ HEALTHY = frozenset(
 AT_WORK = HEALTHY - {S.IDLE}
 """States in which the arm moves, or stands at the strike pose and may move again."""
 NOBODY = (0, 0)
-"""Tap id and key of no asker of a promise."""
+"""Tap id and key if no request may end the promise early."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -205,7 +205,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._scene: Scene | None = None
         self._to_park = False
         self._promised_to = NOBODY
+        self._promised_for = 0.0
         self._promise_end = -math.inf
+        self._let_go_of = 0
         self._longest_hold = 0.0
         self._outcome_told = 0
         self._charged_until = self._leaving_since = -math.inf
@@ -267,7 +269,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                 tip=place,
                 motion=self._motion(),
                 expiry=self._expiry,
-                not_before=self._promise_end,
+                not_before=self._free_at(now),
             ),
         )
 
@@ -283,23 +285,24 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """Park the arm, because it hides the object at the pose to which it has withdrawn."""
+        """Park the arm, because it hides the object even after its withdrawal."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return
         may_move = self._active and self.state is S.IDLE and self._enabled(now)
         if may_move and self._clear_of_camera and self._scene is not None:
-            self._park()
+            self._park(now)
 
-    def _park(self) -> None:
+    def _park(self, now: Now) -> None:
         self._machine.move(Event.PARK, S.WITHDRAWING)
         self._clear_of_camera = self._to_park = False
         self._scene = None
-        self._run_withdrawal()
+        self._run_withdrawal(now)
 
-    def _run_withdrawal(self) -> None:
+    def _run_withdrawal(self, now: Now) -> None:
         plan = partial(_plan_withdrawal, self._cell, self._scene, self._motion())
-        self._run("withdraw", partial(arm_jobs.withdraw, plan=plan, not_before=self._promise_end))
+        not_before = self._free_at(now)
+        self._run("withdraw", partial(arm_jobs.withdraw, plan=plan, not_before=not_before))
 
     def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
         """Return why a tap command is refused, or None if it is accepted."""
@@ -314,7 +317,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return tap_commands.refusal(command, now, self._last_tap_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
-        """Report why a command is refused; an idle arm reports it until the next command."""
+        """Report why a command is refused; an idle arm repeats the reason until the next one."""
         if self.state is S.IDLE:
             self._say(code, sentence)
         else:
@@ -343,7 +346,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         scale = SET_UP_SPEED if self._options.set_up else 1.0
         self._run(
             "follow",
-            partial(arm_jobs.follow, targets=targets, scale=scale, not_before=self._promise_end),
+            partial(arm_jobs.follow, targets=targets, scale=scale, not_before=self._free_at(now)),
         )
 
     def _home(self, token: Token, now: Now) -> None:
@@ -355,10 +358,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         elif not self._enabled(now):
             self._answer(token, False, enabling.RELEASED[1])
         else:
-            self._begin_homing()
+            self._begin_homing(now)
             self._answer(token, True, "homing has started; arm_state reports its end")
 
-    def _begin_homing(self) -> None:
+    def _begin_homing(self, now: Now) -> None:
         self._machine.move(Event.HOME, S.HOMING)
         self._trouble = (ErrorCode.NONE, "")
         strategy = HomingStrategy(self._cell.arm.homing)
@@ -368,7 +371,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                 arm_jobs.home,
                 strategy=strategy,
                 motion=self._motion(),
-                not_before=self._promise_end,
+                not_before=self._free_at(now),
             ),
         )
 
@@ -393,19 +396,29 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _hold_still(self, request: HoldStill.Request, now: Now) -> HoldStill.Response:
         end = now.steady + request.duration
         asker = request.tap_id, request.key
-        if request.key and asker == self._promised_to and now.steady <= end < self._promise_end:
-            self._promise_end = end
+        is_shorter = 0 <= request.duration < self._promised_for
+        if request.key and asker == self._promised_to and is_shorter:
+            # Only the tapper knows the key. It ends the promise when its striker is released or
+            # discharged.
+            self._let_go_of, self._charged_until = request.tap_id, -math.inf
+            stands = end <= self._promise_end
+            self._promise_end = min(self._promise_end, end)
             self._leave_when_free(now)
-            return HoldStill.Response(granted=True, duration=request.duration)
+            if stands:
+                return HoldStill.Response(granted=True, duration=request.duration)
+            return HoldStill.Response(
+                error_code=ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
+                error_msg=f"the promise for tap {request.tap_id} was over before",
+            )
         trouble = self._unsteady(request, now)
         if trouble is not None:
             code, sentence = trouble
             return HoldStill.Response(error_code=code, error_msg=sentence)
         if now.steady < self._promise_end and asker != self._promised_to:
-            # The promise to another asker still stands, so no asker may end it early.
+            # The promise for another request is still valid, so no request may end it early.
             asker = NOBODY
-        self._promised_to = asker
-        # The promise counts from the handling of the request, which is later than its call.
+        self._promised_to, self._promised_for = asker, request.duration
+        # The promise begins when the request is handled, which is later than when it was sent.
         self._promise_end = max(self._promise_end, end)
         return HoldStill.Response(granted=True, duration=request.duration)
 
@@ -414,8 +427,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
-                f"the arm stands still for at most {self._longest_hold:g} s, requested were "
-                f"{request.duration:g} s",
+                f"the arm stands still for at most {self._longest_hold:g} s, but "
+                f"{request.duration:g} s were requested",
             )
         if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
             return (
@@ -436,10 +449,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         return None
 
     def _tapper_told(self, message: TapperState, now: Now) -> None:
-        if message.tap_id == self._tap_id:
-            charged = message.state in CHARGED
-            self._charged_until = now.steady + DISCHARGED_S if charged else -math.inf
-            self._leave_when_free(now)
+        ours = message.tap_id == self._last_tap_id and message.tap_id != self._let_go_of
+        if ours and message.state in CHARGED:
+            # Anybody can publish that the striker is not charged, so such a report does not count.
+            self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
         if not over or message.tap_id in (0, self._outcome_told) or message.tap_id != self._tap_id:
             return
@@ -453,6 +466,11 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._abandon()
         self._leave_when_free(now)
 
+    def _free_at(self, now: Now) -> float:
+        """Return the earliest time on the steady clock at which a motion may begin, s: not before
+        the end of a promise, and not with a charged striker."""
+        return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))
+
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
             return
@@ -464,7 +482,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._machine.move(Event.FREE, S.WITHDRAWING)
             if self._to_park:
                 self._scene = None
-            self._run_withdrawal()
+            self._run_withdrawal(now)
 
     # Jobs
 
@@ -491,7 +509,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         elif name == "follow":
             self._machine.move(Event.FOLLOWED, S.IDLE)
         elif name == "withdraw" and self._to_park and self._scene is not None:
-            self._park()
+            self._park(now)
         else:
             event = Event.HOMED if name == "home" else Event.WITHDRAWN
             self._machine.move(event, S.IDLE)
@@ -504,7 +522,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is S.INACTIVE and fault.reason not in LOST:
             return
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
-            # Nothing was sent, so the arm is where it was: no fault that a person must clear.
+            # Nothing was sent, so the arm has not moved: this is no fault that a person must clear.
             self._say(of_arm(fault), fault.sentence)
             self._give_up(now)
             return
@@ -606,7 +624,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._stand(Event.ACTIVATED)
         alone = self._options.home_on_activate and not self._options.set_up
         if alone and self._cell.arm.homes_alone:
-            self._begin_homing()
+            self._begin_homing(now)
 
     def _deactivated(self, now: Now) -> None:
         if self._stops.stopped:
@@ -731,7 +749,7 @@ INACTIVE_TROUBLE = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activat
 
 
 def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
-    """Return the joints and the time from the start in s of every point.
+    """Return the joints of every point and its time from the start in s.
 
     Raises:
         ValueError: the trajectory is invalid; the message says why.
@@ -753,6 +771,6 @@ def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
         at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
         before = targets[-1][1] if targets else 0.0
         if at < 0 or (targets and at <= before):
-            raise ValueError(f"point {number} is due at {at:g} s, the one before at {before:g} s")
+            raise ValueError(f"point {number} is due at {at:g} s, its predecessor at {before:g} s")
         targets.append((Joints(*(point.positions[index] for index in order)), at))
     return targets

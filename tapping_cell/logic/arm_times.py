@@ -24,7 +24,7 @@ REST_S = 0.30
 SIDEWAYS_S = 0.25
 """Mean time from above a strike pose to a pose in which the camera sees the object."""
 HEADINGS = np.arange(12) * (2.0 * math.pi / 12)
-"""Headings of the strikes around the table's centre over which mean times are taken, rad."""
+"""Headings of the strikes around the table's centre over which times are averaged, rad."""
 
 
 class ArmTimes:

@@ -133,8 +133,8 @@ class ArrangementTask(Task):
     def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:
         """Return whether every object was seen at rest after the steady time ``after``.
 
-        The monitor then watches the present object, otherwise the first object not yet seen. An
-        object that is not on the table and not to be moved is left out from the beginning.
+        If so, the monitor then watches the present object, otherwise the first object not yet seen.
+        An object that is not on the table and must not be moved is left out from the beginning.
         """
         found = {}
         for body in self._bodies():
@@ -233,7 +233,7 @@ class ArrangementTask(Task):
         }
 
     def end(self, code: int, sentence: str) -> None:
-        """Store the reason of the end; objects not at their goals have failed."""
+        """Store why the task ended, and mark the objects that are not at their goals as failed."""
         self._ended = (code, sentence)
         if code:
             for name in self._told():
@@ -312,7 +312,7 @@ class ArrangementTask(Task):
         self._machine(name).move(change, FOLLOWS[change])
 
     def _told(self) -> list[str]:
-        """Return the objects with a goal in the order of the request, then those that made way."""
+        """Return the objects with a goal as in the request, then the objects that made way."""
         return [*self.wanted, *(name for name in self._progress if name not in self.wanted)]
 
     def _progress_of(self, name: str) -> ObjectProgress:
@@ -341,25 +341,24 @@ class ArrangementTask(Task):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class AmongOthersTask(ArrangementTask):
-    """A goal of one object that is not the cell's own: an arrangement of one, which the others
-    stay out of."""
+    """Goal of an object other than the cell's own: an arrangement that moves only this object."""
 
     resumable: ClassVar[bool] = True
 
     def description(self) -> str:
-        """The goal for people."""
+        """Return a readable description of the goal."""
         return f"'{self.object_id}': {Task.description(self)}"
 
     def feedback(
         self, state: PlanState
     ) -> PositionObject.Feedback | SingleTap.Feedback | ArrangeObjects.Feedback:
-        """The action's feedback."""
+        """Return the action's feedback."""
         return Task.feedback(self, state)
 
     def result(
         self, code: int, sentence: str, last: PlanState, seen: ObjectState | None
     ) -> PositionObject.Result | SingleTap.Result | ArrangeObjects.Result:
-        """The action's result."""
+        """Return the action's result."""
         return Task.result(self, code, sentence, last, seen)
 
 

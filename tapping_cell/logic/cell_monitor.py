@@ -16,17 +16,17 @@ Trouble = tuple[int, str]
 
 QUICKEST_IMAGE_S = 0.05
 """Upper bound of the minimum delay from an image to its observation, beyond the delay of the arm's
-messages, s. This delay cannot be distinguished from a difference of the clocks, so an image appears
-later than it was taken."""
+messages, s. This delay cannot be distinguished from a difference of the clocks, so the estimated
+capture time of an image can be too late by up to this bound."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
 
 
 class CellMonitor:
-    """Stores the last messages of camera, arm and tapper, with their times of arrival.
+    """Stores the last messages of camera, arm and tapper boards, each with its time of arrival.
 
     Times of observations are compared with other events on this computer's steady clock. The
-    estimated difference of the camera's clock is corrected.
+    camera's stamps are corrected for the estimated offset of its clock from this one.
     """
 
     def __init__(self, silence_limit: float) -> None:
@@ -158,7 +158,7 @@ class CellMonitor:
         if abs(skew) > SKEW_LIMIT_S:
             return (
                 ErrorCode.CLOCKS_DIFFER,
-                f"the clock of the camera's computer differs by {skew:+.2f} s from this one's"
+                f"the local clock differs by {skew:+.2f} s from that of the camera's computer"
                 f" (limit {SKEW_LIMIT_S:.2f} s); synchronise the computers' clocks",
             )
         return None
@@ -217,7 +217,7 @@ class CellMonitor:
         return arm.error_code, arm.error_msg
 
     def left_behind(self) -> int:
-        """Return the id of a tap that the arm still executes for a former planner; 0 if none."""
+        """Return the id of a tap that the arm still executes for a previous planner; 0 if none."""
         arm = self.arm
         serving = arm is not None and arm.state in (ArmState.IN_POSITION, ArmState.MOVING)
         return int(arm.tap_id) if arm is not None and serving else 0
@@ -265,9 +265,9 @@ class CellMonitor:
         if not seen.visible:
             covers = self.arm is not None and not self.arm.clear_of_camera
             way = (
-                "the arm was not withdrawn and may cover it: home the arm, or uncover its marker"
+                "the arm was not withdrawn and may cover it: home the arm, or uncover the marker"
                 if covers
-                else "uncover its marker"
+                else "uncover the marker"
             )
             return ErrorCode.OBJECT_NOT_SEEN, f"{name} is not seen; {way}"
         age = now.steady - self.observed_at(now)
@@ -281,7 +281,7 @@ class CellMonitor:
             return (
                 ErrorCode.TOO_FEW_FRAMES,
                 f"only {seen.frames_fused} images of {name} at rest were fused within"
-                f" {waited:.0f} s, {frames} are needed (parameter frames_needed); check the"
+                f" {waited:.0f} s, but {frames} are needed (parameter frames_needed); check the"
                 " camera's rate",
             )
         return (

@@ -45,7 +45,12 @@ FIRST_PATIENCE_S = 1.0
 LONGEST_PATIENCE_S = 6.0
 """Maximum of this timeout. It is doubled after each attempt without a reply, because opening a port
 restarts many boards, and some of them take seconds."""
-MUTE = (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT, FaultReason.NEEDS_PERSON)
+MUTE = (
+    FaultReason.UNKNOWN_FIRMWARE,
+    FaultReason.TIMEOUT,
+    FaultReason.PROTOCOL,
+    FaultReason.NEEDS_PERSON,
+)
 LOST = (FaultReason.DISCONNECTED, FaultReason.PORT_MISSING, FaultReason.PORT_BUSY)
 CONTINUE = (ErrorCode.NONE, "")
 
@@ -217,7 +222,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         if topic == stops.TOPIC:
             new = not self._stops.stopped and message.data
             if new:
-                # Nothing goes before the stop on the wire.
+                # The stop is sent before anything else.
                 self._effects.append(StopWire())
             if self._stops.receive(bool(message.data)):
                 self._keep_stops(now)
@@ -307,7 +312,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         )
 
     def _run(self, name: str, run: Callable[[JobContext], object]) -> None:
-        """Start a job; the one under way is abandoned."""
+        """Start a job, and abandon the job under way."""
         self._abandon()
         self._jobs += 1
         self._job, self._job_name = self._jobs, name

@@ -89,13 +89,24 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """Call a service. ``on_answer(token, response)`` follows once, with None after ``timeout``."""
+    """Call a service. ``on_answer(token, response)`` follows once, with None after ``timeout``.
+
+    If several nodes offer the service, nothing is called and the answer is SeveralServers: each of
+    them would handle the request, and the first answer may be that of a wrong one.
+    """
 
     service: str
     request: Message
     token: Token
     timeout: float
     """Timeout of the call, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeveralServers:
+    """Answer to a :class:`Call` of a service that several nodes offer."""
+
+    number: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,8 +81,8 @@ class FixedGoalHandling(GoalHandling):
         """Refuse: prescribed taps are not yet supported for fixed tappers."""
         return Refused(
             ErrorCode.COMMAND_INVALID,
-            "single taps can be prescribed only for a tapper on an arm; send goals, whose "
-            "taps are recorded, and calibrate the mounts from their records",
+            "single taps can be prescribed only for a tapper on an arm; send goals instead, "
+            "and calibrate the mounts from the records of their taps",
         )
 
 

@@ -204,7 +204,7 @@ class GoalHandling:
     def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
         """Make a task use the free space among the other objects.
 
-        Return an error if the camera has not observed one of them since the steady time ``since``.
+        Return an error if any of them was not observed since the steady time ``since``.
         """
         if isinstance(task, ArrangementTask):
             return None  # an arrangement observes every object itself
@@ -234,7 +234,7 @@ class GoalHandling:
         """Use another planning method from the next goal on.
 
         Raises:
-            tapping_cell.planning.PlanningError: the method is unknown; the old one is kept.
+            tapping_cell.planning.PlanningError: the method is unknown; the previous method is kept.
         """
         before, self._planner = self._planner, planner or self.cell.file.goal.planner
         try:
@@ -281,14 +281,13 @@ class GoalHandling:
         if request.max_taps > limit:
             return Refused(
                 ErrorCode.GOAL_BAD_TAP_LIMIT,
-                f"max_taps is {request.max_taps}, the cell allows {limit}; ask for at most that "
-                "many",
+                f"max_taps is {request.max_taps}, but the cell allows at most {limit}; reduce it",
             )
         if not math.isfinite(request.time_limit) or request.time_limit < 0:
             return Refused(
                 ErrorCode.COMMAND_INVALID,
                 f"the time limit is {request.time_limit:g} s; it must be above 0, or 0 for the"
-                " cell's own",
+                " cell's default",
             )
         self._locate_others(now)
         unreachable = self._goal_refusal(goal)
@@ -315,19 +314,19 @@ class GoalHandling:
         )
 
     def _accept_among_others(self, request: Request, now: Now) -> Task | Refused:
-        """A task for a goal of another object than the cell's own."""
+        """Return a task for a goal of an object other than the cell's own, or why it is refused."""
         if request.object_id not in self._cells:
             known = ", ".join(f"'{name}'" for name in self._cells)
             return Refused(
                 ErrorCode.GOAL_UNKNOWN_OBJECT,
-                f"the cell has no object '{request.object_id}'; name one of {known}, or none for"
-                " the first",
+                f"the cell has no object '{request.object_id}'; name one of {known}, or leave"
+                " object_id empty for the first",
             )
         if request.probe:
             return Refused(
                 ErrorCode.COMMAND_INVALID,
-                f"'{request.object_id}' cannot be probed, only '{self.cell.object.name}'; send the "
-                "goal without a probe",
+                f"only '{self.cell.object.name}' can be probed, not '{request.object_id}'; send"
+                " the goal without a probe",
             )
         asked = ArrangeObjects.Goal(
             goals=[
@@ -366,7 +365,7 @@ class GoalHandling:
         session = PrescribedSession(
             tap, self.map.experiments, self.map.free, self._gains, adapt=self._adapt
         )
-        # The goal is the pose of the object until the tap is decided.
+        # Until the tap is decided, the object's present pose is entered as the goal.
         goal = pose or Pose(0.0, 0.0, 0.0)
         message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
@@ -406,14 +405,14 @@ class GoalHandling:
         if asked.max_taps > limit:
             return Refused(
                 ErrorCode.GOAL_BAD_TAP_LIMIT,
-                f"max_taps is {asked.max_taps}, the cell allows {limit} for {len(wanted)} objects;"
-                " ask for at most that many",
+                f"max_taps is {asked.max_taps}, but the cell allows at most {limit} for"
+                f" {len(wanted)} objects; reduce it",
             )
         if not math.isfinite(asked.time_limit) or asked.time_limit < 0:
             return Refused(
                 ErrorCode.COMMAND_INVALID,
                 f"the time limit is {asked.time_limit:g} s; it must be above 0, or 0 for the"
-                " cell's own",
+                " cell's default",
             )
         bodies = [
             Body(
@@ -470,7 +469,7 @@ class GoalHandling:
             if one.object_id in wanted:
                 return Refused(
                     ErrorCode.GOAL_UNKNOWN_OBJECT,
-                    f"'{one.object_id}' has two goals; give each object one",
+                    f"'{one.object_id}' has two goals; give each object one goal",
                 )
             goal = read_goal(one.goal_pose, 1e-9 * now.ros, self._frames)
             tolerance = _tolerance_of(
@@ -492,7 +491,7 @@ class GoalHandling:
         return self._free[name] if name in self._free else self._maps.among(()).free
 
     def _planner_for(self, cell: Cell, tolerance: tuple[float, float]) -> Planner:
-        """Return the planning method for a cell's object and a tolerance, which is cached."""
+        """Return the planning method, from a cache, for a cell's object and a tolerance."""
         settings = assembly.make_planner_settings(cell, tolerance)
         key = f"{self._planner};{settings.key()}"
         if key not in self._planners:

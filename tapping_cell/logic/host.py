@@ -1,7 +1,7 @@
 """The interface between a state machine and its host.
 
 The host calls one handler at a time, under one lock per machine, and reads the time once the lock
-is held. It executes the effects that the handler returns before it calls the next one. Jobs run
+is held. It executes all effects that a handler returns, then calls the next handler. Jobs run
 outside the lock. If a handler raises, the program has a defect, and the host calls ``on_defect``.
 """
 
@@ -34,7 +34,7 @@ class Configured:
 
 @dataclass(frozen=True, slots=True)
 class Unreachable:
-    """The device did not reply during the node's configuration, which is tried again later."""
+    """The device did not reply while the node was being configured; it will be tried again."""
 
     fault: HardwareFault
 
@@ -51,7 +51,7 @@ class Deactivated:
 
 @dataclass(frozen=True, slots=True)
 class ShutDown:
-    """The node shuts down: port closed, worker ended. The job under way sends no more events."""
+    """The node shuts down and closes its port. The job under way sends no more events."""
 
 
 LifecycleEvent = Configured | Unreachable | Activated | Deactivated | ShutDown
@@ -67,7 +67,7 @@ class Logic(Protocol):
         """Handle a lifecycle event of the node."""
 
     def on_message(self, topic: str, message: Message, now: Now) -> Sequence[Effect]:
-        """Handle a message of a relative topic name. The caller must not change or keep it."""
+        """Handle a message on a relative topic. The caller must not change or keep the message."""
 
     def on_request(
         self, service: str, request: Message, token: Token, now: Now

@@ -5,14 +5,14 @@ from __future__ import annotations
 from tapping_cell.configuration.cell import Cell
 
 BEFORE_FLIGHT_S = 0.17
-"""Part of the arm's promise for the requests to arm and board, the firing window and the pulse."""
+"""Part of the promised time for the requests to arm and board, the firing window and the pulse."""
 RELEASE_S = 0.1
 """Part of that time that must remain when the arm's answer arrives: request to the board, firing
 window and pulse."""
 RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
-"""Factor by which the flight may be longer than by the curve, due to friction and its errors."""
+"""Factor by which friction and errors of the curve may make the flight longer than predicted."""
 
 
 def flight(stroke: float, speed: float) -> float:

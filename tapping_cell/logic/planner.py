@@ -72,12 +72,12 @@ from tapping_cell.se2 import Pose
 TICK_S = 0.1
 WITHDRAWN_BY_ANOTHER = (
     ErrorCode.NOT_READY,
-    "the tap was ended before it was fired by another program; check who else publishes "
+    "another program ended the tap before it was fired; check which other nodes publish "
     "tap_command or tapper_state",
 )
 """Error of a tap that was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
-"""If the object is not seen for this time after the withdrawal, the arm may hide it and parks."""
+"""If the object is not seen for this time after the withdrawal, the arm may hide it, and parks."""
 PARKING_S = 0.5
 """Time within which an arm that was commanded to park reports that it moves."""
 REPORT_PERIOD_S = 0.5
@@ -336,7 +336,7 @@ class PlannerLogic:
         task, seen = self._task, self._monitor.object
         awaited = isinstance(event, JobEnded) and event.job == self._computation
         if task is None or seen is None or self.state is not S.PLANNING or not awaited:
-            return ()  # the job belongs to a goal that has ended meanwhile
+            return ()  # the job belongs to a goal that has already ended
         assert isinstance(event, JobEnded)
         if event.fault is not None:
             raise event.fault
@@ -512,8 +512,8 @@ class PlannerLogic:
         if now.steady > task.expires:
             self._fail(
                 ErrorCode.DEADLINE_EXCEEDED,
-                f"the goal was not reached within its time limit, {len(task.records)} taps were"
-                f" made; last state: {self.state.value}. Send it again with a longer time limit",
+                f"the goal was not reached within its time limit ({len(task.records)} taps, last"
+                f" state {self.state.value}); send it again with a longer time limit",
                 now,
             )
             return
@@ -548,7 +548,7 @@ class PlannerLogic:
         seen = self._monitor.object
         if seen is None or not observed:
             if self._monitor.silent("object", now):
-                # The camera's node may be restarting, so it gets the ready deadline.
+                # The camera's node may be restarting, so the deadline for a ready cell applies.
                 self._wait_again(now)
             elif self._hidden_by_arm(now):
                 self._park(now)
@@ -591,7 +591,7 @@ class PlannerLogic:
             self._fail(*fault, now)
 
     def _keep_observing(self, now: Now) -> None:
-        """Continue the observation: more images are fused."""
+        """Continue the observation, so that more images are fused."""
         if self.state is S.PLANNING:
             self._enter(Event.OBSERVATION_REQUESTED, S.LOOKING, now, self._deadline - now.steady)
 
@@ -641,8 +641,8 @@ class PlannerLogic:
             return (
                 ErrorCode.TAP_WITHOUT_EFFECT,
                 f"{task.without_effect} taps in a row moved the object by less than"
-                f" {100 * LEAST_EFFECT:.0f} % of what was wanted; check that the striker reaches it"
-                " at the right height, and calibrate arm and tapper",
+                f" {100 * LEAST_EFFECT:.0f} % of the wanted distance; check that the striker hits"
+                " it at the right height, and calibrate arm and tapper",
             )
         if len(task.records) >= task.max_taps:
             return (
@@ -769,7 +769,7 @@ class PlannerLogic:
             )
 
     def _try_another_way(self, task: Task, shot: Shot, code: int, sentence: str, now: Now) -> None:
-        """Plan a tap from another direction, because this one is out of the arm's reach."""
+        """Plan a tap from another direction, because the present tap is out of the arm's reach."""
         task.session.skip(shot.strike)
         task.not_fired += 1
         if task.not_fired >= self._settings.attempts:

@@ -16,7 +16,7 @@ TOPIC = "emergency_stop"
 SERVICE = "service stop"
 RESTART = "a stop before the restart"
 CONFIRM_WITHIN_S = 30.0
-"""Time after such a refusal within which a second request counts as the confirmation."""
+"""Time within which a second request counts as the confirmation after such a refusal."""
 
 
 class StopLatch:
@@ -71,7 +71,7 @@ class StopLatch:
         return changed and self.stopped
 
     def press(self, source: str = SERVICE) -> bool:
-        """Latch a stop without a level, such as that of the service; return whether it is new."""
+        """Latch a stop that has no level, such as a service call; return whether it is new."""
         self._received += 1
         return self._add(source)
 
@@ -80,7 +80,7 @@ class StopLatch:
         self._asked = self._received
 
     def try_reset(self, levels: StopLevels | None, now: Now) -> str:
-        """Reset if the publishers' levels allow it; return why not, or "" after the reset."""
+        """Reset if the publishers' levels allow it; return why not, or "" if it was reset."""
         if levels is None:
             return (
                 "the publishers of emergency_stop could not be determined; call clear_fault again"

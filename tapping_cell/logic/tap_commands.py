@@ -10,8 +10,8 @@ from tapping_cell.logic.poses import is_finite, quaternion_norm
 from tapping_cell.messages import ErrorCode, TapCommand
 
 LONGEST_EXPIRY_S = 900.0
-"""Maximum time until a command expires, above the largest possible sum of the planner's place and
-fire deadlines. A longer expiry would block the cell."""
+"""Maximum time until a command expires. It is above the largest possible sum of the planner's place
+and fire deadlines. A longer expiry would block the cell."""
 CLOCK_TOLERANCE_S = 1.0
 """Maximum time by which a stamp may lie in the future, as the computers' clocks differ slightly."""
 LARGEST_JUMP = 2**28
@@ -43,25 +43,25 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
     if not (is_finite(command.strike_pose) and math.isfinite(command.striker_speed)):
         return ErrorCode.COMMAND_INVALID, "it contains a number that is not finite"
     if abs(quaternion_norm(command.strike_pose) - 1) > 0.01:
-        return ErrorCode.COMMAND_INVALID, "the quaternion of its strike pose has no unit length"
+        return ErrorCode.COMMAND_INVALID, "the quaternion of its strike pose is not normalised"
     largest = largest_id(last_tap_id, now)
     if not 0 < command.tap_id <= largest:
         return (
             ErrorCode.COMMAND_INVALID,
-            f"its tap id {command.tap_id} is outside 1 to {largest}; take whole seconds of the"
-            " clock, and more than the last id",
+            f"its tap id {command.tap_id} is outside 1 to {largest}; use the clock's whole"
+            " seconds, and an id above the last id",
         )
     if command.tap_id <= last_tap_id:
         return (
             ErrorCode.COMMAND_REPEATED,
-            f"tap ids must increase, and {last_tap_id} was executed already; a tap is never "
+            f"tap ids must increase, and {last_tap_id} was already executed; a tap is never "
             "executed twice",
         )
     ahead = (to_nanoseconds(command.header.stamp) - now.ros) / NANOSECONDS
     if ahead > CLOCK_TOLERANCE_S:
         return (
             ErrorCode.STAMP_INVALID,
-            f"its stamp lies {ahead:.1f} s in the future; set the computers' clocks",
+            f"its stamp lies {ahead:.1f} s in the future; synchronise the computers' clocks",
         )
     left = (to_nanoseconds(command.expiry) - now.ros) / NANOSECONDS
     if left > LONGEST_EXPIRY_S:
@@ -83,7 +83,7 @@ def named_tapper(name: str, tappers: Sequence[str]) -> str | None:
 def unknown_tapper(name: str, tappers: Sequence[str]) -> Trouble:
     """Return the refusal of a command that names none of these tappers."""
     known = ", ".join(f"'{tapper}'" for tapper in tappers)
-    asked = f"there is no tapper '{name}'" if name else "it names no tapper and there are several"
+    asked = f"there is no tapper '{name}'" if name else "it names no tapper, but there are several"
     return ErrorCode.TAPPER_UNKNOWN, f"{asked}; name one of {known}"
 
 

@@ -22,7 +22,15 @@ from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import enabling, permit, tap_commands, tapper_jobs
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
-from tapping_cell.logic.effects import Call, JobEnded, LogLevel, Message, Publish, Token
+from tapping_cell.logic.effects import (
+    Call,
+    JobEnded,
+    LogLevel,
+    Message,
+    Publish,
+    SeveralServers,
+    Token,
+)
 from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_tapper
 from tapping_cell.logic.host import Configured
@@ -41,7 +49,7 @@ HOLD_ATTEMPTS = 5
 PROVE_PERIOD_S = 0.5
 """Time between two attempts to prove that the strikers are at their mounts."""
 LONGEST_CHARGED_S = 3.0
-"""Maximum time from the end of charging until the arm is in position; then the striker is
+"""Maximum time from the end of charging until the arm is in position. If it passes, the striker is
 discharged."""
 
 
@@ -121,7 +129,7 @@ WIRE = {
 }
 """Value of ``tapper_state`` for each state."""
 SERVING = frozenset({S.WAITING, S.CHARGING, S.CHARGED, S.FIRING, S.DISCHARGING})
-LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.BOARD_RESET)
+LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.PROTOCOL, FaultReason.BOARD_RESET)
 """Faults that a new session with the board ends."""
 OF_THE_TAP = (
     FaultReason.INTERLOCK,
@@ -130,7 +138,6 @@ OF_THE_TAP = (
     FaultReason.OUT_OF_RANGE,
     FaultReason.NOT_ENABLED,
     FaultReason.OTHER_ACTIVE,
-    FaultReason.PROTOCOL,
 )
 """Faults that end only the present tap. The next tap is accepted once the board has discharged."""
 STOPPED_BOARD = (FaultReason.STOPPED, FaultReason.NEEDS_PERSON)
@@ -155,8 +162,8 @@ def random_key() -> int:
 class TapperOptions:
     """Parameters of the node that the machine needs.
 
-    ``draw_key`` returns a random number above 0. With this key only this tapper can end the arm's
-    promise to stand still early.
+    ``draw_key`` returns a random number above 0. Only the tapper that has this key can end the
+    arm's promise to stand still early.
     """
 
     state_rate: float = 20.0
@@ -244,7 +251,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self._set_up and not self._enabling.held(now):
             return enabling.RELEASED
         if now.ros > tap.expiry:
-            return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed while it was charged"
+            return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed during charging"
         return self._peers.check_charging(tap.tap_id, tap.planned, tap.strike, now)
 
     def check_firing(self, release_by: float, now: Now) -> Trouble | None:
@@ -473,6 +480,15 @@ class TapperLogic(DeviceLogic[State, Event]):
             return
         if token != ("hold", tap.tap_id, self._attempts):
             return
+        if isinstance(response, SeveralServers):
+            self._discharge(
+                (
+                    ErrorCode.CONFIGURATION_CONFLICT,
+                    f"{response.number} arms offer hold_still, but a cell has one; end the other"
+                    " scara_arm, or give each cell a namespace or a ROS domain of its own",
+                )
+            )
+            return
         # The promise is counted from the call. The arm handled the call later, so the end of the
         # promise by the arm's own clock is later, too.
         until = self._asked_at + permit.hold(tap.flight)
@@ -489,7 +505,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._discharge(
                 (
                     ErrorCode.ARM_SILENT,
-                    f"the arm did not answer hold_still in time, {HOLD_ATTEMPTS} times; check"
+                    f"the arm did not answer hold_still in time in {HOLD_ATTEMPTS} attempts; check"
                     " scara_arm and the network",
                 )
             )
@@ -618,7 +634,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._say(of_tapper(fault), fault.sentence)
 
     def _overtaken(self, event: JobEnded, now: Now) -> None:
-        # A stop came while the shot was under way; its outcome is still valid.
+        # A stop came while the shot was under way; the shot's outcome is still valid.
         if self._told.outcome == TapperState.NONE and self._told.tap_id:
             if isinstance(event.result, FireEnd) and event.result.shot == self._told.tap_id:
                 self._told.outcome = OUTCOMES[event.result.outcome]
@@ -641,9 +657,9 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._fail_to(S.FAULT)
             self._say(
                 ErrorCode.TAPPER_STRIKER_AWAY,
-                f"the striker of {', '.join(self._mounts.away) or struck} did not leave its mount"
-                " or is not back at it, as its switch says; free it, check its return spring and"
-                " its switch, then clear the fault",
+                "according to the switch at its mount, the striker of"
+                f" {', '.join(self._mounts.away) or struck} did not leave or did not return; free"
+                " the striker, check its return spring and the switch, then clear the fault",
             )
 
     def _see_mounts(self) -> None:
@@ -786,7 +802,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
 
     def _prove_when_due(self, now: Now) -> None:
-        """Have the board prove its mounts if it can and has not done so."""
+        """Have the board prove its mounts, if it can and has not yet done so."""
         mounts = self._mounts
         wanted = self._fixed and mounts.fitted and not mounts.proven and not mounts.away
         wanted = wanted and self._told.interlock_closed and self.state is S.SAFE

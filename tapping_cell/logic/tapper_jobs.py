@@ -131,16 +131,32 @@ def fire(
         return refusal is None and not context.abandoned()
 
     result: FireResult = driver.fire(shot, WINDOW_S, still_allowed)
+    outcome, sentence = result.outcome, result.sentence
     status, fault = None, None
     try:
         # The measured speed belongs to the same report as the outcome.
         reply = driver.status()
+        outcome, sentence = _confirmed(result, reply)
         if reply.state is State.CHARGED:
             reply = driver.discharge()
         status = _told(driver, reply)
     except HardwareFault as met:
         fault = met
-    return FireEnd(shot, result.outcome, result.sentence, refusal, result.fault, status, fault)
+    return FireEnd(shot, outcome, sentence, refusal, result.fault, status, fault)
+
+
+def _confirmed(result: FireResult, reply: Reply) -> tuple[FireOutcome, str]:
+    """Return the outcome and its reason after a further reply of the board, which contains the last
+    shot fired. If two replies contradict each other, one of them is not the board's."""
+    fired = reply.last_fired == result.shot
+    if result.outcome is FireOutcome.UNKNOWN or fired == (result.outcome is FireOutcome.FIRED):
+        return result.outcome, result.sentence
+    return (
+        FireOutcome.UNKNOWN,
+        f"the board's replies contradict each other: shot {result.shot} was answered with"
+        f" {result.outcome.value}, then {reply.last_fired} was the last shot fired; check where the"
+        " object is and what else is connected to the line",
+    )
 
 
 def wait_for_return(context: JobContext) -> Status:

@@ -162,7 +162,7 @@ class TapperPeers:
         return None
 
     def check_firing(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
-        """Return why the tap must not be fired, by the messages of the peers; None if it may.
+        """Return why the peers' messages forbid firing the tap, or None if it may be fired.
 
         ``planned``: pose of the object for which the tap was planned; ``strike``: commanded pose of
         the tip. Both are in ``table``.
@@ -227,9 +227,9 @@ class TapperPeers:
             if abs(skew) > SKEW_LIMIT_S:
                 return (
                     ErrorCode.CLOCKS_DIFFER,
-                    f"the clock of this computer is {skew:+.2f} s off that of the {name} (limit"
-                    f" {SKEW_LIMIT_S:.2f} s), or its messages are that late; synchronise the"
-                    " clocks",
+                    f"the local clock differs by {skew:+.2f} s from that of the {name} (limit"
+                    f" {SKEW_LIMIT_S:.2f} s), or the {name}'s messages are delayed that much;"
+                    " synchronise the clocks",
                 )
         return None
 
@@ -265,7 +265,7 @@ class TapperPeers:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,
                 f"the object has not been seen for {unseen:.2f} s (limit {limits.unseen:.2f} s);"
-                " uncover it, or raise unseen_limit where the arm itself covers it",
+                " uncover it, or raise unseen_limit if the arm itself covers it",
             )
         if self._mounts is not None and not seen.at_rest:
             return (
@@ -278,8 +278,8 @@ class TapperPeers:
             return None
         return (
             ErrorCode.OBJECT_MOVED,
-            f"the object lies {1000 * moved:.1f} mm and {math.degrees(turned):.1f} deg from where"
-            f" the tap was planned (limits {1000 * limits.moved:.1f} mm and"
+            f"the object is {1000 * moved:.1f} mm and {math.degrees(turned):.1f} deg away from the"
+            f" pose for which the tap was planned (limits {1000 * limits.moved:.1f} mm and"
             f" {math.degrees(limits.turned):.1f} deg); it was moved",
         )
 

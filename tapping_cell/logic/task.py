@@ -196,8 +196,8 @@ class Task:
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """Decide on the next action from an observation of the object at rest.
 
-        ``frames``: length of a normal observation in frames; a long one takes
-        ``LONG_OBSERVATION`` times as many. It is 0 if no time is left for a long observation.
+        ``frames``: length of a normal observation in frames, or 0 if no time is left for a long
+        observation, which takes ``LONG_OBSERVATION`` times as many.
         """
         assert isinstance(self.session, GoalSession)
         self.session.arm = self.arm

@@ -203,9 +203,9 @@ class Polygon(Body):
     def equivalent_disk(self) -> Disk:
         """Return the disk of the same mass, height and radius of gyration.
 
-        Its slide approximates that of a square to 1 % of the distance, 4 % of the rotation and a
-        drift of 1.5 % of the distance, for launches with R omega up to v (tested). It does not
-        approximate elongated shapes.
+        Its slide differs from that of a square by up to 1 % of the distance, 4 % of the rotation
+        and, sideways, 1.5 % of the distance, for launches with R omega up to v (tested). It does
+        not approximate elongated shapes.
         """
         return Disk(self.support_radius, self.mass, self.height)
 
@@ -260,8 +260,8 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     if turn.min() < -straight or turn.max() > math.pi - straight:
         i = int(turn.argmin() if turn.min() < -straight else turn.argmax())
         raise InvalidBodyError(
-            f"polygon turns by {math.degrees(turn[i]):.6g} degrees at one vertex; a convex one "
-            "turns by 0 to 180 degrees, always the same way."
+            f"polygon turns by {math.degrees(turn[i]):.6g} degrees at one vertex; a convex "
+            "polygon turns by 0 to 180 degrees, always in the same sense."
         )
     winding = turn.sum() / (2 * math.pi)
     if abs(winding - 1) > 1e-6:

@@ -42,7 +42,7 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
 
 
 def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) -> Contact:
-    """Intersect with the boundary of the ball's centre: edges offset by its radius, and arcs."""
+    """Intersect with the offset outline: edges shifted by the ball's radius, and corner arcs."""
     points, normals, lengths = body.points, body.edge_normals, body.edge_lengths
     from_vertex = start[..., None, :] - points
     closing = direction @ normals.T

@@ -189,7 +189,7 @@ class Impact:
             raise InvalidParameterError(f"striker speed is {v.min():g} m/s; it must be 0 or more.")
         if angle.size and np.abs(angle).max() > math.pi / 2:
             raise InvalidParameterError(
-                f"incidence is {np.abs(angle).max():g} rad; the striker must approach (pi/2)."
+                f"incidence is {np.abs(angle).max():g} rad; it must be at most pi/2."
             )
         p_n, p_t, sliding = self._routh(angle, c)
         p_n, p_t, sliding = p_n * v, p_t * v, sliding * (v > 0)
@@ -224,7 +224,7 @@ class Impact:
         return root.reshape(bracket.shape)
 
     def has_incidence(self, impulse_slope: ArrayLike, contact: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether :meth:`incidence_for` finds an incidence; much faster."""
+        """Return whether :meth:`incidence_for` finds an incidence; this is much faster."""
         bracket = self._bracket(impulse_slope, contact)
         return bracket.found.reshape(bracket.shape)
 

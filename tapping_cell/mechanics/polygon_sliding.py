@@ -1,7 +1,7 @@
 """Sliding of a convex polygon on uniform pressure, by integration in time.
 
 A polygon's friction depends on the direction of travel in the body, and the body rotates as it
-slides, so a table like that of a round body is not possible. The friction itself has a closed form.
+slides, so a table in one variable, as for a round body, is not enough. Friction has a closed form.
 With the centre of rotation c, every point moves at right angles to r - c, and over a face of area A
 
     mean of (r - c) / |r - c|  = (1 / A) sum over edges of n J,   J = int |r - c| ds,
@@ -78,7 +78,7 @@ class PolygonSlide:
     def launch(
         self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike = 0.0
     ) -> Launch:
-        """Compute the launches along ``direction`` that end there."""
+        """Compute the launches along ``direction`` that end after these displacements."""
         x, theta, a = _broadcast(
             ("distance", distance), ("rotation", rotation), ("direction", direction)
         )
@@ -203,7 +203,7 @@ class PolygonSlide:
         q = spin / speed
         ex, ey = vx / speed, vy / speed
         x, y = self._points
-        # A point moves by 1 + q a along the travel and by q b to the left.
+        # Per unit of travel of the centre, a point moves 1 + q a along it and q b to its left.
         b = x * ex + y * ey
         a = x * ey - y * ex
         ahead, left = 1 + q * a, q * b

@@ -61,7 +61,7 @@ _FEW_TABLES = 8
 
 
 class PolygonTable:
-    """Displacements of launches of one polygon shape at one torque factor, rho = mu g = 1."""
+    """Displacements of launches of one polygon shape at one torque factor, with rho = mu g = 1."""
 
     def __init__(self, points: Array, torque_factor: float) -> None:
         """Create the table from the vertices ``points`` (n, 2) in units of the radius of

@@ -51,7 +51,7 @@ class RoundSlide:
     def launch(
         self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike = 0.0
     ) -> Launch:
-        """Compute the launches that end there; the direction does not matter."""
+        """Compute the launches with these displacements; the direction does not matter."""
         del direction
         g = self._deceleration
         if isinstance(distance, (float, int)) and isinstance(rotation, (float, int)):

@@ -52,7 +52,7 @@ def paper_tap(mirrored: bool = False) -> Tap:
     """Tap with the aluminium disk, table and striker of sections 3.1, 4 and 5.1 of the paper.
 
     Radius 48 mm, height 12 mm, 245.5 g, friction 0.17, torque factor 3.64, restitution 0.86. The
-    contact friction of 0.20 is derived from the paper's statement that 10 mm and 10 degrees is
+    contact friction of 0.20 is derived from the paper's statement that 10 degrees over 10 mm is
     three times what one tap can rotate. The ball's radius and two impact constants are fitted to
     the Jacobian. These constants hold for one direction of rotation, here the positive one;
     ``mirrored`` selects the other.

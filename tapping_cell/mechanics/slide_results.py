@@ -56,7 +56,7 @@ class SlideModel(Protocol):
         """Compute the end of a launch."""
 
     def launch(self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike) -> Launch:
-        """Compute the launch that ends there."""
+        """Compute the launch that ends after this displacement."""
 
     def displace(self, twist: Array) -> Array:
         """Compute the displacements of launches."""

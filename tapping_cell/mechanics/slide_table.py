@@ -86,7 +86,8 @@ class SlideTable:
         )
 
     def launch(self, travel: float, rim_travel: float) -> tuple[float, float]:
-        """Speed and rim speed of the launch that ends after these travels, with their signs."""
+        """Launch speed and rim speed of the slide that covers this travel and rim travel; each has
+        the sign of its travel."""
         x, r = abs(travel), abs(rim_travel)
         if x == 0.0 and r == 0.0:
             return 0.0, 0.0

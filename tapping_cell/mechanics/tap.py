@@ -58,8 +58,8 @@ class TapPlan(NamedTuple):
 def tips_at_rest(
     strike_pose: ArrayLike, standoff: float, round_position: float = 0.0, round_angle: float = 0.0
 ) -> Array:
-    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses, with the rounding in m
-    and rad of an arm that moves in steps; 0 does not round."""
+    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses, rounded to the steps (m
+    and rad) of an arm; steps of 0 do not round."""
     tips = np.array(strike_pose, dtype=float)
     tips[..., 0] -= standoff * np.cos(tips[..., 2])
     tips[..., 1] -= standoff * np.sin(tips[..., 2])

@@ -16,6 +16,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -25,6 +26,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from std_msgs.msg import Bool
 
 from tapping_cell.configuration.files import shared_folder
@@ -58,6 +60,7 @@ BEST_EFFORT_COMMAND = QoSProfile(
 )
 """QoS of subscriptions to commands from best-effort publishers."""
 
+SIMULATED_TIME = "use_sim_time"
 CONNECTION_CHECK_S = 5.0
 """Period at which the topics are checked for endpoints that cannot connect."""
 ROLE = "role"
@@ -95,8 +98,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     """Parameters that may be set at run time; :meth:`change` applies them."""
 
     def __init__(self, name: str, parameter_class: type[Parameters]) -> None:
+        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         parameters.declare(self, parameter_class, self.changeable)
+        self._simulated_time = self.get_parameter(SIMULATED_TIME).value
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
@@ -130,6 +135,12 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         events = SubscriptionEventCallbacks(use_default_callbacks=False)
         options.setdefault("event_callbacks", events)
         return super().create_subscription(*arguments, **options)
+
+    def create_timer(self, *arguments: Any, **options: Any) -> Timer:
+        """Create a timer on the steady clock. A timer on ROS time would not expire for an hour
+        after the computer's clock is set back by an hour."""
+        options.setdefault("clock", self._steady_clock)
+        return super().create_timer(*arguments, **options)
 
     # Methods that a subclass overrides
 
@@ -257,6 +268,11 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     def _on_set_parameters(self, changed: list[Parameter]) -> SetParametersResult:
         try:
             for parameter in changed:
+                if parameter.name == SIMULATED_TIME and parameter.value != self._simulated_time:
+                    raise ValueError(
+                        f"{SIMULATED_TIME} cannot change while the node runs, because the ages of"
+                        " all messages would be wrong; restart the node with the new value"
+                    )
                 if parameter.name in self.changeable:
                     self.change(parameter.name, parameter.value)
         except ValueError as error:

@@ -231,6 +231,10 @@ class LogicHost(Generic[Machine]):
         if not client.service_is_ready():
             self._answered(call.token, None)
             return
+        servers = self._node.count_services(call.service)
+        if servers > 1:
+            self._answered(call.token, fx.SeveralServers(servers))
+            return
         future = client.call_async(to_ros(call.request))
         self._calls[call.token] = (future, client, time.monotonic() + call.timeout)
         kind = getattr(messages, type(call.request).__qualname__.split(".")[0]).Response

@@ -1,4 +1,4 @@
-"""Alternative taps, best first, for the case that the method's own tap is not possible."""
+"""Alternative taps, best first, for use if the method's own tap is not possible."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 LEAST = 80
-"""Minimum number of safe candidates that are checked together at first, as far as there are as
-many; each further chunk has twice as many, because the effort depends little on the number."""
+"""Minimum number of safe candidates that are checked together at first, if there are that many.
+Each further chunk has twice as many, because the effort depends little on the number."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function of poses (n, 3) and displacements (n, 3) that returns which of them are possible."""
@@ -52,10 +52,10 @@ def alternative_taps(
     ``first`` and of the largest tap) and several rotations (shares of the cone). They are ranked by
     the number of taps that the method needs afterwards, with the distance along the path around
     obstacles. One more tap is added if the goal is near but not reachable by one possible tap.
-    ``visited``: poses that the object was tapped from before, whose costs were underestimated.
-    ``safe``: which displacements may be commanded. ``possible``: which of these can be struck; it
-    is slower, and the check of what follows a tap is as slow, so each is asked only of what the one
-    before it has kept.
+    ``visited``: poses from which the object was tapped before and whose costs were underestimated.
+    ``safe``: function that returns which displacements (n, 3) may be commanded. ``possible``:
+    function that returns which of these can be struck. Each of the slower checks is applied only to
+    the candidates that the previous one has kept.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
@@ -157,8 +157,8 @@ def candidate_taps(
 
 
 def _through_edges(tap: Tap, body: Polygon, orientation: Array) -> Array:
-    """Directions of travel, rad in `table`, that are best possible with the edges: the normals and
-    half the angle of the friction cone to both sides; (..., directions) for orientations (...)."""
+    """Directions of travel, rad in `table`, that suit the edges best: the normals, and half the
+    friction cone's angle to both sides of each; (..., directions) for orientations (...)."""
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0])
     aside = 0.5 * math.atan(tap.impact.friction) * np.array([-1.0, 0.0, 1.0])
     return np.asarray(orientation[..., None] + (inward[:, None] + aside).ravel())

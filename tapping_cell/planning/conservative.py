@@ -17,7 +17,7 @@ ERROR_LINE = 0.3
 
 @dataclass(frozen=True, slots=True)
 class ConservativePlanner:
-    """Aims inside the reachable region by the length of the error line, with larger first taps."""
+    """Aims so far inside the reachable region that the error line fits, with larger first taps."""
 
     settings: PlannerSettings
     name: str = "conservative"

@@ -25,8 +25,8 @@ MIDDLE = 0.25
 of the taps must only leave no gap above ``WIDEST_GAP``."""
 
 WIDEST_GAP = math.radians(170.0)
-"""Largest allowed angle between neighbouring directions of taps near the middle, below a half
-plane."""
+"""Largest allowed angle between neighbouring directions of taps near the middle, below 180
+degrees."""
 
 
 class Coverage(NamedTuple):

@@ -63,15 +63,15 @@ CHUNK = 200_000
 """Number of resulting states computed per batch, so that a batch fits in the processor's cache."""
 
 PER_HALF_STEP = 6
-"""Entries of an axis's index table per smallest half step of its grid."""
+"""Number of entries of an axis's index table per smallest half step of its grid."""
 
 
 class Abandoned(Exception):
-    """Solving was given up because somebody waits for something more urgent."""
+    """Solving was interrupted by a more urgent request."""
 
 
 def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
-    """Solve for a goal on the coarse grid: good enough far from it, in a fraction of the time.
+    """Solve for a goal on the coarse grid, which is good enough far from the goal and quick.
 
     Over 300 tasks each at three goals, first taps from this solution cost as many taps as first
     taps from six improvements with 12 lengths and 8 points, which take three times as long.
@@ -88,10 +88,10 @@ def solve_finer(
     step: float = FINE,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Solution:
-    """Solve on a finer grid what was solved on a coarse one.
+    """Refine a coarse solution on a finer grid.
 
     Raises:
-        Abandoned: ``interrupted``, which is asked some hundred times a second, said so.
+        Abandoned: ``interrupted``, which is called some hundred times a second, returned True.
     """
     place = np.asarray(start.goal, dtype=float)
     problem = _Problem(space, settings, place, step, LENGTHS[1], POINTS[1], interrupted)

@@ -186,14 +186,14 @@ class FixedTapperSession(GoalSession):
             return Refusal(
                 RefusalReason.OBJECT_OFF_TABLE,
                 f"the object's centre at {place_text(pose)} is {-1e3 * clearance:.1f} mm "
-                f"outside the working area, the limit is {1e3 * OUTER:.0f} mm; put it back by "
+                f"outside the working area (limit {1e3 * OUTER:.0f} mm); put the object back by "
                 "hand",
             )
         if self.taps >= self._most_taps:
             return Refusal(
                 RefusalReason.TOO_MANY_TAPS,
-                f"{self.taps} taps did not bring the object to the goal, the limit is "
-                f"{self._most_taps}; check the strikers, the camera and the object's file",
+                f"{self.taps} taps did not bring the object to the goal (limit "
+                f"{self._most_taps}); check the strikers, the camera and the object's file",
             )
         return None
 
@@ -213,10 +213,10 @@ class FixedTapperSession(GoalSession):
         if chosen is None:
             return Refusal(
                 RefusalReason.NO_STRIKE,
-                f"no tapper can move the object at {place_text(pose)} on safely: "
-                f"{int(lines.usable.sum())} of {lines.usable.size} meet it, and their taps would "
-                "leave the working area, enter a keep-out or lead nowhere; move the object by hand "
-                "towards the middle",
+                f"no safe tap of the object at {place_text(pose)} is possible: "
+                f"{int(lines.usable.sum())} of {lines.usable.size} tappers reach it, but would move"
+                " it out of the working area, into a keep-out or to where no tap can bring it"
+                " back; move the object by hand towards the middle",
             )
         index, commanded, length = chosen
         return self._made(pose, left, commanded, self._space.plan(index, pose, length))
@@ -228,7 +228,7 @@ class FixedTapperSession(GoalSession):
         displacement (3,) and its length. Return None if no tap is acceptable."""
         assert self._solved is not None
         solution = self._solved.solution
-        assert solution is not None, "the goal is not solved yet; ask ready first"
+        assert solution is not None, "the goal is not solved yet; check ready first"
         heading, slope = lines.heading[usable], lines.slope[usable]
         gain = self.gains.value
         least = lines.least[usable]

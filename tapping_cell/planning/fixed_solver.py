@@ -79,11 +79,11 @@ class Job:
 
     @property
     def is_done(self) -> bool:
-        """Whether there is no better solution to come."""
+        """Whether all solutions are computed."""
         return len(self.done) == 1 + len(self.finer)
 
     def next_solution(self, interrupted: Callable[[], bool]) -> Solution:
-        """A better solution than before; raises ``Abandoned`` as ``solve_finer`` does."""
+        """Compute the next, better solution; raises ``Abandoned`` as ``solve_finer`` does."""
         if not self.done:
             made = solve_coarse(self.space, self.settings, self.place)
         else:
@@ -96,7 +96,7 @@ class Job:
 class GoalSolver:
     """Solves goals for one object and cell, and caches the last solutions.
 
-    ``background``: in a process of its own; who asks gets the best solution so far. ``finer``:
+    ``background``: solve in a separate process and return the best solution so far. ``finer``:
     steps of the grids after the coarse one.
     """
 
@@ -144,7 +144,7 @@ class _Worker:
         Thread(target=self._receive, name="goal solver", daemon=True).start()
 
     def ask(self, job: Job) -> None:
-        """Have a goal solved, before those that were asked for earlier."""
+        """Request the solution of a goal, which is solved before the goals requested earlier."""
         self._asked.append(job.key)
         try:
             self._line.send(job)
@@ -167,8 +167,8 @@ def _gone() -> PlanningError:
 
 
 def _work(line: Connection) -> None:
-    """Solve what is asked for, until nobody asks any more: what was asked for last first, and every
-    goal coarsely before any of them finely."""
+    """Solve goals until the connection is closed: the last request first, and every goal on the
+    coarse grid before any goal on a finer one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(NICENESS)
     jobs: list[Job] = []
@@ -181,7 +181,7 @@ def _work(line: Connection) -> None:
                 result = job.next_solution(line.poll)
             except Abandoned:
                 continue
-            except Exception as error:  # told to whoever asked: this process has no caller
+            except Exception as error:  # sent to the requester, because this process has no caller
                 jobs.remove(job)
                 line.send((job.key, error))
                 continue

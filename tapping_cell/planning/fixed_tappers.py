@@ -57,7 +57,7 @@ class FixedTapper:
         if not (self.stroke > 0.0 and 0.0 <= self.slowest < self.fastest):
             raise PlanningError(
                 f"tapper '{self.name}': stroke {self.stroke!r} m must be above 0, and the speeds "
-                f"{self.slowest!r} to {self.fastest!r} m/s must rise"
+                f"{self.slowest!r} to {self.fastest!r} m/s must increase"
             )
 
 
@@ -152,8 +152,8 @@ class FixedStrikeSpace:
         return not isinstance(self.tappers[0].tap.body, Polygon)
 
     def key(self) -> str:
-        """Return a string that is equal if the solutions are equal: all parameters except the names
-        of the tappers."""
+        """Return a string that identifies the solutions: it contains all parameters except the
+        names of the tappers."""
         parts = [
             f"{tapper.mount};{tapper.stroke};{tapper.slowest};{tapper.fastest};{tapper.tap}"
             for tapper in self.tappers

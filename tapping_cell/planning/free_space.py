@@ -32,7 +32,7 @@ DIRECTIONS = 24
 """Number of tap directions tried at each place."""
 
 WIDEST_GAP = math.radians(150.0) + 1e-9
-"""Largest allowed angle between neighbouring directions of possible taps, below a half plane."""
+"""Largest allowed angle between neighbouring directions of possible taps, below 180 degrees."""
 
 TURNS = (-0.7, 0.0, 0.7)
 """Rotations of the taps tried, as shares of the cone."""

@@ -180,7 +180,7 @@ class Gains:
         orientation: ArrayLike,
         cone_slope: float = math.inf,
     ) -> Array:
-        """Displacements (..., 3) to request from the mechanics, for taps as of ``to_plan``.
+        """Displacements (..., 3) to request from the mechanics, for taps as from ``to_plan``.
 
         orientation: orientation of the object before the tap, rad. cone_slope: limit of the
         commanded rotation per distance, rad/m; the compensation of the offset is cut off there.
@@ -350,9 +350,9 @@ class Gains:
                 or not 0.0 <= spread <= widest
             ):
                 raise PlanningError(
-                    f"the saved gain of {name} is {kept!r} with deviation {spread!r}; allowed "
-                    f"is {LOWEST[index]:g} to {HIGHEST[index]:g} with 0 to {widest:g}; delete "
-                    "the file to start afresh"
+                    f"the saved gain of {name} is {kept!r} with deviation {spread!r}; the limits "
+                    f"are {LOWEST[index]:g} to {HIGHEST[index]:g} with 0 to {widest:g}; delete "
+                    "the file to start without saved gains"
                 )
             value[index], deviation[index] = kept, spread
         made = cls.start()

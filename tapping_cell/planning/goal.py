@@ -34,8 +34,8 @@ def edge_warning(pose: ArrayLike, space: StrikeSpace) -> str:
         return ""
     if gap >= 0.0:
         return (
-            f"the object at {place_text(place)} is {1e3 * gap:.1f} mm from the table's edge, "
-            f"the margin is {1e3 * margin:.1f} mm; only taps that lead away from it are made"
+            f"the object at {place_text(place)} is {1e3 * gap:.1f} mm from the table's edge "
+            f"(margin {1e3 * margin:.1f} mm); only taps that lead away from the edge are made"
         )
     return (
         f"the object at {place_text(place)} may hang {-1e3 * gap:.1f} mm over the table's edge; "

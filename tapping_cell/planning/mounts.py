@@ -2,7 +2,7 @@
 
 If a line of travel has an ``offset`` (m, to the left of its direction) and an ``angle`` (rad), the
 contact changes, and with it the direction and the rotation per distance of the tap: by about
-0.7 degrees per mm for the paper's disk. Both are measured with every tap. A Kalman update estimates
+0.7 degrees per mm for the paper's disk. Every tap measures these two. A Kalman update estimates
 the two numbers of the tapper that fired, with derivatives from finite differences of the mechanics.
 """
 

@@ -1,12 +1,13 @@
-"""Which tap of all directions brings the object to its goal in the least time.
+"""Choice, among taps of all directions, of the tap that brings an object to its goal soonest.
 
-Many taps are nearly as good as the method's own: where two are needed, the first may go almost
-anywhere. Chosen is the one with the least expected time ::
+Many taps are nearly as good as the method's own: if two taps are needed, the first may lead almost
+anywhere. The tap with the least expected time is chosen ::
 
-    t(tap) + E[taps that follow] t_mean + P (t(next) - t_way),
+    t(tap) + E[taps that follow] t_mean + P (t(next) - t_way).
 
-where t(tap) is the arm's way to this strike, t(next) the way from there to the strike towards the
-goal, which follows with probability P, t_way the mean way and t_mean the mean time of a tap.
+t(tap) is the duration of the arm's motion to this strike, and t(next) that of the motion from there
+to the strike towards the goal, which follows with probability P. t_way is the mean duration of such
+motions, and t_mean the mean duration of a tap.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ def near_taps(
     method: TapValues,
     settings: PlannerSettings,
 ) -> NearTaps | None:
-    """Taps of all directions and sizes, each with its best rotation; None while the method has no
-    values.
+    """Return taps of all directions and sizes, each with its best rotation; None while the method
+    has no solution.
 
     Args:
         pose: pose of the object, (3,).
@@ -83,8 +84,8 @@ def best_first(
     times: TapTimes,
     tip: Array,
 ) -> Array:
-    """The taps in the order of the time that is expected, (m, 3). A tap after which the arm has no
-    clearance for the direct one costs one more.
+    """Return the possible taps in the order of their expected times, (m, 3). If no direct tap to
+    the goal is possible after a tap, its cost is up to one tap higher.
 
     ``space``: strike space; ``times``: durations of the arm's motions; ``tip``: pose of the arm's
     tip, x, y, height, yaw in `table`. The other arguments are as for ``near_taps``.
@@ -93,7 +94,7 @@ def best_first(
     after = gains.predict(commanded, pose[2])
     following = _strikes_to_goal(pose + after, left - after, space)
     clearance = np.any(space.elbows(following), axis=-1) & space.tool_is_clear(following)
-    # One direct tap more where about one follows; where two do, the first may go anywhere.
+    # Probability of a direct tap: 1 if one tap follows, 0 if two follow (the first goes anywhere).
     direct = np.clip(np.minimum(follow, 2.0 - follow), 0.0, 1.0)
     cost = follow + np.where(clearance, 0.0, direct)
     possible, strikes = space.strike_poses(pose, commanded)
@@ -113,8 +114,8 @@ def _sizes(settings: PlannerSettings, distance: float, own: float) -> Array:
 
 
 def _strikes_to_goal(pose: Array, left: Array, space: StrikeSpace) -> Array:
-    """About where the tip rests to tap objects at (n, 3) on towards the goal, of which (n, 3) is
-    left; (n, 3)."""
+    """Approximate tip poses (n, 3) at rest for tapping objects at ``pose`` (n, 3) straight towards
+    the goal; ``left``: residuals (n, 3)."""
     far = space.object_radius + space.tip_radius + space.settings.standoff
     heading = np.arctan2(left[:, 1], left[:, 0])
     place = pose[:, :2] - far * np.stack([np.cos(heading), np.sin(heading)], axis=-1)

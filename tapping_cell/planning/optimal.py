@@ -1,4 +1,4 @@
-"""The optimal method: the plan with the fewest expected taps, solved once and interpolated."""
+"""The optimal method: the plan with the fewest expected taps, interpolated on its grid."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps for these residuals: 0 inside the box; beyond the grid, one more for each
-        length of the largest tap."""
+        """Expected taps for these residuals: 0 inside the box; beyond the grid, one more tap
+        for each length of the largest tap."""
         # Rotations may exceed half a turn because they are scaled by the learnt gain.
         most = self.settings.largest_distance
         far = np.asarray(distance, dtype=float) - self._solution.distances[-1]

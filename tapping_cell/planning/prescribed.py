@@ -75,7 +75,7 @@ class Prescription:
                 f"+-{math.degrees(LARGEST_INCIDENCE):.0f} deg, or the striker may graze the object"
             )
         if self.direction is not None and not math.isfinite(self.direction):
-            raise PlanningError("the direction is not a finite number; give it in rad, or none")
+            raise PlanningError("the direction is not a finite number; give it in rad, or omit it")
         if not self.slack >= 0:
             raise PlanningError(f"the slack is {self.slack!r} rad; it must be 0 or more")
 

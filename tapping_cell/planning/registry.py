@@ -47,7 +47,7 @@ def require_planner(name: str) -> None:
     """
     if name not in planner_names():
         raise UnknownPlannerError(
-            f"there is no planning method {name!r}; known are {', '.join(planner_names())}"
+            f"there is no planning method {name!r}; choose one of {', '.join(planner_names())}"
         )
 
 
@@ -59,8 +59,8 @@ def make_planner(
     Args:
         name: one of ``planner_names()``.
         settings: settings of the method; by default those of the paper's cell.
-        background: make ``optimal`` return immediately and solve in a thread; until then a method
-            without a solver is used. The other methods need no time and ignore this argument.
+        background: make ``optimal`` return immediately and solve its plan in a thread; until then
+            another method is used. The other methods need no time and ignore this argument.
 
     Raises:
         UnknownPlannerError: unknown name; the message lists the names.
@@ -77,8 +77,8 @@ def make_planner(
         planner = registered[name].load()(settings)
     except Exception as error:  # a plug-in may raise anything; users get one message
         raise PlanningError(
-            f"the registered planning method {name!r} ({registered[name].value}) cannot be made: "
-            f"{error}"
+            f"the registered planning method {name!r} ({registered[name].value}) cannot be "
+            f"created: {error}"
         ) from error
     if not isinstance(planner, Planner):
         raise PlanningError(

@@ -53,7 +53,7 @@ UNKNOWN = 1.6
 first. An object that matches its file has a ratio of 1.2 after one tap."""
 
 NEAR_CHUNK = 12
-"""Taps whose room is looked at together, from the best on."""
+"""Number of taps, in order of rank, whose clearance is checked together."""
 
 BLOCKED = 1.05
 """Ratio of path length to straight distance above which the straight line counts as blocked.
@@ -219,8 +219,8 @@ class GoalSession(ABC):
     def arrived(
         self, object_pose: ArrayLike, covariance: ArrayLike | None, *, observe_again: bool
     ) -> Done | ObserveAgain | None:
-        """Return whether the object is at the goal or may be, or None; arguments as for
-        ``decide``."""
+        """Return Done if the object is at the goal, ObserveAgain if it may be there, else None.
+        The arguments are those of ``decide``."""
         left = self.residual(object_pose)
         box = self.stopping(covariance)
         residual = Pose(*left.tolist())
@@ -479,14 +479,15 @@ class PositioningSession(GoalSession):
     def _best_near(
         self, pose: Array, left: Array, own: Taps, missed: tuple[float, ...]
     ) -> tuple[Array, StrikePlan] | None:
-        """The tap of all directions, (3,), from which the goal is reached in the least time, or
-        None where that is not known; ``own``: the method's."""
+        """Return the tap, among all directions, that reaches the goal in the least expected time:
+        its displacement (3,) and strike. Return None if this time is not known. ``own``: the
+        method's tap."""
         if self._times is None or self.arm is None or self._blocked(pose):
             return None
         if not isinstance(self.planner, TapValues):
             return None
         if isinstance(self._space.tap.body, Polygon):
-            return None  # its edges decide which taps there are, of which the values know nothing
+            return None  # the values ignore that its edges limit the possible taps
         taps = near_taps(pose, left, own, self.gains, self.planner, self.settings)
         if taps is None:
             return None
@@ -586,7 +587,7 @@ class PositioningSession(GoalSession):
         workable = np.all(self._free.contains(end), axis=-1)
         nominal = self._free.contains(pose[:2] + expected[..., :2])
         if not self._free.contains(pose[:2]):
-            # The object lies where it cannot be tapped on: only the expected end must be better.
+            # The object is not in a workable place, so only the expected end must be in one.
             workable = nominal
         spread = None if trusting else self._spread(commanded)
         safe = self._space.slide_is_safe(pose, expected, spread)
@@ -609,7 +610,7 @@ class PositioningSession(GoalSession):
         if self._blocked(pose):
             return "the straight line to the goal is blocked"
         if self._leads_back(pose, commanded):
-            return "the tap along the line leads to a place that did not lead on before"
+            return "the tap along the line leads back to a place that cost more taps than estimated"
         if bool(self._ends_well(pose, commanded[None, :])[0]):
             return ""
         return "the tap along the line might leave the table, enter a keep-out or end out of reach"

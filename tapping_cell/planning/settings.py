@@ -26,7 +26,7 @@ def _check_range(owner: object, name: str, low: float, high: float, unit: str) -
     value = getattr(owner, name)
     if not (isinstance(value, int | float) and low <= value <= high):
         raise PlanningError(
-            f"{type(owner).__name__}.{name} is {value!r}, allowed is {low:g} to {high:g} {unit}; "
+            f"{type(owner).__name__}.{name} is {value!r}; it must be {low:g} to {high:g} {unit}; "
             "correct it in the configuration"
         )
 
@@ -135,7 +135,7 @@ class PlannerSettings:
             _check_range(self, "error_line", 0.0, 0.95, "(share of the rotation)")
         if self.variant not in VARIANTS:
             raise PlanningError(
-                f"PlannerSettings.variant is {self.variant!r}, allowed are {', '.join(VARIANTS)}"
+                f"PlannerSettings.variant is {self.variant!r}; choose one of {', '.join(VARIANTS)}"
             )
 
     @property

@@ -80,7 +80,7 @@ class StrikeSettings:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise PlanningError(
-                    f"StrikeSettings.{name} is {value!r}, allowed is {low:g} to {high:g}"
+                    f"StrikeSettings.{name} is {value!r}; it must be {low:g} to {high:g}"
                 )
 
 
@@ -242,7 +242,7 @@ class StrikeSpace:
 
     def strike_poses(self, object_pose: Array, displacements: Array) -> tuple[BoolArray, Array]:
         """Return which displacements (n, 3) are possible with some contact, (n,), and the strike
-        poses of the tip at rest, (n, 3), or NaN. Reach and clearance are not checked here."""
+        poses of the tip at rest, (n, 3), else NaN. Reach and clearance are not checked here."""
         possible = np.asarray(self.tap.reachable(displacements, object_pose))
         poses = np.full(displacements.shape, math.nan)
         if np.any(possible):

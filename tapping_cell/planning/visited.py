@@ -1,9 +1,9 @@
-"""Memory of the poses from which a goal was not reached yet, against going round in circles.
+"""Memory of the poses from which the object was tapped, so that it does not move in circles.
 
-The ranking of alternative taps plans one tap ahead. Where the way that it estimates is not
+The ranking of alternative taps looks only one tap ahead. If the path that it assumes is not
 possible, for example because a polygon cannot be struck along it, the best tap may lead to a pose
-whose best tap leads back. Learning real-time A* (Korf, Artificial Intelligence 42, 1990) escapes:
-each visited pose keeps the cost that the best tap promised from there, and a tap that would end
+whose best tap leads back. Learning real-time A* (Korf, Artificial Intelligence 42, 1990) avoids
+this: for each visited pose, the estimated cost of its best tap is stored, and a tap that would end
 near the pose costs at least as much. Every further visit raises the cost, until another tap is
 cheaper.
 """
@@ -18,19 +18,19 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.se2 import wrap_angle
 
 RADIUS = 0.008
-"""Distance from a visited pose within which its cost holds, m. A slide of 80 mm scatters by half
-of it."""
+"""Distance from a visited pose within which its cost applies, m. A slide of 80 mm scatters by half
+of this distance."""
 
 SHARE = 0.5
-"""The same as a share of the distance from the goal, so that taps close to the goal stay
-possible."""
+"""Upper limit of this distance as a share of the pose's distance from the goal, so that taps close
+to the goal stay possible."""
 
 ANGLE = math.radians(15.0)
-"""Rotation from a visited pose within which its cost holds, rad."""
+"""Rotation from a visited pose within which its cost applies, rad."""
 
 
 class VisitedPoses:
-    """Poses that were tapped from, each with the number of taps that it cost at least."""
+    """Poses from which the object was tapped, each with its estimated number of further taps."""
 
     def __init__(self, goal: Array) -> None:
         self._goal = goal
@@ -38,7 +38,7 @@ class VisitedPoses:
         self._costs: Array = np.zeros(0)
 
     def add(self, pose: Array, cost: float) -> None:
-        """Store that the best tap from ``pose`` promises the goal after ``cost`` taps in all."""
+        """Store that the goal is estimated to take ``cost`` taps from ``pose`` on."""
         self._poses = np.vstack([self._poses, pose])
         self._costs = np.append(self._costs, cost)
 

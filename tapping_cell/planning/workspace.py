@@ -127,8 +127,8 @@ class Workspace:
         return f"the object '{nearest.name}'" if nearest.name else "a keep-out area"
 
     def others(self) -> str:
-        """Names of the objects among the keep-outs for messages, such as "'a', 'b'", or an empty
-        string."""
+        """Names, for use in messages, of the keep-outs that are objects, such as "'a', 'b'"; empty
+        if there are none."""
         return ", ".join(f"'{area.name}'" for area in self.keep_outs if area.name)
 
     def object_clearance(self, points: ArrayLike) -> Array:

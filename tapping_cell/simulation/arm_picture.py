@@ -1,4 +1,4 @@
-"""Silhouettes of the arm in the overhead camera: links, quill, tool and striker over the table."""
+"""Silhouettes of the arm in the overhead camera's view: links, quill, tool and striker."""
 
 from __future__ import annotations
 

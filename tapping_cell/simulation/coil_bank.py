@@ -31,6 +31,9 @@ class CoilBank:
         self._released: float | None = None
         self._left = False
         self._returns = 0.0
+        self._flying: tuple[int, float, float] | None = None
+        """Channel of the last released striker, and the times at which it leaves its switch and
+        returns to it. A restart of the board ends only the board's wait for it."""
         self._stays_out: set[int] = set()
         self._blocked: set[int] = set()
         self._stuck: set[int] = set()
@@ -52,10 +55,10 @@ class CoilBank:
             return True
         if channel in self._stays_out:
             return False
-        if self._released is None or channel != self._channel or channel in self._blocked:
+        if self._flying is None or channel != self._flying[0] or channel in self._blocked:
             return True
-        begun = self._released + LEAVES_AFTER + SETTLE_TIME
-        return not begun <= now < self._returns + SETTLE_TIME
+        _, leaves, returns = self._flying
+        return not leaves + SETTLE_TIME <= now < returns + SETTLE_TIME
 
     # Firmware commands.
 
@@ -86,6 +89,7 @@ class CoilBank:
         """Start the pulse of a channel."""
         self._channel, self._released, self._left = channel, now, False
         self._returns = now + self.flight
+        self._flying = channel, now + LEAVES_AFTER, self._returns
         self._proven = False
 
     # Faults.

@@ -23,7 +23,7 @@ class FaultKind(Enum):
     DROP = "drop"
     """Bytes are lost."""
     DELAY = "delay"
-    """From this byte on, all bytes of the direction are delayed, in order, until it catches up."""
+    """From this byte on, all bytes of the direction are delayed, in order, until none waits."""
     DUPLICATE = "duplicate"
     """A run of bytes is received twice."""
     FLIP = "flip"

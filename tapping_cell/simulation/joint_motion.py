@@ -235,7 +235,7 @@ class AxisTrack:
         self._rest(motors, piece.drive(motors, self._backlash), noise, time)
 
     def shift(self, motors: Array, time: float) -> None:
-        """At rest, set the motor values to ``motors``; the joints jump by the same difference.
+        """At rest, set the motor values to ``motors``; the joints jump by the same amount.
 
         Used when the arm slips or is moved by hand.
         """

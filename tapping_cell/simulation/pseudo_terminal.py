@@ -165,7 +165,7 @@ class PseudoTerminal:
             self._guard_path.unlink()
             os.close(guard)
             raise PortTakenError(
-                f"{self.path} exists and is no link to a terminal: choose another path"
+                f"{self.path} exists and is not a link to a terminal: choose another path"
             )
         return guard
 

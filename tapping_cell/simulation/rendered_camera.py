@@ -1,8 +1,8 @@
 """Overhead camera of the simulated world: images with exact ground truth, fast enough for 30 Hz.
 
-Includes perspective from a tilted pose, lens distortion, area sampling of markers, uneven light,
-sensor noise, motion blur, the object's side wall, and silhouettes above the table (the arm, a
-hand). The static scene is drawn once. Objects at rest are redrawn when one of them has moved, and
+The images include perspective from a tilted pose, lens distortion, area sampling of markers, uneven
+light, sensor noise, motion blur, the object's side wall, and silhouettes above the table (the arm,
+a hand). The static scene is drawn once. Objects at rest are redrawn when one of them has moved, and
 a frame redraws only the regions around moving objects.
 """
 

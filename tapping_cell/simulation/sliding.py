@@ -1,9 +1,9 @@
 """A body sliding on the table, integrated in time from the friction under each support point.
 
 Independent of the closed forms of ``tapping_cell.mechanics`` on purpose: support, table and
-friction law may be ones that those forms cannot represent. Each support point drags against its own
-velocity v + omega x r with its fraction of the weight. The total torque is multiplied by the torque
-factor, the empirical finding of Huang and Mason (section 3.1.2).
+friction law may be more general than those forms allow. The friction at each support point opposes
+its velocity v + omega x r, with its fraction of the weight. The total torque is multiplied by the
+torque factor, an empirical finding of Huang and Mason (section 3.1.2).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LONGEST_STEP_S = 0.005
 PATCH_STEP_M = 0.001
 """Maximum distance of a step, m, on a table whose friction depends on the position."""
 STOP_SPEED = 0.0002
-"""Speed of the body's rim, m/s, below which it is stopped; it would slide under 0.1 um more."""
+"""Speed of the body's rim, m/s, below which the body is stopped: less than 0.1 um would remain."""
 _LONGEST_SLIDE_S = 60.0
 _STILL = 1e-9
 """Speed below which a point has no direction of drag, m/s."""

@@ -27,7 +27,7 @@ TOUCHING_M = 2e-5
 NOTED_SPEED = 0.001
 """Minimum closing speed of a reported contact, m/s; excludes objects sliding side by side."""
 APART_S = 0.05
-"""Time after a contact within which further ones of the same two objects are ignored, s."""
+"""Time after a contact within which further contacts of the same objects are ignored, s."""
 START_GAP_M = 0.04
 """Minimum gap between a randomly placed object and the others, m."""
 EDGE_M = 0.06

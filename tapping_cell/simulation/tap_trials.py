@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SimulatedTaps:
-    """Simulates taps, with the striker placed as the planner's mechanics compute.
+    """Simulates taps, with the striker placed according to the planner's mechanics.
 
     model: mechanics of the planner, which convert a displacement into a strike; content: object
     file to which ``truth`` is relative; standoff: distance from the tip at rest to the contact, m;

@@ -1,7 +1,7 @@
 """Emulator of the tapper board: a state machine in simulated time with its own parser and checksum.
 
-It replaces the real firmware, ``firmware/tapper``, together with the spring, the interlock and the
-buttons at the cell. Tests verify that both behave the same.
+It emulates the firmware ``firmware/tapper`` together with the spring, the interlock and the
+buttons at the cell. Tests verify that it behaves like the real firmware.
 """
 
 from __future__ import annotations

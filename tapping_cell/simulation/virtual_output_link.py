@@ -23,7 +23,7 @@ class OutputFaults:
     silent_inputs: bool = False
     """Whether guard and read-back have stopped."""
     lost_on: int = 0
-    """Number of the next requests to switch on that are lost, with their answers."""
+    """Number of future requests to switch on that will be lost, with their answers."""
     lost_off: int = 0
     refuses: bool = False
     """Whether the robot answers that it did not switch on."""

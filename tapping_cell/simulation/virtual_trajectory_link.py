@@ -28,7 +28,7 @@ class LinkFaults:
     silent: bool = False
     """Whether no joint states are received."""
     lost_trajectories: int = 0
-    """Number of the next trajectories that are lost."""
+    """Number of future trajectories that will be lost."""
     late: float = 0.0
     """Delay of the joint states after their measurement, s."""
     ahead: float = 0.0
@@ -81,7 +81,7 @@ class VirtualTrajectoryLink:
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of the arm's."""
+        """Joint names of the last message that lacked some of the arm's joints."""
         return ("gripper",) if self.faults.foreign_names else ()
 
     @property

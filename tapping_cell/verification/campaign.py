@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from multiprocessing.sharedctypes import Synchronized
 
 from tapping_cell.verification.faults import ALL, Mix
+from tapping_cell.verification.fixed_trial import FixedTrial
 from tapping_cell.verification.invariants import Violation
-from tapping_cell.verification.trial import Report, run_trial
+from tapping_cell.verification.trial import Report, Trial
 
 GOALS_A_RUN = 10
 """Goals per run, which has its own cell and seed; so results are independent of the number of
@@ -48,6 +49,12 @@ class Summary:
         self.releases += report.releases
         self.by_code.update(outcome.code for outcome in report.outcomes)
         self.violations += [(report.seed, violation) for violation in report.violations]
+
+
+def run_trial(seed: int, goals: int, trace: bool = False, mix: Mix = ALL) -> Report:
+    """Execute one run with faults of this mix."""
+    kind = FixedTrial if mix.fixed else Trial
+    return kind(seed, trace, mix=mix).run(goals)
 
 
 def seeds_of(seed: int, goals: int) -> list[tuple[int, int]]:

@@ -1,7 +1,8 @@
 """Mapping from the error code of a goal to the injected faults that explain it.
 
-The error code must name a true cause. If none of the faults that explain the code can still act,
-the cell has reported a wrong cause, which is a violation.
+The error code must name a true cause. A fault of one device does not explain a code of the other,
+so the faults that can hit either are recorded with the device or node. If none of the faults that
+explain the code can still act, the cell has reported a wrong cause, which is a violation.
 """
 
 from __future__ import annotations
@@ -11,14 +12,17 @@ from collections.abc import Iterable
 from tapping_cell.messages import ErrorCode
 
 AT_ONCE_S = 10.0
-"""Maximum time from the end of a fault to the end of a goal that the fault ends at once: a planner
-that is frozen for 5 s and a late message included."""
+"""Maximum time from the end of a fault to the end of a goal that the fault ends immediately. This
+time includes a planner that is frozen for 5 s and a late message."""
 LASTING_S = {
     "freeze": 5.0,
     "freeze before a write": 8.0,
     "freeze at a write": 3.0,
     "freeze after the last check": 3.0,
     "kill": 30.0,
+    "end of scara_arm": 30.0,
+    "end of tapper_trigger": 30.0,
+    "end of tap_planner": 30.0,
     "restart": 10.0,
     "deactivate": 5.0,
     "slow topic": 8.0,
@@ -26,14 +30,19 @@ LASTING_S = {
     "duplicates": 8.0,
     "foreign command": 30.0,
     "foreign trajectory": 10.0,
+    "unheard trajectory": 10.0,
     "second node": 20.0,
+    "second arm": 6.0,
     "clock step": 40.0,
-    "serial line": 20.0,
+    "serial line of the arm": 20.0,
+    "serial line of the tapper": 20.0,
     "line at a shot": 8.0,
     "cable at a shot": 3.0,
-    "loss of power": 4.0,
+    "loss of power of the arm": 4.0,
+    "loss of power of the tapper": 4.0,
     "power at a shot": 2.0,
-    "motors off": 4.0,
+    "motors off at the arm": 4.0,
+    "motors off at the tapper": 4.0,
     "camera": 8.0,
     "object moved": 2.0,
     "object turned": 2.0,
@@ -61,14 +70,23 @@ FOREIGN = frozenset(
         "foreign withdrawal",
         "foreign outcome",
         "foreign hold",
+        "foreign flood",
         "foreign state",
         "repeated command",
         "second node",
     }
 )
-LINES = frozenset({"serial line", "line at a shot", "cable at a shot"})
-POWER = frozenset({"loss of power", "power at a shot", "motors off"})
-STOPS = frozenset({"emergency stop", "stop service"})
+ARM_LINE = frozenset({"serial line of the arm"})
+TAPPER_LINE = frozenset({"serial line of the tapper", "line at a shot", "cable at a shot"})
+LINES = ARM_LINE | TAPPER_LINE
+ARM_POWER = frozenset({"loss of power of the arm", "motors off at the arm"})
+TAPPER_POWER = frozenset(
+    {"loss of power of the tapper", "power at a shot", "motors off at the tapper"}
+)
+POWER = ARM_POWER | TAPPER_POWER
+ARM_ENDS, TAPPER_ENDS = frozenset({"end of scara_arm"}), frozenset({"end of tapper_trigger"})
+ARM_STOPS = frozenset({"emergency stop", "stop of scara_arm"})
+TAPPER_STOPS = frozenset({"emergency stop", "stop of tapper_trigger"})
 DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
 """Kinds of faults that delay or suppress messages."""
 COVERED = "the arm covers the object"
@@ -81,26 +99,27 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.GOAL_CANCELED: frozenset({"cancel"}),
     ErrorCode.NOT_ACTIVE: frozenset({"deactivate", "restart", "kill"}),
     ErrorCode.EMERGENCY_STOP: frozenset({"emergency stop"}),
-    ErrorCode.ARM_STOPPED: STOPS | LINES,
-    ErrorCode.TAPPER_STOPPED: STOPS | LINES,
-    ErrorCode.ARM_NOT_HOMED: STOPS | LINES | POWER | ENDS | FREEZES,
-    ErrorCode.ARM_NOT_CONNECTED: LINES | POWER | ENDS | {"second node"},
-    ErrorCode.ARM_FIRMWARE_UNKNOWN: LINES | POWER | ENDS,
-    ErrorCode.ARM_ALARM: LINES | POWER | FREEZES,
-    ErrorCode.ARM_REPLY_GARBLED: LINES,
-    ErrorCode.ARM_TIMEOUT: DELAYS | POWER,
-    ErrorCode.ARM_POSITION_MISMATCH: LINES | POWER | FREEZES,
+    ErrorCode.ARM_STOPPED: ARM_STOPS | ARM_LINE,
+    ErrorCode.TAPPER_STOPPED: TAPPER_STOPS | TAPPER_LINE,
+    ErrorCode.ARM_NOT_HOMED: ARM_STOPS | ARM_LINE | ARM_POWER | ARM_ENDS | FREEZES,
+    ErrorCode.CONFIGURATION_CONFLICT: frozenset({"second arm"}),
+    ErrorCode.ARM_NOT_CONNECTED: ARM_LINE | ARM_POWER | ARM_ENDS | {"second node"},
+    ErrorCode.ARM_FIRMWARE_UNKNOWN: ARM_LINE | ARM_POWER | ARM_ENDS,
+    ErrorCode.ARM_ALARM: ARM_LINE | ARM_POWER | FREEZES,
+    ErrorCode.ARM_REPLY_GARBLED: ARM_LINE,
+    ErrorCode.ARM_TIMEOUT: DELAYS | POWER | {"foreign trajectory", "unheard trajectory"},
+    ErrorCode.ARM_POSITION_MISMATCH: ARM_LINE | ARM_POWER | FREEZES,
     ErrorCode.ARM_SILENT: FREEZES | ENDS | LINKS,
-    ErrorCode.ARM_BUSY: DELAYS | FOREIGN | {"foreign trajectory"},
+    ErrorCode.ARM_BUSY: DELAYS | FOREIGN | {"foreign trajectory", "unheard trajectory"},
     ErrorCode.ARM_COMMAND_EXPIRED: DELAYS | FOREIGN | {"clock step"},
-    ErrorCode.TAPPER_NOT_CONNECTED: LINES | POWER | ENDS | {"second node"},
-    ErrorCode.TAPPER_FIRMWARE_UNKNOWN: LINES | POWER | ENDS,
-    ErrorCode.TAPPER_REPLY_GARBLED: LINES,
-    ErrorCode.TAPPER_TIMEOUT: LINES | POWER | FREEZES | {"slow topic"},
-    ErrorCode.TAPPER_RESET: LINES | POWER,
+    ErrorCode.TAPPER_NOT_CONNECTED: TAPPER_LINE | TAPPER_POWER | TAPPER_ENDS | {"second node"},
+    ErrorCode.TAPPER_FIRMWARE_UNKNOWN: TAPPER_LINE | TAPPER_POWER | TAPPER_ENDS,
+    ErrorCode.TAPPER_REPLY_GARBLED: TAPPER_LINE,
+    ErrorCode.TAPPER_TIMEOUT: TAPPER_LINE | TAPPER_POWER | FREEZES | {"slow topic"},
+    ErrorCode.TAPPER_RESET: TAPPER_LINE | TAPPER_POWER,
     # A board that receives nothing for 0.5 s, or whose guard was open for a moment, discharges
     # automatically.
-    ErrorCode.TAPPER_FAULT: LINES | POWER | FREEZES | {"guard"},
+    ErrorCode.TAPPER_FAULT: TAPPER_LINE | TAPPER_POWER | FREEZES | {"guard"},
     ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
     ErrorCode.TAPPER_SILENT: FREEZES | ENDS | LINKS,
     ErrorCode.TAPPER_SPENT: FOREIGN | ENDS | {"clock step"},
@@ -130,6 +149,7 @@ CONDITIONS = frozenset(
         ErrorCode.OBJECT_OFF_TABLE,
         ErrorCode.GOAL_OFF_TABLE,
         ErrorCode.GOAL_OUT_OF_REACH,
+        ErrorCode.ARM_OUT_OF_REACH,
     }
 )
 """Codes caused by the poses of object and goal, not by a fault."""

@@ -31,12 +31,14 @@ if TYPE_CHECKING:
 SPAN_S = 16.0
 """Time after a goal is sent over which its faults are spread."""
 SHARE_AT_A_MOMENT = 0.25
-"""Fraction of the goals whose faults all strike just after a node publishes one state, because the
-guards must handle coinciding faults."""
+"""Fraction of the goals whose faults all strike just after a node publishes a certain state,
+because the guards must handle coinciding faults."""
 SHARE_AT_THE_SHOT = 0.5
-"""Fraction of the goals whose faults all strike just after one step of a shot."""
+"""Fraction of the goals whose faults all strike just after a certain step of a shot."""
 CLOSE_S = 0.3
 """Maximum time from a moment to its faults."""
+FLOOD_HZ = 100.0
+"""Rate at which a foreign node publishes."""
 CLOSEST_S = 2e-4
 """Minimum time from a step of a shot to its faults; the times are log-uniform up to ``CLOSE_S``."""
 
@@ -44,10 +46,12 @@ CLOSEST_S = 2e-4
 @dataclass(frozen=True, slots=True)
 class Mix:
     """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is named
-    several times is drawn more often. ``mean``: mean number of faults per goal."""
+    several times is drawn more often. ``mean``: mean number of faults per goal. ``fixed``: whether
+    they strike a cell with fixed tappers."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
+    fixed: bool = False
 
 
 ALL = Mix()
@@ -117,21 +121,21 @@ def draw_faults(
     only, mean = mix.only, mix.mean
     number = 1 + int(rng.poisson(mean - 1)) if at_the_shot else int(rng.poisson(mean))
     place = 0.0 if at_the_shot else rng.random()
-    moment, kinds, closest = None, KINDS, 0.0
+    moment, kinds, closest = None, tuple(trial.makers), 0.0
     if place < SHARE_AT_THE_SHOT:
-        name = _pick(rng, OF_A_SHOT)
+        name = _pick(rng, trial.of_a_shot)
         times = 1 if at_the_shot or rng.random() < 0.7 else 2
-        moment, kinds, closest = Moment(name, times), AT_A_SHOT, CLOSEST_S
+        moment, kinds, closest = Moment(name, times), trial.at_a_shot, CLOSEST_S
     elif place < SHARE_AT_THE_SHOT + SHARE_AT_A_MOMENT:
-        moment = Moment(_pick(rng, MOMENTS), int(rng.integers(1, 3)))
+        moment = Moment(_pick(rng, trial.moments), int(rng.integers(1, 3)))
     if only:
         kinds = tuple(kind for kind in only if kind in kinds) or only
     faults = []
     for _ in range(number):
         kind = _pick(rng, kinds)
-        strike, words = MAKERS[kind](rng, trial)
+        strike, words = trial.makers[kind](rng, trial)
         if closest:
-            time = _duration(rng, closest, CLOSE_S)
+            time = draw_duration(rng, closest, CLOSE_S)
         else:
             time = float(rng.uniform(0.0, SPAN_S if moment is None else CLOSE_S))
         faults.append(Fault(kind, time, strike, words, moment))
@@ -139,9 +143,10 @@ def draw_faults(
 
 
 Made = tuple[Callable[["Trial"], None], str]
+Maker = Callable[[np.random.Generator, "Trial"], Made]
 
 
-def _duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
+def draw_duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
     """Draw a log-uniform duration between the two limits, s."""
     return float(math.exp(rng.uniform(math.log(shortest), math.log(longest))))
 
@@ -154,20 +159,20 @@ NODES = ("tap_planner", "scara_arm", "tapper_trigger")
 
 
 def _freeze(rng: np.random.Generator, trial: Trial) -> Made:
-    node, duration = _pick(rng, (*NODES, "camera_pose")), _duration(rng, 0.001, 5.0)
+    node, duration = _pick(rng, (*trial.nodes, "camera_pose")), draw_duration(rng, 0.001, 5.0)
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
 
 
 def _freeze_at_shot(rng: np.random.Generator, trial: Trial) -> Made:
     """Freeze a node for about as long as the arm promises to stand still."""
-    node = _pick(rng, ("tapper_trigger", "tapper_trigger", "scara_arm", "tap_planner"))
+    node = _pick(rng, ("tapper_trigger", "tapper_trigger", trial.arm_node, "tap_planner"))
     duration = float(rng.uniform(0.02, 0.6))
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
 
 
 def _freeze_before_write(rng: np.random.Generator, trial: Trial) -> Made:
-    node = _pick(rng, ("tapper_trigger", "tapper_trigger", "scara_arm"))
-    writes, duration = int(rng.integers(0, 60)), _duration(rng, 0.005, 3.0)
+    node = _pick(rng, ("tapper_trigger", "tapper_trigger", trial.arm_node))
+    writes, duration = int(rng.integers(0, 60)), draw_duration(rng, 0.005, 3.0)
 
     def strike(t: Trial) -> None:
         t.processes[node].freeze_before_write = (writes, duration)
@@ -176,7 +181,7 @@ def _freeze_before_write(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _freeze_at_write(rng: np.random.Generator, trial: Trial) -> Made:
-    writes, duration = int(rng.integers(0, 4)), _duration(rng, 0.02, 3.0)
+    writes, duration = int(rng.integers(0, 4)), draw_duration(rng, 0.02, 3.0)
 
     def strike(t: Trial) -> None:
         t.processes["tapper_trigger"].freeze_before_write = (writes, duration)
@@ -185,7 +190,7 @@ def _freeze_at_write(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _freeze_after_check(rng: np.random.Generator, trial: Trial) -> Made:
-    duration = _duration(rng, 0.005, 3.0)
+    duration = draw_duration(rng, 0.005, 3.0)
 
     def strike(t: Trial) -> None:
         t.processes["tapper_trigger"].freeze_after_check = duration
@@ -194,17 +199,17 @@ def _freeze_after_check(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _kill(rng: np.random.Generator, trial: Trial) -> Made:
-    node, away = _pick(rng, (*NODES, "camera_pose")), _duration(rng, 0.2, 25.0)
+    node, away = _pick(rng, (*trial.nodes, "camera_pose")), draw_duration(rng, 0.2, 25.0)
     return lambda t: t.kill(node, away), f"{node} killed, back after {away:.1f} s"
 
 
 def _restart(rng: np.random.Generator, trial: Trial) -> Made:
-    node, away = _pick(rng, NODES), _duration(rng, 0.2, 5.0)
+    node, away = _pick(rng, trial.nodes), draw_duration(rng, 0.2, 5.0)
     return lambda t: t.shut_down(node, away), f"{node} ended in order, back after {away:.1f} s"
 
 
 def _deactivate(rng: np.random.Generator, trial: Trial) -> Made:
-    node, away = _pick(rng, NODES), _duration(rng, 0.05, 5.0)
+    node, away = _pick(rng, trial.nodes), draw_duration(rng, 0.05, 5.0)
 
     def strike(t: Trial) -> None:
         t.processes[node].lifecycle(Deactivated())
@@ -228,7 +233,7 @@ LINKS = {
 def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
     topic = _pick(rng, tuple(LINKS))
     towards = _pick(rng, LINKS[topic])
-    delay, lasting = _duration(rng, 0.01, 2.0), _duration(rng, 0.2, 6.0)
+    delay, lasting = draw_duration(rng, 0.01, 2.0), draw_duration(rng, 0.2, 6.0)
 
     def strike(t: Trial) -> None:
         t.network.faults.slow[topic, towards] = delay
@@ -238,13 +243,13 @@ def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _duplicates(rng: np.random.Generator, trial: Trial) -> Made:
-    lasting = _duration(rng, 0.5, 8.0)
+    lasting = draw_duration(rng, 0.5, 8.0)
 
     def strike(t: Trial) -> None:
         t.network.faults.duplicates = 0.3
         t.scheduler.after(lasting, lambda: setattr(t.network.faults, "duplicates", 0.0))
 
-    return strike, f"a third of all messages twice for {lasting:.1f} s"
+    return strike, f"a third of all messages delivered twice for {lasting:.1f} s"
 
 
 def _replay(rng: np.random.Generator, trial: Trial) -> Made:
@@ -300,16 +305,16 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
         told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
         t.network.publish("somebody_else", "tapper_state", told)
 
-    return strike, "somebody else lets the arm go" if by_service else (
+    return strike, "another node ends the arm's promise" if by_service else (
         f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
     )
 
 
 def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
     """Another node has the arm hold still for a tap, ends that promise early, reports that the tap
-    is over, and withdraws it, which only the arm receives at once."""
+    is over, and withdraws it; only the arm receives this withdrawal immediately."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
-    later, late = _duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
+    later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends = rng.random() < 0.7
 
     def strike(t: Trial) -> None:
@@ -328,13 +333,10 @@ def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
         told.outcome = TapperState.NOT_FIRED
         told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
         t.network.publish("somebody_else", "tapper_state", told)
-        command = TapCommand(request=TapCommand.WITHDRAW, tap_id=number)
-        command.header.frame_id = "table"
-        command.header.stamp = to_stamp(t.clocks["tap_planner"].now().ros)
-        t.network.publish("somebody_else", "tap_command", command)
+        _send_withdrawal(t, number)
 
     return strike, (
-        f"somebody else has the arm hold still for {duration:.3f} s, ends it after {later:.3f} s"
+        f"another node has the arm hold still for {duration:.3f} s, ends it after {later:.3f} s"
         + (" and has the arm leave" if sends else "")
     )
 
@@ -343,13 +345,59 @@ def _foreign_withdrawal(rng: np.random.Generator, trial: Trial) -> Made:
     """Another node withdraws the tap under way."""
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
-        command = TapCommand(request=TapCommand.WITHDRAW, tap_id=last)
-        command.header.frame_id = "table"
-        command.header.stamp = to_stamp(t.clocks["tap_planner"].now().ros)
-        t.network.publish("somebody_else", "tap_command", command)
+        _send_withdrawal(t, max(t.witness.commands, default=0))
 
     return strike, "a foreign WITHDRAW of the present tap"
+
+
+def _send_withdrawal(trial: Trial, tap_id: int) -> None:
+    """Publish a withdrawal of a tap by a node that is not part of the cell."""
+    command = TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id)
+    command.header.frame_id = "table"
+    command.header.stamp = to_stamp(trial.clocks["tap_planner"].now().ros)
+    trial.network.publish("somebody_else", "tap_command", command)
+
+
+def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
+    """Another node publishes one state or command a hundred times a second, and may have the arm
+    leave at the end, of which the tapper hears late."""
+    name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
+    outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
+    number, withdraws = 1 + round(FLOOD_HZ * draw_duration(rng, 0.02, 0.5)), rng.random() < 0.7
+    late = float(rng.uniform(0.03, 0.6))
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        for step in range(number):
+            t.scheduler.after(step / FLOOD_HZ, partial(say, t, last))
+        if withdraws:
+            t.scheduler.after((number - 0.5) / FLOOD_HZ, partial(leave, t, last))
+
+    def leave(t: Trial, last: int) -> None:
+        for topic in ("tap_command", "arm_state"):
+            t.network.faults.slow[topic, "tapper_trigger"] = late
+            t.scheduler.after(late, partial(t.network.hasten, topic, "tapper_trigger"))
+        _send_withdrawal(t, last)
+
+    def say(t: Trial, last: int) -> None:
+        message: TapperState | ArmState | PlanState | TapCommand
+        if name == "tapper_state":
+            message = TapperState(state=TapperState.SAFE, tap_id=last, outcome=outcome)
+        elif name == "arm_state":
+            message = ArmState(state=ArmState.IN_POSITION, tap_id=last, homed=True)
+            if last:
+                message.tip_pose = t.witness.commands[last].strike_pose
+        elif name == "plan_state":
+            message = PlanState(state=PlanState.FIRING)
+        else:
+            message = TapCommand(request=TapCommand.WITHDRAW)
+        message.header.frame_id = "table"
+        node = "tap_planner" if name in ("plan_state", "tap_command") else "scara_arm"
+        message.header.stamp = to_stamp(t.clocks[node].now().ros)
+        t.network.publish("somebody_else", name, message)
+
+    leaves = ", then withdraws the tap" if withdraws else ""
+    return strike, f"somebody else publishes {name} {number} times at 100 Hz{leaves}"
 
 
 def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
@@ -368,7 +416,7 @@ def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
     delays = {("hold_still", way): float(rng.uniform(0.0, 0.2)) for way in ("request", "answer")}
     if rng.random() < 0.5:
         delays.pop(("hold_still", _pick(rng, ("request", "answer"))))
-    lasting = _duration(rng, 0.2, 6.0)
+    lasting = draw_duration(rng, 0.2, 6.0)
 
     def strike(t: Trial) -> None:
         t.network.faults.slow.update(delays)
@@ -403,15 +451,15 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
         t.note_kind(kind)
         what(t)
 
-    echo = ", its own words late too" if silent else ""
-    return strike, f"{words}; heard by all but {first} {late:.3f} s late{echo}"
+    echo = ", its own messages late too" if silent else ""
+    return strike, f"{words}; received {late:.3f} s late by all nodes except {first}{echo}"
 
 
 def _motors_off(rng: np.random.Generator, trial: Trial) -> Made:
     """The motors of a board lose their power and therefore their position."""
     if rng.random() < 0.5:
         return lambda t: t.turn_arm_motors_off(), "the arm's motors lose their power"
-    lasting = _duration(rng, 0.05, 3.0)
+    lasting = draw_duration(rng, 0.05, 3.0)
     return lambda t: t.turn_tapper_motor_off(lasting), (
         f"the tapper's motor has no power for {lasting:.2f} s"
     )
@@ -426,7 +474,7 @@ def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
     kinds = (FaultKind.DROP, FaultKind.STALL, FaultKind.HANG_UP, FaultKind.DELAY, FaultKind.DELAY)
     kind = kinds[int(rng.integers(len(kinds)))]
     direction = list(Direction)[int(rng.integers(2))]
-    length, lasting = int(rng.integers(30, 2000)), _duration(rng, 0.02, 1.0)
+    length, lasting = int(rng.integers(30, 2000)), draw_duration(rng, 0.02, 1.0)
 
     def strike(t: Trial) -> None:
         layer = t.physical.tapper_line.layer
@@ -460,8 +508,23 @@ def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"a foreign {'arm_state: in position' if of_arm else 'plan_state: firing'}"
 
 
+def _second_arm(rng: np.random.Generator, trial: Trial) -> Made:
+    """The arm of another cell in the same ROS domain offers the same services. It is in position,
+    as far as it knows, and grants every request."""
+    lasting = draw_duration(rng, 0.2, 6.0)
+
+    def strike(t: Trial) -> None:
+        def grant(request: HoldStill.Request, answer: Callable[[HoldStill.Response], None]) -> None:
+            answer(HoldStill.Response(granted=True, duration=request.duration))
+
+        t.network.serve("scara_arm of another cell", "hold_still", grant)
+        t.scheduler.after(lasting, partial(t.network.leave, "scara_arm of another cell"))
+
+    return strike, f"the arm of another cell offers hold_still for {lasting:.1f} s"
+
+
 def _second_node(rng: np.random.Generator, trial: Trial) -> Made:
-    node, lasting = _pick(rng, NODES), _duration(rng, 1.0, 20.0)
+    node, lasting = _pick(rng, trial.nodes), draw_duration(rng, 1.0, 20.0)
     return lambda t: t.start_second(node, lasting), f"a second {node} for {lasting:.1f} s"
 
 
@@ -474,14 +537,28 @@ def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
         point.time_from_start.sec = 3
         t.network.publish("somebody_else", "joint_trajectory", message)
 
-    return strike, "a joint_trajectory from somebody else"
+    return strike, "a joint_trajectory from another node"
+
+
+def _unheard_trajectory(rng: np.random.Generator, trial: Trial) -> Made:
+    """The arm follows somebody else's trajectory, of which the planner hears too late, so that it
+    commands a tap that the arm refuses."""
+    follow, words = _trajectory(rng, trial)
+    late, lasting = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.5, 1.0))
+
+    def strike(t: Trial) -> None:
+        t.network.faults.slow["arm_state", "tap_planner"] = late
+        t.scheduler.after(lasting, partial(t.network.hasten, "arm_state", "tap_planner"))
+        follow(t)
+
+    return strike, f"{words}, of which the planner hears {late:.2f} s late"
 
 
 def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
-    node = _pick(rng, (*NODES, "camera_pose"))
-    step = float(rng.choice((-1.0, 1.0))) * _duration(rng, 0.01, 3600.0)
+    node = _pick(rng, (*trial.nodes, "camera_pose"))
+    step = float(rng.choice((-1.0, 1.0))) * draw_duration(rng, 0.01, 3600.0)
 
-    lasting = _duration(rng, 0.1, 30.0)
+    lasting = draw_duration(rng, 0.1, 30.0)
 
     def strike(t: Trial) -> None:
         t.clocks[node].offset += step
@@ -505,6 +582,7 @@ def _line(rng: np.random.Generator, trial: Trial) -> Made:
     drawn = random_fault(rng, direction, 0, 3000 if name == "arm" else 1500)
 
     def strike(t: Trial) -> None:
+        t.note_kind(f"serial line of the {name}")
         layer = (t.physical.arm_line if name == "arm" else t.physical.tapper_line).layer
         layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
 
@@ -527,9 +605,10 @@ def _shot_line(rng: np.random.Generator, trial: Trial) -> Made:
 def _power(rng: np.random.Generator, trial: Trial) -> Made:
     """A board loses its power for a moment; if it is unplugged, its port disappears as well."""
     name, way = _pick(rng, ("arm", "tapper")), Direction.TO_HOST
-    unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), _duration(rng, 0.3, 3.0)
+    unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), draw_duration(rng, 0.3, 3.0)
 
     def strike(t: Trial) -> None:
+        t.note_kind(f"loss of power of the {name}")
         if name == "tapper":
             t.interrupt_tapper_power()
             return
@@ -546,8 +625,8 @@ def _power(rng: np.random.Generator, trial: Trial) -> Made:
 
 def _camera(rng: np.random.Generator, trial: Trial) -> Made:
     which = _pick(rng, ("lost", "late", "repeated", "hidden", "wrong"))
-    lasting = _duration(rng, 0.05, 6.0)
-    late_by = _duration(rng, 0.02, 1.5)
+    lasting = draw_duration(rng, 0.05, 6.0)
+    late_by = draw_duration(rng, 0.02, 1.5)
     off = Pose(float(rng.normal(0, 0.02)), float(rng.normal(0, 0.02)), float(rng.normal(0, 0.3)))
 
     def strike(t: Trial) -> None:
@@ -576,9 +655,9 @@ def _turn(rng: np.random.Generator, trial: Trial) -> Made:
 
 
 def _by_hand(rng: np.random.Generator, way: float) -> Made:
-    """The object is moved by hand, at once or slowly; ``way``: standard deviation, m."""
+    """The object is moved by hand, suddenly or slowly; ``way``: standard deviation, m."""
     shift = Pose(float(rng.normal(0, way)), float(rng.normal(0, way)), float(rng.normal(0, 0.4)))
-    lasting = 0.0 if rng.random() < 0.5 else _duration(rng, 0.1, 2.0)
+    lasting = 0.0 if rng.random() < 0.5 else draw_duration(rng, 0.1, 2.0)
     return lambda t: t.move_object(shift, lasting), (
         f"the object is moved by hand by {1e3 * math.hypot(shift.x, shift.y):.0f} mm and"
         f" {math.degrees(shift.theta):.0f} deg within {lasting:.2f} s"
@@ -586,17 +665,17 @@ def _by_hand(rng: np.random.Generator, way: float) -> Made:
 
 
 def _emergency_stop(rng: np.random.Generator, trial: Trial) -> Made:
-    lasting = _duration(rng, 0.2, 5.0)
+    lasting = draw_duration(rng, 0.2, 5.0)
     return lambda t: t.press_emergency_stop(lasting), f"emergency stop held for {lasting:.1f} s"
 
 
 def _service_stop(rng: np.random.Generator, trial: Trial) -> Made:
-    node = _pick(rng, ("scara_arm", "tapper_trigger"))
+    node = _pick(rng, (trial.arm_node, "tapper_trigger"))
     return lambda t: t.call_stop(node), f"service stop of {node}"
 
 
 def _interlock(rng: np.random.Generator, trial: Trial) -> Made:
-    lasting = _duration(rng, 0.05, 4.0)
+    lasting = draw_duration(rng, 0.05, 4.0)
 
     def strike(t: Trial) -> None:
         t.physical.set_interlock(False)
@@ -622,7 +701,7 @@ def _disk_full(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, "the planner's disk is full for 20 s"
 
 
-MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
+MAKERS: dict[str, Maker] = {
     "freeze": _freeze,
     "freeze at a shot": _freeze_at_shot,
     "freeze before a write": _freeze_before_write,
@@ -638,12 +717,15 @@ MAKERS: dict[str, Callable[[np.random.Generator, Trial], Made]] = {
     "foreign withdrawal": _foreign_withdrawal,
     "foreign outcome": _foreign_outcome,
     "foreign hold": _foreign_hold,
+    "foreign flood": _foreign_flood,
     "repeated command": _repeated_command,
     "heard by one": _heard_by_one,
     "slow answer": _slow_answer,
     "foreign state": _foreign_state,
     "second node": _second_node,
+    "second arm": _second_arm,
     "foreign trajectory": _trajectory,
+    "unheard trajectory": _unheard_trajectory,
     "clock step": _clock_step,
     "serial line": _line,
     "line at a shot": _shot_line,
@@ -689,7 +771,7 @@ AT_A_SHOT = (
     "duplicates",
     "second client",
     "object turned",
-    *("foreign trajectory", "foreign hold") * 2,
+    *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
 """Kinds of faults around a shot. Those that make two nodes observe different states are repeated,
 so that they are drawn more often."""

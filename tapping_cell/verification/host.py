@@ -31,6 +31,7 @@ from tapping_cell.logic.effects import (
     Log,
     Publish,
     RunJob,
+    SeveralServers,
     StopLevels,
     StopWire,
     TouchGoal,
@@ -86,7 +87,7 @@ _PLAIN = frozenset((int, float, str, bool, bytes))
 
 @dataclass(slots=True)
 class HostClock:
-    """Clocks of one computer. ``offset`` and ``drift``: of its ROS time against the run's time."""
+    """Clocks of one computer. ``offset`` and ``drift`` of its ROS time refer to the run's time."""
 
     scheduler: Scheduler
     offset: float = 0.0
@@ -382,6 +383,10 @@ class Process:
                         lambda: self._handle(lambda now: self.logic.on_answer(token, response, now))
                     )
 
+            servers = self._network.servers(effect.service)
+            if servers > 1:
+                self._scheduler.after(0.0, lambda: answered(SeveralServers(servers)))
+                return
             self._network.call(effect.service, effect.request, answered, effect.timeout)
         elif isinstance(effect, AskStops):
             self._scheduler.after(0.3, lambda: self._tell_stops(effect.token, life))

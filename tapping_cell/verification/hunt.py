@@ -9,20 +9,22 @@ import argparse
 import json
 import sys
 
+from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
 from tapping_cell.verification.mutants import MUTANTS, plant
 
 
 def main() -> int:
     """Apply the mutant, run goals until a violation occurs, and print its name as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("name", choices=[mutant.name for mutant in MUTANTS])
+    known = (*MUTANTS, *FIXED_MUTANTS)
+    parser.add_argument("name", choices=[mutant.name for mutant in known])
     parser.add_argument("--goals", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--core", type=int, default=0, help="the core to stay on")
     arguments = parser.parse_args()
-    (mutant,) = (mutant for mutant in MUTANTS if mutant.name == arguments.name)
+    (mutant,) = (mutant for mutant in known if mutant.name == arguments.name)
     plant(mutant)
-    from tapping_cell.verification.campaign import (  # with the mutant in it
+    from tapping_cell.verification.campaign import (  # imported with the mutant applied
         run_campaign,
         settle_on,
     )
@@ -30,9 +32,8 @@ def main() -> int:
 
     settle_on(arguments.core)
 
-    summary = run_campaign(
-        arguments.goals, arguments.seed, 1, stop_at_violation=True, mix=Mix(mutant.kinds)
-    )
+    mix = Mix(mutant.kinds, fixed=mutant.fixed)
+    summary = run_campaign(arguments.goals, arguments.seed, 1, stop_at_violation=True, mix=mix)
     caught = summary.violations[0][1].name if summary.violations else ""
     print(json.dumps({"goals": summary.goals, "caught by": caught}))
     return 0

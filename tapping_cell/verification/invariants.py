@@ -41,9 +41,12 @@ ORPHAN_S = 1.5
 """Maximum time from the end of the planner to a release; by then its heartbeat has timed out."""
 HOMED_S = 3.0
 """Maximum time from the loss of the arm's reference, or from the end of a freeze after it, to the
-last report of a new reading of a homed arm; bytes on the line may be that late."""
+last new reading reported as homed, because bytes on the line may be that late."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner exceeds the deadline of a wait."""
+HEARD_S, CARRIED_S = 0.65, 2.5
+"""Time after a report of a charged striker during which the arm must not begin to move, and time
+from the charging beyond which it need not wait any more."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
@@ -108,13 +111,15 @@ class Witness:
     camera_heard: float = math.inf
     """Time at which the tapper's process last received a usable observation."""
     seen_moving: bool = False
-    """Whether the object moved by the last observation that the planner's process received."""
+    """Whether the object moved in the last observation that the planner's process received."""
     deadlines: dict[int, float] = field(default_factory=dict)
     """Maximum duration of the planner's waits for arm and tapper, by its published state."""
     unhomed_since: float = math.inf
     """Time since which the arm has had no valid reference; inf while it has one."""
     unseen_by_tapper: float = 0.0
     """Maximum time for which the tapper itself accepts an unseen object."""
+    charge_heard: float = -math.inf
+    """Time at which the arm's process last received that the striker is charged."""
     _struck_until: float = -math.inf
     """Time at which the last released striker reaches the end of its stroke."""
     _asked_to_move: bool = True
@@ -173,13 +178,14 @@ class Witness:
         command = self._command_of(release)
         if command is None:
             self.violate(
-                "no such tap", f"shot {shot} was released, the tapper heard of no such tap"
+                "no such tap", f"shot {shot} was released, but the tapper received no such tap"
             )
             return
         self._check_place(release, command)
         self._check_energy(release, command)
         self._struck_until = release.time + self.physical.flight(command.striker_speed)
         self._check_permit(release)
+        self._check_last_check(release)
         self._check_time(release, command)
         gone = release.time - self.planner_gone_since
         if gone > ORPHAN_S:
@@ -189,7 +195,7 @@ class Witness:
         if shot in self.planners and silent > patience + WINDOW_S:
             self.violate(
                 "planner silent",
-                f"shot {shot} was released {silent:.2f} s after the tapper had last heard the"
+                f"shot {shot} was released {silent:.2f} s after the tapper last heard from the"
                 " planner that commanded it",
             )
         blind = release.time - self.camera_heard
@@ -222,8 +228,8 @@ class Witness:
         if not least * asked <= release.energy <= (1.0 + ENERGY_SHARE) * asked:
             self.violate(
                 "other energy",
-                f"shot {release.shot} was released with {1e3 * release.energy:.2f} mJ, asked were"
-                f" {1e3 * asked:.2f} mJ",
+                f"shot {release.shot} was released with {1e3 * release.energy:.2f} mJ, but"
+                f" {1e3 * asked:.2f} mJ were requested",
             )
 
     def _check_place(self, release: Release, command: TapCommand) -> None:
@@ -247,6 +253,8 @@ class Witness:
                 f"shot {release.shot} was released {end - release.time:.3f} s before the end of"
                 " the arm's promise to stand still",
             )
+
+    def _check_last_check(self, release: Release) -> None:
         asked, reason = self.last_check
         if reason is not None:
             self.violate("against its check", f"shot {release.shot} was released against: {reason}")
@@ -295,7 +303,7 @@ class Witness:
             self.violate(
                 "object elsewhere",
                 f"shot {release.shot} was released with the object {1e3 * off:.1f} mm and"
-                f" {math.degrees(turned):.1f} deg from where the tap was planned",
+                f" {math.degrees(turned):.1f} deg from its pose when the tap was planned",
             )
 
     def _check_knowledge(self, release: Release, planned: Pose) -> None:
@@ -305,7 +313,7 @@ class Witness:
             self.violate(
                 "unseen by the tapper",
                 f"shot {release.shot} was released {release.time - last:.3f} s after the tapper"
-                " had last heard where the object lies",
+                " had last received a pose of the object",
             )
         for heard, pose in reversed(self.seen_by_tapper):
             if planned.distance_to(pose) <= BUMP_M and abs(planned.rotation_to(pose)) <= BUMP_RAD:
@@ -315,14 +323,16 @@ class Witness:
             self.violate(
                 "against what it saw",
                 f"shot {release.shot} was released {release.time - since:.3f} s after the tapper"
-                " had heard that the object lies elsewhere",
+                " had received a different pose of the object",
             )
 
     # States
 
     def _check_charge(self) -> None:
+        self._check_charged(self.physical.tapper_board.state in ("CHARGING", "CHARGED"))
+
+    def _check_charged(self, charged: bool) -> None:
         now = self.scheduler.now
-        charged = self.physical.tapper_board.state in ("CHARGING", "CHARGED")
         if not charged:
             self._charged_since = None
             return
@@ -340,13 +350,14 @@ class Witness:
         if self._moving_since is None:
             self._moving_since = now
             if not self._asked_to_move:
-                self.violate("moved unasked", "the arm began to move, and nobody had asked for it")
+                self.violate("moved unasked", "the arm began to move without a request")
             if now < self._struck_until:
                 self.violate(
                     "moved in flight",
                     f"the arm began to move {self._struck_until - now:.3f} s before the striker"
-                    " can be through its stroke",
+                    " can have completed its stroke",
                 )
+            self._check_striker()
             for tap_id, end in self.promises.items():
                 if now < end - ROUNDING_S and tap_id not in self.outcomes:
                     self.violate(
@@ -357,7 +368,7 @@ class Witness:
             if not self.word_given:
                 self.violate(
                     "moved by itself",
-                    "the arm began to move without a person's word after a crash or a stop",
+                    "the arm began to move without a person's permission after a crash or a stop",
                 )
         if now > self.held_since + STOP_MOTION_S:
             self.violate(
@@ -370,6 +381,19 @@ class Witness:
         if stopped is not None and now > stopped + STOP_MOTION_S:
             self.violate("moves while stopped", f"the arm moves {now - stopped:.2f} s after a stop")
             self.stopped_at["scara_arm"] = math.inf
+
+    def _check_striker(self) -> None:
+        """Check that the arm begins no motion but that to a strike pose with a charged striker."""
+        if self._charged_since is None or self._arm[0] == ArmState.MOVING:
+            return
+        now = self.scheduler.now
+        heard = now - self.charge_heard
+        if heard < HEARD_S and now - self._charged_since < CARRIED_S:
+            self.violate(
+                "carried charged",
+                f"the arm began to move with a charged striker, of which it had heard {heard:.2f} s"
+                " before",
+            )
 
     # Reports
 
@@ -416,8 +440,8 @@ class Witness:
             if self._arm != (ArmState.IN_POSITION, request.tap_id):
                 self.violate(
                     "empty promise",
-                    f"the arm promised to stand still for tap {request.tap_id}, it was in state"
-                    f" {self._arm[0]} for tap {self._arm[1]}",
+                    f"the arm promised to stand still for tap {request.tap_id} while it was in"
+                    f" state {self._arm[0]} for tap {self._arm[1]}",
                 )
             self.promises[request.tap_id] = end
 
@@ -433,17 +457,18 @@ class Witness:
             if TapperState.UNKNOWN not in (before, message.outcome) and before != message.outcome:
                 self.violate(
                     "other outcome",
-                    f"tap {message.tap_id} was told with outcome {before}, now {message.outcome}",
+                    f"tap {message.tap_id} was reported with outcome {before}, now with"
+                    f" {message.outcome}",
                 )
             self.outcomes[message.tap_id] = message.outcome
             if message.outcome == TapperState.FIRED and not fired:
-                self.violate("false report", f"tap {message.tap_id} is told FIRED, it was not")
+                self.violate("false report", f"tap {message.tap_id} is reported FIRED, but was not")
         if message.state == TapperState.SAFE and self._charged_since is not None:
             since = self.scheduler.now - self._charged_since
             if since > 0.6 and message.tap_id != 0:
                 self.violate(
                     "said safe while charged",
-                    f"the tapper is told SAFE, it has been charged for {since:.2f} s",
+                    f"the tapper is reported SAFE, but has been charged for {since:.2f} s",
                 )
 
     def _on_plan_state(self, message: PlanState) -> None:
@@ -467,7 +492,7 @@ class Witness:
         if (off > position or turned > angle) and not recently:
             self.violate(
                 "false claim",
-                f"told reached, truly {1e3 * off:.3f} mm and {math.degrees(turned):.3f} deg off"
+                f"reported reached, truly {1e3 * off:.3f} mm and {math.degrees(turned):.3f} deg off"
                 f" (tolerance {1e3 * position:.3f} mm, {math.degrees(angle):.3f} deg)",
             )
 
@@ -476,4 +501,4 @@ class Witness:
         fired = {release.shot for release in self.physical.releases}
         for shot, outcome in self.outcomes.items():
             if outcome == TapperState.NOT_FIRED and shot in fired:
-                self.violate("false report", f"tap {shot} was told NOT_FIRED, it was fired")
+                self.violate("false report", f"tap {shot} was reported NOT_FIRED, but was fired")

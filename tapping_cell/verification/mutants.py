@@ -31,6 +31,8 @@ class Mutant:
     """Further replacement that is needed to remove the correction."""
     kinds: tuple[str, ...] = ()
     """Kinds of faults against which the guard protects; a hunt draws its faults from these."""
+    fixed: bool = False
+    """Whether the hunt runs the cell with fixed tappers."""
 
 
 MUTANTS: tuple[Mutant, ...] = (
@@ -144,7 +146,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "does not stop the wire",
         "tapping_cell.logic.device",
-        "                # Nothing goes before the stop on the wire.\n"
+        "                # The stop is sent before anything else.\n"
         "                self._effects.append(StopWire())\n",
         "                pass\n",
         "S4",
@@ -274,16 +276,16 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "leaves before its promise is over",
         "tapping_cell.logic.arm",
-        "partial(arm_jobs.withdraw, plan=plan, not_before=self._promise_end)",
-        "partial(arm_jobs.withdraw, plan=plan, not_before=0.0)",
+        "not_before = self._free_at(now)",
+        "not_before = 0.0",
         "S1",
         kinds=("foreign withdrawal", "cancel", "heard by one"),
     ),
     Mutant(
         "lets anybody end the arm's promise",
         "tapping_cell.logic.arm",
-        "if request.key and asker == self._promised_to and now",
-        "if now",
+        "if request.key and asker == self._promised_to and is_shorter:",
+        "if is_shorter:",
         "R9",
         kinds=("foreign outcome",),
     ),
@@ -294,6 +296,29 @@ MUTANTS: tuple[Mutant, ...] = (
         "        if False:\n",
         "R9",
         kinds=("foreign hold",),
+    ),
+    Mutant(
+        "leaves with a charged striker",
+        "tapping_cell.logic.arm",
+        "return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))",
+        "return self._promise_end",
+        "",
+        Mutant(
+            "withdraws with a charged striker",
+            "tapping_cell.logic.arm",
+            "if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):",
+            "if False:",
+        ),
+        kinds=("foreign withdrawal", "heard by one", "cancel"),
+    ),
+    Mutant(
+        "believes anybody that the striker is discharged",
+        "tapping_cell.logic.arm",
+        "        if ours and message.state in CHARGED:\n",
+        "        if ours and message.state not in CHARGED:\n"
+        "            self._charged_until = -math.inf\n"
+        "        elif ours:\n",
+        kinds=("foreign flood",),
     ),
     Mutant(
         "takes a trajectory while a tap is pending",
@@ -337,7 +362,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.planner",
         "        elif self._late(now):\n            self._fail(code, sentence",
         "        elif False:\n            self._fail(code, sentence",
-        kinds=("foreign trajectory",),
+        kinds=("unheard trajectory",),
     ),
     Mutant(
         "decides on an object that still slides",
@@ -472,8 +497,8 @@ def _changed(mutants: Sequence[Mutant]) -> str:
         count = source.count(mutant.old)
         if count != 1:
             raise MutantError(
-                f"mutant '{mutant.name}': its text stands {count} times in {mutant.module}; it"
-                " must stand there once"
+                f"mutant '{mutant.name}': its text occurs {count} times in {mutant.module}; it"
+                " must occur once"
             )
         source = source.replace(mutant.old, mutant.new)
     return source

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -60,14 +61,14 @@ class Network:
         """Called for every message that a node publishes."""
         self.on_call: Callable[[str, Any], None] = lambda service, request: None
         """Called when a service is called."""
-        self.on_answer: Callable[[str, Any, Any], None] = lambda service, request, response: None
-        """Called when a service answers."""
+        self.on_answer: Callable[[str, str, Any, Any], None] = lambda *_: None
+        """Called with node, service, request and response when a node answers."""
         self._scheduler = scheduler
         self._rng = rng
         self._qualities = qualities
         self._links: dict[str, list[_Link]] = {}
         self._last: dict[str, dict[str, Any]] = {}
-        self._servers: dict[str, tuple[str, Handle]] = {}
+        self._servers: dict[str, dict[str, Handle]] = {}
 
     def subscribe(self, node: str, topic: str, deliver: Deliver) -> None:
         """Subscribe to a topic; latched messages are sent immediately."""
@@ -97,8 +98,13 @@ class Network:
         return dict(self._last.get(topic, {}))
 
     def serve(self, node: str, service: str, handle: Handle) -> None:
-        """Offer a service: ``handle(request, answer)``."""
-        self._servers[service] = (node, handle)
+        """Offer a service: ``handle(request, answer)``. If several nodes offer it, each of them
+        receives every request, and the first answer counts."""
+        self._servers.setdefault(service, {})[node] = handle
+
+    def servers(self, service: str) -> int:
+        """Return how many nodes offer a service."""
+        return len(self._servers.get(service, ()))
 
     def call(
         self,
@@ -117,14 +123,13 @@ class Network:
                 answered = True
                 on_answer(response)
 
-        def answer(response: Any) -> None:
-            self.on_answer(service, request, response)
+        def answer(node: str, response: Any) -> None:
+            self.on_answer(node, service, request, response)
             self._scheduler.after(self._delay(service, "answer"), lambda: finish(response))
 
         def arrive() -> None:
-            server = self._servers.get(service)
-            if server is not None:
-                server[1](request, answer)
+            for node, handle in self._servers.get(service, {}).items():
+                handle(request, partial(answer, node))
 
         self._scheduler.after(self._delay(service, "request"), arrive)
         self._scheduler.after(timeout, lambda: finish(None))
@@ -135,8 +140,8 @@ class Network:
             self._links[topic] = [link for link in links if link.subscriber != node]
         for kept in self._last.values():
             kept.pop(node, None)
-        for service in [name for name, (owner, _) in self._servers.items() if owner == node]:
-            del self._servers[service]
+        for servers in self._servers.values():
+            servers.pop(node, None)
 
     def _quality(self, topic: str) -> Quality:
         return self._qualities.get(topic, Quality())

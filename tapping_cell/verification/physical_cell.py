@@ -47,17 +47,22 @@ class PhysicalCell:
         self._scheduler = scheduler
         self._looked_at: tuple[Pose, Joints] | None = None
         self._is_hidden = False
-        self.geometry = cell.arm.geometry()
-        self._base = cell.arm_base @ Pose(*truth.arm.base_offset)
         self._curve = cell.file.tapper.curve()
         self.world = World(
             cell.object, cell.file.tapper.striker(), cell.file.tapper.stroke, truth, seed
         )
-        self.arm_board = arm_emulator(cell.arm, truth.arm, seed, scheduler.now)
+        self._make_devices(seed, scheduler.now)
+
+    def _make_devices(self, seed: int, now: float) -> None:
+        """Create the boards and their lines; other kinds of cells have other boards."""
+        cell, truth, scheduler = self.cell, self.truth, self._scheduler
+        self.geometry = cell.arm.geometry()
+        self._base = cell.arm_base @ Pose(*truth.arm.base_offset)
+        self.arm_board = arm_emulator(cell.arm, truth.arm, seed, now)
         # In half of the boards the spring cannot push the screw back while the motor is off.
         spring = SpringMechanism(back_drive=4000.0 if seed % 2 else 0.0)
         self.tapper_board = TapperEmulator(
-            TapperMachine(spring=spring), self._release, boot=1, now=scheduler.now
+            TapperMachine(spring=spring), self._release, boot=1, now=now
         )
         self.arm_line = SerialLine(scheduler, FaultLayer(self.arm_board), "arm")
         self.tapper_line = SerialLine(scheduler, FaultLayer(self.tapper_board), "tapper")

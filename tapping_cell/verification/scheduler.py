@@ -128,7 +128,7 @@ class Fiber:
         """Wait, inside the fiber, until virtual time reaches ``time`` or :meth:`wake` is called.
 
         Raises:
-            Killed: the process was killed meanwhile.
+            Killed: the process was killed while waiting.
         """
         self._wake = None
         if math.isfinite(time):

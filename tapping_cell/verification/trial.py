@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any
@@ -19,7 +19,7 @@ from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic import arm_jobs
-from tapping_cell.logic.arm import ArmLogic, ArmOptions
+from tapping_cell.logic.arm import CHARGED, ArmLogic, ArmOptions
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Logic
@@ -50,9 +50,15 @@ from tapping_cell.verification.faults import (
     ALL,
     ARM_ASKED,
     ARM_PROMISED,
+    AT_A_SHOT,
     CHECKED,
+    MAKERS,
+    MOMENTS,
+    NODES,
+    OF_A_SHOT,
     RELEASED,
     Fault,
+    Maker,
     Mix,
     Moment,
     draw_faults,
@@ -108,7 +114,7 @@ SERVES = {
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
-"""Maximum time for which the object may be unseen: if the arm covers it (up to 3.4 s on its way to
+"""Maximum times for which the object may be unseen: if the arm covers it (up to 3.4 s on its way to
 a strike pose), and if the camera sees past the arm."""
 NOTICED_S = 0.7
 """Maximum time from the end of that limit to a release, for delayed messages and the board's firing
@@ -137,7 +143,7 @@ RECOVERY_S = 90.0
 
 
 DIALECTS = ("grbl", "grbl", "marlin")
-"""Controllers of the arm, by turns of the seed. After a loss of power Marlin has no alarm."""
+"""Controllers of the arm; the seed selects one. After a loss of power Marlin has no alarm."""
 
 
 @cache
@@ -183,6 +189,18 @@ class Report:
 class Trial:
     """The complete cell of one seed. Times in s of the run."""
 
+    devices: tuple[str, ...] = ("tapper_trigger", "scara_arm")
+    """Nodes that drive a device."""
+    nodes: tuple[str, ...] = NODES
+    arm_node = "scara_arm"
+    """Node that a fault strikes which is drawn for the arm's node."""
+    makers: Mapping[str, Maker] = MAKERS
+    at_a_shot: tuple[str, ...] = AT_A_SHOT
+    of_a_shot: tuple[str, ...] = OF_A_SHOT
+    moments: tuple[str, ...] = MOMENTS
+    further_causes: Mapping[int, frozenset[str]] = {}
+    """Kinds of faults that explain an error code in addition to those of ``causes``."""
+
     def __init__(
         self,
         seed: int,
@@ -202,12 +220,12 @@ class Trial:
         self._tracing = trace
         cell = self.cell = self._make_cell(seed)
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
-        self.physical = PhysicalCell(self.scheduler, cell, truth, seed)
+        self.physical = self._make_physical(truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
         self.joint_names = Joints._fields
-        self.arm_covers = bool(self.rng.random() < 0.5)
+        self.arm_covers = self._covers()
         self.in_haste = bool(self.rng.random() < SHARE_IN_HASTE)
-        """Whether goals have a short time limit, so that some end for it without any fault."""
+        """Whether goals have a short time limit, which ends some of them without any fault."""
         self.settings = PlannerSettings(
             goal_time_limit=float(self.rng.uniform(*HASTE_S))
             if self.in_haste
@@ -221,7 +239,7 @@ class Trial:
             "tapper_trigger": self._computers["drivers"],
             "camera_pose": self._computers["camera"],
         }
-        self.witness = Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
+        self.witness = self._make_witness()
         self.witness.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
         self.witness.unseen_by_tapper = COVERED_S if self.arm_covers else CLEAR_VIEW_S
         self.witness.deadlines = {
@@ -288,9 +306,27 @@ class Trial:
     def _make_cell(self, seed: int) -> Cell:
         return shipped_cell(DIALECTS[seed % len(DIALECTS)])
 
+    def _make_physical(self, truth: TruthFile, seed: int) -> PhysicalCell:
+        return PhysicalCell(self.scheduler, self.cell, truth, seed)
+
+    def _make_witness(self) -> Witness:
+        return Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
+
+    def _covers(self) -> bool:
+        """Draw whether the arm can cover the object."""
+        return bool(self.rng.random() < 0.5)
+
     def _lines(self) -> tuple[SerialLine, ...]:
         """Return the lines for ``_programs``."""
         return self.physical.arm_line, self.physical.tapper_line
+
+    def _busy_lines(self) -> tuple[SerialLine, ...]:
+        """Return lines in use by another process, for ``_programs``."""
+        physical = self.physical
+        return (
+            BusyLine(self.scheduler, physical.arm_line.layer, "arm"),
+            BusyLine(self.scheduler, physical.tapper_line.layer, "tapper"),
+        )
 
     def _make_clock(self) -> HostClock:
         rng = self.rng
@@ -349,8 +385,8 @@ class Trial:
             ),
         }
         return {
-            name: Program(make, connect, cell, HEARS[name], SERVES[name], lines)
-            for name, (make, connect, lines) in programs.items()
+            name: Program(make, connect, cell, HEARS[name], SERVES[name], own)
+            for name, (make, connect, own) in programs.items()
         }
 
     # One run
@@ -397,7 +433,7 @@ class Trial:
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
     def next_goal(self, number: int) -> Pose:
-        """Draw the next goal, in 80 % of the cases near the object like in the published task."""
+        """Draw the next goal, in 80 % of the cases near the object as in the published task."""
         rng = self.rng
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
@@ -449,7 +485,7 @@ class Trial:
             struck.add(COVERED)
         if self.in_haste and not in_time:
             struck.add(HASTE)
-        if result.error_code > 0 and not explains(result.error_code, struck):
+        if result.error_code > 0 and not self._is_explained(result.error_code, struck):
             self.witness.violate(
                 "untrue cause",
                 f"goal {number} ended with code {result.error_code} ({result.error_msg}), which"
@@ -485,14 +521,11 @@ class Trial:
         self._waiting_faults, self._result = list(faults), None
         self._moments.clear()
         if self._faulty and self.rng.random() < SHARE_OF_RIVALS:
-            # A second program uses the same id for another tap. The arm receives only one of the
-            # commands, and the tapper only the other.
+            # A second program uses the same id for another tap.
             rival = copy_of(command)
-            rival.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
             self._note("a second program's tap with the same id")
             self.note_kind("second client")
-            self.network.publish("second program", "tap_command", rival, only="tapper_trigger")
-            self.network.publish("program", "tap_command", command, only="scara_arm")
+            self._publish_rivals(command, rival)
         else:
             self.network.publish("program", "tap_command", command)
 
@@ -509,6 +542,13 @@ class Trial:
         self._waiting_faults = []
         self._struck_before = bool(faults)
         self.recover()
+
+    def _publish_rivals(self, command: TapCommand, rival: TapCommand) -> None:
+        """Have the arm receive only one of two commands with the same id, and the tapper only the
+        other."""
+        rival.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
+        self.network.publish("second program", "tap_command", rival, only="tapper_trigger")
+        self.network.publish("program", "tap_command", command, only="scara_arm")
 
     def _program_tap(self) -> TapCommand | None:
         """Return the last tap, transferred to the observed pose of the object; None if unseen."""
@@ -527,13 +567,21 @@ class Trial:
             expiry=to_stamp(now + round(PROGRAM_EXPIRY_S * NANOSECONDS)),
             object_pose=seen.pose.pose,
         )
+        self._fit_to_object(command, model, there)
+        command.header.frame_id = "table"
+        command.header.stamp = to_stamp(now)
+        return command
+
+    def _fit_to_object(self, command: TapCommand, model: TapCommand, there: Pose) -> None:
+        """Move the poses of a tap with the object; ``there``: the object's motion since then."""
         command.strike_pose = to_message(
             there @ from_message(model.strike_pose), model.strike_pose.position.z
         )
         command.predicted_pose = to_message(there @ from_message(model.predicted_pose))
-        command.header.frame_id = "table"
-        command.header.stamp = to_stamp(now)
-        return command
+
+    def _is_explained(self, code: int, struck: set[str]) -> bool:
+        """Return whether a code has a true cause among these kinds of faults."""
+        return explains(code, struck) or not struck.isdisjoint(self.further_causes.get(code, ()))
 
     def note_kind(self, kind: str) -> None:
         """Record that a fault of this kind strikes now."""
@@ -617,6 +665,7 @@ class Trial:
         self.scheduler.after(away, lambda: self._start_again(node))
 
     def _lost_process(self, node: str) -> None:
+        self.note_kind(f"end of {node}")
         if node == "scara_arm":
             self.witness.word_given = False
         if node == "tap_planner":
@@ -635,12 +684,7 @@ class Trial:
 
         The ports of the devices are in use. The first instance answers the services.
         """
-        physical = self.physical
-        lines = (
-            BusyLine(self.scheduler, physical.arm_line.layer, "arm"),
-            BusyLine(self.scheduler, physical.tapper_line.layer, "tapper"),
-        )
-        program = replace(self._programs(*lines)[node], services=())
+        program = replace(self._programs(*self._busy_lines())[node], services=())
         second = Process(
             f"{node} (second)",
             program,
@@ -679,13 +723,14 @@ class Trial:
         now = self.scheduler.now
         before = self.physical.object_pose(now)
         self.witness.moved_by_hand = (now, before)
-        self.physical.world.place(
-            Pose(
-                float(np.clip(before.x + shift.x, -0.2, 0.2)),
-                float(np.clip(before.y + shift.y, -0.13, 0.13)),
-                before.theta + shift.theta,
-            )
+        self._place_by_hand(
+            Pose(before.x + shift.x, before.y + shift.y, before.theta + shift.theta)
         )
+
+    def _place_by_hand(self, pose: Pose) -> None:
+        """Put the object at a pose, or at the edge of the central area of the table."""
+        x, y = float(np.clip(pose.x, -0.2, 0.2)), float(np.clip(pose.y, -0.13, 0.13))
+        self.physical.world.place(Pose(x, y, pose.theta))
 
     def press_emergency_stop(self, duration: float) -> None:
         """Hold the emergency stop of the panel for ``duration`` s."""
@@ -702,17 +747,18 @@ class Trial:
 
     def _be_impatient(self) -> None:
         """Call clear_fault and home while the emergency stop is held, which must have no effect."""
-        for node in ("tapper_trigger", "scara_arm"):
+        for node in self.devices:
             self.call_service(node, "~/clear_fault")
         self.scheduler.after(1.0, self._home_impatiently)
 
     def _home_impatiently(self) -> None:
         if math.isinf(self.witness.held_since):
             # The stop was released meanwhile, so these calls of a person are valid.
-            for node in ("tapper_trigger", "scara_arm"):
+            for node in self.devices:
                 self._give_word(node)
             self.witness.word_given = True
-        self.call_service("scara_arm", "~/home")
+        if "scara_arm" in self.devices:
+            self.call_service("scara_arm", "~/home")
 
     def interrupt_tapper_power(self) -> None:
         """Interrupt the power of the tapper's board, which also loses its latched stop."""
@@ -725,6 +771,7 @@ class Trial:
 
         Marlin does not report that, so its board loses its power instead.
         """
+        self.note_kind("motors off at the arm")
         if self.cell.arm.dialect == "marlin":
             self.interrupt_arm_power()
             return
@@ -745,6 +792,7 @@ class Trial:
             self.physical.tapper_board.set_motor_power(on, self.scheduler.now)
             self.physical.tapper_line.schedule()
 
+        self.note_kind("motors off at the tapper")
         switch(False)
         self.witness.motor_weak_until = math.inf
         self.scheduler.after(duration, lambda: switch(True))
@@ -754,6 +802,7 @@ class Trial:
         process = self.processes[node]
         if process.alive and self.scheduler.now >= process.frozen_until:
             self.report.by_node[f"stop {node}"] += 1
+            self.note_kind(f"stop of {node}")
             self.witness.stopped_at.setdefault(node, self.scheduler.now)
             if node == "scara_arm":
                 self.witness.word_given = False
@@ -830,13 +879,13 @@ class Trial:
             self._reached(told(topic, message.state))
 
     def _check_blame(self, message: TapperState) -> None:
-        """Check that an injected fault explains a tap that ended with TAPPER_FAULT unfired."""
+        """Check that an injected fault explains a tap not fired because of TAPPER_FAULT."""
         blamed = message.error_code == ErrorCode.TAPPER_FAULT
         if not blamed or message.outcome != TapperState.NOT_FIRED or message.tap_id == self._blamed:
             return
         self._blamed = message.tap_id
         struck = self._causes(message.error_code)
-        if not explains(message.error_code, struck):
+        if not self._is_explained(message.error_code, struck):
             self.witness.violate(
                 "untrue cause",
                 f"tap {message.tap_id} was not fired ('{message.error_msg}'), which is explained by"
@@ -855,7 +904,9 @@ class Trial:
         if service == "hold_still" and request.duration > 0:
             self._reached(ARM_ASKED)
 
-    def _on_answer(self, service: str, request: Any, response: Any) -> None:
+    def _on_answer(self, node: str, service: str, request: Any, response: Any) -> None:
+        if node != "scara_arm":
+            return
         self.witness.on_answer(service, request, response)
         if service == "hold_still" and request.duration > 0:
             self._reached(ARM_PROMISED)
@@ -880,6 +931,8 @@ class Trial:
                 self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
         if process == "tap_planner" and topic == "object_state" and message.visible:
             self.witness.seen_moving = not message.at_rest
+        if process == "scara_arm" and topic == "tapper_state" and message.state in CHARGED:
+            self.witness.charge_heard = now
         if topic == "emergency_stop" and message.data:
             self.witness.stopped_at.setdefault(process, now)
             if process == "tapper_trigger":
@@ -916,7 +969,7 @@ class Trial:
             failed = failed or self.tapper_power_lost_at > told
             cleared = "tapper_trigger" not in self.witness.stopped_at
             if not failed and not cleared and self.physical.tapper_board.state != "STOPPED":
-                self.witness.violate("stop not passed on", "the board was not told of a stop")
+                self.witness.violate("stop not passed on", "the board did not receive a stop")
 
         self.scheduler.after(STOP_WORD_S, check)
 
@@ -946,8 +999,3 @@ def _short(message: Any) -> str:
     if isinstance(message, TapCommand):
         return f"request={message.request} tap={message.tap_id}"
     return repr(message)[:200]
-
-
-def run_trial(seed: int, goals: int, trace: bool = False, mix: Mix = ALL) -> Report:
-    """Execute one run with faults of this mix."""
-    return Trial(seed, trace, mix=mix).run(goals)

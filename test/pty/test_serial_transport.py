@@ -310,6 +310,6 @@ def test_a_path_in_use_or_foreign_is_refused_and_a_dead_link_replaced(tmp_path: 
             PseudoTerminal(Silent(), path).open()
     assert list(tmp_path.iterdir()) == []
     path.write_text("a file of somebody's")
-    with pytest.raises(PortTakenError, match="no link to a terminal"):
+    with pytest.raises(PortTakenError, match="not a link to a terminal"):
         PseudoTerminal(Silent(), path).open()
     assert path.read_text() == "a file of somebody's"

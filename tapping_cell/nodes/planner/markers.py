@@ -1,7 +1,8 @@
 """Markers of the cell for RViz and Foxglove, in ``table``.
 
 They show the outlines of table, object, goal and predicted final pose, the goal tolerance, the
-arrow of the tap, keep-out zones, the workspace of the object, and the path of the object so far.
+arrow of the tap, keep-out zones, the workspace of the object, its path so far, and the tappers at
+fixed mounts with their lines.
 """
 
 from __future__ import annotations
@@ -69,6 +70,8 @@ def cell_markers(
         else:
             corners = np.asarray(area.vertices)
             markers.append(_line("other_object", number, corners, Pose(0.0, 0.0, 0.0), RED))
+    if cell.file.fixed_tappers is not None:
+        markers += _tapper_markers(cell)
     predicted = strike.predicted if strike is not None else None
     for name, place, colour in (
         ("object", pose, BLUE),
@@ -97,6 +100,21 @@ def cell_markers(
     for marker in markers:
         marker.header = state.header
     return MarkerArray(markers=markers)
+
+
+def _tapper_markers(cell: Cell) -> list[Marker]:
+    """Return the bodies of the fixed tappers and, thinner, the lines along which their tips travel.
+    The id is the tapper's position in the cell file."""
+    markers = []
+    for number, tapper in enumerate(cell.mounted_tappers()):
+        body = np.array([(-tapper.body_start - tapper.body_length, 0.0), (-tapper.body_start, 0.0)])
+        line = np.array([(0.0, 0.0), (tapper.stroke, 0.0)])
+        drawn = _line("tapper", number, body, tapper.mount, WHITE)
+        drawn.scale.x = 2.0 * tapper.body_radius
+        way = _line("tapper_line", number, line, tapper.mount, GREY)
+        way.scale.x = LINE_WIDTH / 4
+        markers += [drawn, way]
+    return markers
 
 
 def region_marker(edges: Points) -> Marker:

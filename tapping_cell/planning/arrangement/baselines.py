@@ -63,5 +63,5 @@ def _first_possible(scene: Scene, order: Iterable[Body], maps: AmongOthers) -> M
             return Move(body.name, body.goal, Purpose.TO_GOAL)
     return Refusal(
         RefusalReason.NO_ARRANGEMENT,
-        f"none of {', '.join(names)} can go to its goal: each is occupied or shut off by others",
+        f"none of {', '.join(names)} can go to its goal: other objects occupy or block each goal",
     )

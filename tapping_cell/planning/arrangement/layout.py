@@ -3,8 +3,8 @@
 The order of placement is found backwards from the finished layout. An object that can be tapped at
 its goal and can leave it may have been placed last; it is removed and the search continues.
 Removing an object never blocks another object, so the greedy choice finds an order if one exists
-(disassembly planning: Wilson and Latombe, Artificial Intelligence 71, 1994). Whether the objects
-can make way for each other on the table before that is not checked here.
+(disassembly planning: Wilson and Latombe, Artificial Intelligence 71, 1994). This module does not
+check whether the objects can make way for each other before they are placed.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
         if not np.all(np.isfinite(place)):
             return Refusal(
                 RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"the pose of '{body.name}' is {list(place)}; look again",
+                f"the pose of '{body.name}' is {list(place)}; observe it again",
             )
     standing = {body.name: scene.poses[body.name] for body in scene.bodies if not body.movable}
     return check_goals(scene.bodies, standing) or _order_exists(scene, goals, maps)
 
 
 def check_goals(bodies: Sequence[Body], standing: Mapping[str, Pose] = NOWHERE) -> Refusal | None:
-    """Return why goals are impossible wherever the movable objects are now, or None.
+    """Return why goals are impossible regardless of where the movable objects are now, or None.
 
-    Each goal is checked by itself, and against the other goals and the poses ``standing`` of
+    Each goal is checked alone, and against the other goals and the poses ``standing`` of
     unmovable objects.
     """
     for body in bodies:
@@ -71,7 +71,8 @@ def _overlap(bodies: Sequence[Body], standing: Mapping[str, Pose]) -> Refusal | 
                     RefusalReason.GOALS_OVERLAP,
                     f"'{second.name}' at {place_text(there)} and '{first.name}' at "
                     f"{place_text(here)}: the gap between {kind} is {1e3 * between:.1f} mm "
-                    f"(bounding circles), at least {1e3 * margin:.1f} mm are needed; move one away",
+                    f"(bounding circles), at least {1e3 * margin:.1f} mm are needed; move one of"
+                    " them",
                 )
     return None
 

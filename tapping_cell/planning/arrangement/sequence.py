@@ -43,11 +43,11 @@ CROWDED = 2.0
 """Extra cost, in taps, of a buffer place directly beside an open goal."""
 
 CLOSEST = 3
-"""Number of objects tried first that may be in the way of taps where the map shows a path."""
+"""Number of objects that are tried first as obstacles of taps if the map shows a free path."""
 
 AGAIN = 1.0
-"""Extra cost, in taps, of each earlier move of the object out of the way, because it did not help
-enough; twice that close to the earlier buffer place."""
+"""Extra cost, in taps, of each earlier move of the object out of the way, because this move did not
+help enough. Close to the earlier buffer place the cost is doubled."""
 
 NARROW = 0.03
 """Gap to another object below which a buffer place has an extra cost of up to one tap, m."""
@@ -149,7 +149,7 @@ class SequencePlanner:
         assert goal is not None
         others = [body for body in scene.bodies if body is not blocked]
         if (blocked.name, Purpose.TO_GOAL) in scene.excluded and self._is_open(scene, blocked):
-            # The map shows a way, but no tap leads along it: what stands close is in the way.
+            # The map shows a free path, but no tap leads along it, so close objects are in the way.
             near = sorted(
                 others,
                 key=lambda body: _from_line(scene.poses[body.name], pose, goal) - body.radius,
@@ -200,7 +200,7 @@ class SequencePlanner:
                 away = np.hypot(places[:, 0] - other.goal.x, places[:, 1] - other.goal.y)
                 room = (away - other.radius - body.radius) / TOOL_CLEARANCE
                 cost = cost + CROWDED * np.clip(1.0 - room, 0.0, 1.0)
-        # Away from the blocked object as well, whose taps need clearance.
+        # Places near the blocked object cost more as well, because its taps need clearance.
         here = scene.poses[blocked.name]
         room = np.hypot(places[:, 0] - here.x, places[:, 1] - here.y) - blocked.radius - body.radius
         cost = cost + CROWDED * np.clip(1.0 - room / TOOL_CLEARANCE, 0.0, 1.0)
@@ -237,7 +237,7 @@ class SequencePlanner:
             RefusalReason.NO_ARRANGEMENT,
             "no sequence of taps leads on: "
             + "; ".join(parts)
-            + "; no free place on the table was found for what is in the way. Take an object away, "
+            + "; no free place was found for the objects in the way. Take an object away, "
             "allow others to be moved, or move these goals apart",
         )
 

@@ -167,7 +167,7 @@ class ArrangementSession:
         if missing:
             return Refusal(
                 RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"nothing is known of {', '.join(map(repr, missing))}; uncover them",
+                f"no observation of {', '.join(map(repr, missing))}; uncover their markers",
             )
         poses = {name: seen[name].pose for name in self._by_name}
         for name, pose in poses.items():
@@ -195,8 +195,8 @@ class ArrangementSession:
                 return decision
         return Refusal(
             RefusalReason.NO_ARRANGEMENT,
-            "none of the moves that were planned can be tapped from here; take an object away or "
-            "move the goals apart",
+            "no tap is possible for any of the planned moves; take an object away or move the "
+            "goals apart",
         )
 
     def observe(self, tap: TapOf, before: Observation, after: Observation) -> None:
@@ -205,7 +205,7 @@ class ArrangementSession:
         self._tapped = tap.name
         self._confirmed.pop(tap.name, None)
         self._excluded = frozenset()
-        # What an object could not do may be possible once another one has moved.
+        # A move that failed may be possible once another object has moved.
         self._stalled = frozenset(each for each in self._stalled if each[0] == tap.name)
         self._in_vain += 1
         if self._session is not None and self.move == tap.move:
@@ -222,7 +222,7 @@ class ArrangementSession:
                 self._waits_for[move.name] = move.blocked
 
     def _progresses(self, move: Move, pose: Pose) -> bool:
-        """Return whether the taps of a move have brought its object closer to the target lately."""
+        """Return whether the recent taps of a move have brought its object closer to the target."""
         body = self._by_name[move.name]
         others = areas_of(self.bodies, self._settled, [move.name])
         path = self._maps.path(body, others, pose, move.target)
@@ -272,8 +272,8 @@ class ArrangementSession:
         if sum(self.taps.values()) >= self._most_taps:
             return Refusal(
                 RefusalReason.TOO_MANY_TAPS,
-                f"{sum(self.taps.values())} taps did not bring all objects to their goals, the "
-                f"limit is {self._most_taps}",
+                f"{sum(self.taps.values())} taps did not bring all objects to their goals "
+                f"(limit {self._most_taps})",
             )
         waiting = frozenset(n for n, other in self._waits_for.items() if other not in done)
         chosen = self._planner.next_move(self._scene(self._excluded | self._stalled, waiting))
@@ -285,8 +285,8 @@ class ArrangementSession:
     def _still_at_goal(self, body: Body, seen: Observation) -> bool:
         """Return whether an object that was confirmed at its goal is still measured there.
 
-        The confirmation holds until the object moves: a single noisy observation does not take it
-        back, which would cost a tap.
+        The confirmation holds until the object moves. A single noisy observation does not revoke
+        it, because this would cost a tap.
         """
         confirmed = self._confirmed.get(body.name)
         if confirmed is None or body.goal is None:
@@ -332,7 +332,7 @@ class ArrangementSession:
         elif self._session_map is not free:
             self._session.use_free_space(free.space, free)
         self._session_move, self._session_map = move, free
-        # An object that makes way need not be seen as well as one at its goal.
+        # An object that only makes way needs no longer observation to confirm its place.
         observe_again = observe_again and move.purpose is Purpose.TO_GOAL
         decision = self._session.decide(seen.pose, seen.covariance, observe_again=observe_again)
         if isinstance(decision, Done):

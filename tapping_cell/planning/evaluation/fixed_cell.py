@@ -46,17 +46,17 @@ class FixedEvaluation:
     def __post_init__(self) -> None:
         """Reject invalid parameters (PlanningError)."""
         if not 1 <= self.trials <= 10**7:
-            raise PlanningError(f"{self.trials} trials: needs 1 to 10000000")
+            raise PlanningError(f"{self.trials} trials were requested; give 1 to 10000000")
         if not np.all(np.isfinite(self.goal)):
             raise PlanningError(f"the goal {self.goal} must be three finite numbers")
         if not 0.0 <= self.start_angle <= math.pi:
             raise PlanningError(
                 f"the start angle is {math.degrees(self.start_angle):g} degrees; "
-                "allowed is 0 to 180"
+                "it must be 0 to 180"
             )
         if not all(0.0 <= error <= 0.1 for error in self.mount_error):
             raise PlanningError(
-                f"mount errors of {self.mount_error}: allowed is 0 to 0.1 m and rad"
+                f"the mount errors are {self.mount_error}; they must be 0 to 0.1 m and rad"
             )
 
 

@@ -62,8 +62,8 @@ def _draw_start(space: StrikeSpace, free: FreeSpace, rng: np.random.Generator) -
         if bool(free.contains(place)):
             return np.append(place, rng.uniform(-math.pi, math.pi))
     raise PlanningError(
-        "nowhere on the table can the object be tapped from enough sides; check the arm's base, "
-        "its limits and the table's size in the cell's file"
+        "at no place on the table can the object be tapped from enough sides; check the arm's "
+        "base and limits and the table's size in the cell file"
     )
 
 

@@ -21,7 +21,7 @@ OPEN_CHUNK = 4000
 TABLE_CHUNK = 50
 
 WORTH_PROCESSES = 4.0
-"""Minimum expected work for starting processes, s, because starting them takes 1 to 2 s."""
+"""Minimum expected work, s, for which processes are started, which takes 1 to 2 s."""
 
 Progress = Callable[[int], None]
 

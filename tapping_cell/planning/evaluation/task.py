@@ -69,30 +69,30 @@ class Evaluation:
         """Reject invalid parameters (PlanningError)."""
         if self.objective not in OBJECTIVES:
             raise PlanningError(
-                f"the objective is {self.objective!r}, allowed are {', '.join(OBJECTIVES)}"
+                f"the objective is {self.objective!r}; choose one of {', '.join(OBJECTIVES)}"
             )
         if self.objective == "time" and (self.clock is None or self.space is None):
             raise PlanningError(
-                "the objective time needs an arm's ways: evaluate on the table of a cell with an "
-                "arm (--table)"
+                "the objective 'time' needs the motions of an arm: evaluate on the table of a cell "
+                "with an arm (--table)"
             )
         if not 1 <= self.trials <= 10**8:
-            raise PlanningError(f"{self.trials} trials: needs 1 to 100000000")
+            raise PlanningError(f"{self.trials} trials were requested; give 1 to 100000000")
         if not np.all(np.isfinite(self.goal)):
             raise PlanningError(f"the goal {self.goal} must be three finite numbers")
         if self.random_tasks is not None and not (
             np.all(np.isfinite(self.random_tasks)) and min(self.random_tasks) >= 0.0
         ):
-            raise PlanningError(f"random tasks to {self.random_tasks}: needs two numbers from 0")
+            raise PlanningError(f"random tasks up to {self.random_tasks}: give two numbers >= 0")
         if not all(0.0 <= abs(bias) <= 0.4 for bias in self.gain_bias):
             raise PlanningError(
                 f"the gain bias {self.gain_bias} is too large: at most 0.4 (40 %) either way"
             )
 
         if not all(1.0 <= factor <= 10.0 for factor in self.unknown):
-            raise PlanningError(f"the unknown factors are {self.unknown}; allowed is 1 to 10")
+            raise PlanningError(f"the unknown factors are {self.unknown}; they must be 1 to 10")
         if not 0.0 <= self.off_centre <= 10.0:
-            raise PlanningError(f"off centre by {self.off_centre} rad/m; allowed is 0 to 10")
+            raise PlanningError(f"off centre by {self.off_centre} rad/m; it must be 0 to 10")
 
     def answer(
         self,

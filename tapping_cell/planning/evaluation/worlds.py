@@ -101,7 +101,7 @@ class World(Protocol):
 
     @property
     def model(self) -> Tap | None:
-        """See above."""
+        """Mechanics with which the planner converts taps; None if every tap is possible."""
 
     def answer(
         self,

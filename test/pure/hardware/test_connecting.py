@@ -205,7 +205,10 @@ def test_a_board_of_another_kind_is_refused_in_time_and_nothing_moves(
     line = line_to(device)
     with pytest.raises(HardwareFault) as caught:
         DRIVERS[driver](line).connect(5.0)
-    assert caught.value.reason in (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT)
+    if board == "babbler":
+        assert caught.value.reason is FaultReason.PROTOCOL
+    else:
+        assert caught.value.reason in (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT)
     assert "port" in str(caught.value) or "power" in str(caught.value)
     # Whose board it is may open it.
     assert not line.is_open

@@ -70,6 +70,9 @@ class Board:
         self._note("fire")
         return FireResult(FireOutcome.FIRED, shot)
 
+    def now(self) -> float:
+        return 0.0
+
     def stop(self) -> bool:
         self.calls.append("stop")
         return self.port != "lost"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +14,16 @@ from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic import arm as arms
 from tapping_cell.logic.arm_jobs import Reading
 from tapping_cell.logic.effects import Effect, JobEnded, RunJob
-from tapping_cell.messages import ArmState, Bool, ErrorCode, TapCommand, TapperState, Trigger
+from tapping_cell.logic.host import Activated, Deactivated
+from tapping_cell.messages import (
+    ArmState,
+    Bool,
+    ErrorCode,
+    HoldStill,
+    TapCommand,
+    TapperState,
+    Trigger,
+)
 
 START = 1000.0
 
@@ -124,22 +134,62 @@ def tell(pair: Pair, state: int, steady: float) -> Sequence[Effect]:
     return pair.arm.on_message("tapper_state", message, at(steady))
 
 
-def test_the_arm_leaves_once_the_striker_is_discharged() -> None:
+def test_the_arm_leaves_once_the_tapper_that_asked_it_to_stand_still_lets_it_go() -> None:
+    pair = in_position()
+    request = HoldStill.Request(tap_id=TAP, duration=0.26, key=7)
+    pair.arm.on_request("hold_still", request, 1, at(START))
+    tell(pair, TapperState.FIRING, START)
+    command = pair.command(TapCommand.WITHDRAW, at(START))
+    assert not withdraws(pair.arm.on_message("tap_command", command, at(START + 0.1)))
+    assert not withdraws(pair.arm.on_tick(at(START + 0.3)))
+    over = HoldStill.Request(tap_id=TAP, duration=0.0, key=7)
+    assert withdraws(pair.arm.on_request("hold_still", over, 2, at(START + 0.35)))
+
+
+def test_a_report_that_arrives_after_the_tapper_has_let_the_arm_go_is_an_old_one() -> None:
+    pair = in_position()
+    for token, duration in ((1, 0.26), (2, 0.0)):
+        request = HoldStill.Request(tap_id=TAP, duration=duration, key=7)
+        pair.arm.on_request("hold_still", request, token, at(START))
+    tell(pair, TapperState.FIRING, START + 0.01)
+    command = pair.command(TapCommand.WITHDRAW, at(START + 0.1))
+    assert withdraws(pair.arm.on_message("tap_command", command, at(START + 0.1)))
+
+
+@given(
+    st.floats(0.0, arms.DISCHARGED_S - 0.01),
+    st.sampled_from([TapperState.SAFE, TapperState.FAULT, TapperState.DISCONNECTED]),
+    st.sampled_from([TapperState.NONE, TapperState.FIRED, TapperState.NOT_FIRED]),
+)
+def test_after_a_report_of_a_charged_striker_no_other_report_lets_the_arm_leave_sooner(
+    wait: float, state: int, outcome: int
+) -> None:
+    """Anybody can publish that the striker is at rest; its board has discharged by then."""
     pair = leaving_with_a_charged_striker()
-    assert not withdraws(pair.arm.on_tick(at(START + 1.5)))
-    assert withdraws(tell(pair, TapperState.SAFE, START + 1.55))
+    told = TapperState(state=state, tap_id=TAP, outcome=outcome)
+    assert not withdraws(pair.arm.on_message("tapper_state", told, at(START + 1.0 + wait)))
+    assert not withdraws(pair.arm.on_tick(at(START + 1.0 + wait)))
+    assert withdraws(pair.arm.on_tick(at(START + 1.0 + arms.DISCHARGED_S + 0.01)))
 
 
 @given(st.floats(0.0, arms.DISCHARGED_S - 0.01))
-def test_a_silent_tapper_holds_the_arm_until_its_board_has_discharged(wait: float) -> None:
-    pair = leaving_with_a_charged_striker()
-    assert not withdraws(pair.arm.on_tick(at(START + 1.0 + wait)))
-    assert withdraws(pair.arm.on_tick(at(START + 1.0 + arms.DISCHARGED_S + 0.01)))
+def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(
+    wait: float,
+) -> None:
+    pair = in_position()
+    tell(pair, TapperState.CHARGED, START + 1.0)
+    pair.arm.on_lifecycle(Deactivated(), at(START + 1.0))
+    pair.arm.on_lifecycle(Activated(), at(START + 1.0 + wait))
+    made = pair.arm.on_request("~/home", Trigger.Request(), 3, at(START + 1.0 + wait))
+    (job,) = (e.job for e in made if isinstance(e, RunJob))
+    assert isinstance(job.run, partial)
+    assert job.run.keywords["not_before"] == START + 1.0 + arms.DISCHARGED_S
 
 
 def test_who_always_says_charged_holds_the_arm_for_a_limited_time() -> None:
     pair = leaving_with_a_charged_striker()
     steady = START + 1.0
-    while not withdraws(tell(pair, TapperState.CHARGED, steady)):
+    while not withdraws(pair.arm.on_tick(at(steady))):
+        tell(pair, TapperState.CHARGED, steady)
         steady += 0.05
         assert steady < START + 1.1 + arms.LONGEST_WAIT_S

@@ -234,7 +234,7 @@ def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
 
     cell.say_until(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", say)
     assert cell.shots() == []
-    words = {ErrorCode.OBJECT_MOVED: "from where the tap was planned"}
+    words = {ErrorCode.OBJECT_MOVED: "from the pose for which the tap was planned"}
     assert words.get(code, "has not been seen") in cell.last.error_msg
 
 

@@ -198,7 +198,7 @@ def test_the_report_has_a_table_and_plots(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--planner", "exakt"], "known are exact"),
+        (["--planner", "exakt"], "choose one of exact"),
         (["--trials", "0"], "0 trials"),
         (["--box", "3"], "box is 3.0"),
         (["--round-position", "15"], "--model physics"),

@@ -21,7 +21,7 @@ def test_the_four_methods_are_there_and_are_planners():
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(UnknownPlannerError, match="'exakt'; known are exact, conservative, multi"):
+    with pytest.raises(UnknownPlannerError, match="'exakt'; choose one of exact, conservative,"):
         make_planner("exakt")
 
 

@@ -92,7 +92,7 @@ def test_choices_are_the_same_one_at_a_time_and_together():
         ({"smallest_distance": math.nan}, "smallest_distance is nan"),
         ({"largest_distance": 0.001}, "largest_distance is 0.001"),
         ({"box": 2.0}, "box is 2.0"),
-        ({"variant": "sideways"}, "'sideways', allowed are retreat, overshoot"),
+        ({"variant": "sideways"}, "'sideways'; choose one of retreat, overshoot"),
         ({"tolerance_position": 0.0}, "tolerance_position is 0.0"),
     ],
 )

@@ -1,22 +1,26 @@
 """Error codes made to happen in the simulated cell, in virtual time, as a technician reads them.
 
 Each scenario ends with a code on a published state or on a goal's result, and checks that its
-sentence names what is wrong.
+sentence names what is wrong. ``test_every_code_is_named_in_a_test`` finds codes without a test.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
+from wrong_baud import WrongBaud
 
 from tapping_cell.cli.errors import tell_refusal
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.tapper_boards import TapperBoards, cell_channel
 from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.error_codes import of_tapper
@@ -37,6 +41,7 @@ from tapping_cell.verification.serial_line import SerialLine
 from tapping_cell.verification.trial import Trial
 
 START, GOAL = Pose(0.0, 0.0, 0.0), Pose(0.04, -0.02, 0.3)
+TESTS = Path(__file__).resolve().parents[2]
 LONG_S = 90.0
 
 
@@ -143,6 +148,29 @@ def test_ports_that_are_swapped_are_told_by_both_drivers() -> None:
     cell.read(ErrorCode.TAPPER_FIRMWARE_UNKNOWN, "answers like the tapper", "check the port")
 
 
+def test_an_arm_at_another_baud_rate_is_unreadable(cell: ReportedCell) -> None:
+    layer = cell.trial.physical.arm_line.layer
+    layer.emulator = WrongBaud(layer.emulator, 115200, 250000)
+    cell.trial.start()
+    cell.run(4.0)
+    cell.trial.interrupt_arm_power()  # it greets, as most boards do whenever the port is opened
+    cell.read(ErrorCode.ARM_REPLY_GARBLED, "no text", "check arm.baud")
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [("arm", ErrorCode.ARM_REPLY_GARBLED), ("tapper", ErrorCode.TAPPER_REPLY_GARBLED)],
+)
+def test_interference_on_the_line_makes_replies_unreadable(
+    ready_cell: ReportedCell, name: str, code: int
+) -> None:
+    layer, way = getattr(ready_cell.trial.physical, f"{name}_line").layer, Direction.TO_HOST
+    for number in range(2000):
+        byte = layer.count(way) + 3 * number
+        layer.add(LineFault(FaultKind.FLIP, way, byte, bit=number % 7))
+    ready_cell.read(code, f"check {name}.baud", "cable")
+
+
 def test_a_changed_setting_of_the_controller_is_a_conflict(cell: ReportedCell) -> None:
     now = cell.trial.scheduler.now
     cell.trial.physical.arm_board.receive(b"$X\n$1=25\n", now)
@@ -242,9 +270,9 @@ def test_more_frames_than_the_camera_delivers_are_too_few(cell: ReportedCell) ->
 
 @pytest.mark.parametrize("state", [TapperState.CHARGING, TapperState.CHARGED])
 def test_a_tapper_that_is_charged_for_somebody_else_is_busy_for_a_goal(state: int) -> None:
-    """Only the boards of a cell without an arm show it: with one, the arm is busy as well."""
+    """Only a cell without an arm shows it: with one, the arm is busy as well."""
     monitor = CellMonitor(silence_limit=0.5)
-    monitor.expect(False, [["east"]])
+    monitor.expect(has_arm=False)
     monitor.on_tapper(TapperState(state=state, tappers=["east"]), Now(1.0, 10**9))
     missing = monitor.missing(Now(1.1, 1_100_000_000))
     assert missing == (ErrorCode.TAPPER_BUSY, "the tapper is busy")
@@ -258,3 +286,27 @@ def test_a_planner_that_does_not_exist_is_refused_with_the_known_ones(
     tell_refusal(caught.value)
     printed = capsys.readouterr().err
     assert f"({ErrorCode.PLANNER_UNKNOWN})" in printed and "exact" in printed
+
+
+def test_a_board_that_is_charged_keeps_the_other_from_charging() -> None:
+    clock = VirtualClock()
+    layers = [FaultLayer(TapperEmulator(TapperMachine(coils=4))) for _ in range(2)]
+    drivers = [
+        TapperDriver(VirtualTransport(layer, clock, f"port {number}"))
+        for number, layer in enumerate(layers)
+    ]
+    boards = TapperBoards(drivers)
+    boards.connect()
+    boards.home()
+    drivers[0].charge(1, 0.01)
+    with pytest.raises(HardwareFault, match="port 0 is not at rest") as caught:
+        boards.charge(2, 0.01, channel=cell_channel(1, 0))
+    assert of_tapper(caught.value) == ErrorCode.TAPPER_OTHER_ACTIVE
+    assert "one tapper at a time" in str(caught.value)
+
+
+def test_every_code_is_named_in_a_test() -> None:
+    """A new code must be made to happen by a test."""
+    text = "\n".join(path.read_text() for path in TESTS.rglob("*.py"))
+    codes = {name for name, value in vars(ErrorCode).items() if isinstance(value, int)}
+    assert codes - {"NONE"} - set(re.findall(r"\b[A-Z][A-Z_]+\b", text)) == set()

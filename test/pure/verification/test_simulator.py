@@ -6,9 +6,9 @@ import math
 
 import pytest
 
+from tapping_cell.verification.campaign import run_trial
 from tapping_cell.verification.mutants import MUTANTS, Mutant, mutated, parts_of
 from tapping_cell.verification.scheduler import Fiber, HangError, Killed, Scheduler
-from tapping_cell.verification.trial import run_trial
 
 RUNS = 15
 GOALS = 10

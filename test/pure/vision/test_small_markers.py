@@ -116,7 +116,7 @@ def test_no_pattern_is_blurred_until_it_fits_another():
     corners = square(24.0, 0.2)
     image = picture(marker_pattern("ARUCO_ORIGINAL", 6), corners, blur=0.9)
     assert fit_pattern(image, corners, marker_pattern("ARUCO_ORIGINAL", 6)) is not None
-    for name, number in (("ARUCO_MIP_36h12", 25), ("4X4_50", 25)):
+    for name, number in (("APRILTAG_36h10", 25), ("4X4_50", 25)):
         for marker in range(number):
             assert fit_pattern(image, corners, marker_pattern(name, marker)) is None
 

@@ -1,0 +1,106 @@
+"""Generation of the URDF of tappers at fixed mounts, for viewers.
+
+The root is ``table``. Each tapper has a fixed link at its mount and a striker on a prismatic joint
+of the tapper's name, whose travel is the stroke.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+from tapping_cell.se2 import Pose
+
+STRIKER_RADIUS = 0.004
+"""Radius of the rods that represent the strikers, m."""
+PULSE_ACCELERATION = 500.0
+"""Acceleration of a striker by its coil from which its effort is derived, m/s^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class MountedTapper:
+    """A tapper for the URDF: mount (tip at rest, in ``table``); height of the tip, stroke, and
+    start (behind the tip), length and radius of its body in m; mass of the striker in kg; maximum
+    speed in m/s."""
+
+    name: str
+    mount: Pose
+    height: float
+    stroke: float
+    body_start: float
+    body_length: float
+    body_radius: float
+    mass: float
+    fastest: float
+
+
+def mounted_tappers_urdf(tappers: Sequence[MountedTapper], name: str = "positioning_cell") -> str:
+    """Return the URDF text: links ``NAME_mount`` and ``NAME_striker``, prismatic joints ``NAME``.
+
+    The mounts have no inertia, because they are fixed to the table.
+    """
+    robot = ElementTree.Element("robot", name=name)
+    ElementTree.SubElement(robot, "link", name="table")
+    for tapper in tappers:
+        mount, pose = f"{tapper.name}_mount", tapper.mount
+        link = ElementTree.SubElement(robot, "link", name=mount)
+        behind = -tapper.body_start - tapper.body_length / 2
+        _rod(link, tapper.body_length, tapper.body_radius, behind)
+        joint = _joint(robot, mount, "fixed", "table", mount)
+        place = (pose.x, pose.y, tapper.height)
+        ElementTree.SubElement(
+            joint, "origin", xyz=_numbers(*place), rpy=_numbers(0.0, 0.0, pose.theta)
+        )
+        striker = f"{tapper.name}_striker"
+        length = tapper.body_start + tapper.body_length
+        link = ElementTree.SubElement(robot, "link", name=striker)
+        _rod(link, length, STRIKER_RADIUS, -length / 2)
+        _inertia(link, tapper.mass, length)
+        joint = _joint(robot, tapper.name, "prismatic", mount, striker)
+        ElementTree.SubElement(joint, "axis", xyz="1 0 0")
+        ElementTree.SubElement(
+            joint,
+            "limit",
+            lower="0",
+            upper=repr(tapper.stroke),
+            velocity=repr(tapper.fastest),
+            effort=repr(round(tapper.mass * PULSE_ACCELERATION, 6)),
+        )
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _joint(
+    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str
+) -> ElementTree.Element:
+    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+    return joint
+
+
+def _rod(link: ElementTree.Element, length: float, radius: float, centre: float) -> None:
+    """Add a cylinder along x to a link; ``centre`` on x, m."""
+    for use in ("visual", "collision"):
+        element = ElementTree.SubElement(link, use)
+        ElementTree.SubElement(
+            element, "origin", xyz=_numbers(centre, 0.0, 0.0), rpy=_numbers(0.0, math.pi / 2, 0.0)
+        )
+        shape = ElementTree.SubElement(element, "geometry")
+        ElementTree.SubElement(shape, "cylinder", length=repr(length), radius=repr(radius))
+
+
+def _inertia(link: ElementTree.Element, mass: float, length: float) -> None:
+    """Add the inertia of a thin rod along x that ends at the link's origin."""
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=_numbers(-length / 2, 0.0, 0.0), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=repr(mass))
+    along, across = mass * STRIKER_RADIUS**2 / 2, mass * length**2 / 12
+    values = {"ixx": along, "iyy": across, "izz": across, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
+    ElementTree.SubElement(inertial, "inertia", {key: repr(v) for key, v in values.items()})
+
+
+def _numbers(*values: float) -> str:
+    return " ".join(repr(float(value)) for value in values)

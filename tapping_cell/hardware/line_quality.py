@@ -1,0 +1,28 @@
+"""Whether received bytes are text. A wrong baud rate or a bad cable produces others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TEXT = frozenset((*b"\t\r\n", *range(0x20, 0x7F)))
+NOISE_SHARE = 0.1
+"""Fraction of bytes outside text above which a line counts as noise. Controllers send only text,
+and at a wrong baud rate more than a third of the bytes are none."""
+
+
+@dataclass(slots=True)
+class ReceivedBytes:
+    """Counts of received bytes, and of those that no text contains."""
+
+    total: int = 0
+    strange: int = 0
+
+    def take(self, data: bytes) -> None:
+        """Count received bytes."""
+        self.total += len(data)
+        self.strange += sum(byte not in TEXT for byte in data)
+
+    @property
+    def are_noise(self) -> bool:
+        """Whether the bytes come from a line with a wrong baud rate or a bad cable."""
+        return self.strange > NOISE_SHARE * self.total

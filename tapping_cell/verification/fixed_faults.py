@@ -1,0 +1,216 @@
+"""Random faults of a positioning cell: those of the nodes, and its own of boards and strikers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tapping_cell.logic.clock import to_stamp
+from tapping_cell.logic.poses import to_message
+from tapping_cell.messages import ErrorCode, PlanState, TapCommand, TapperState
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, random_fault
+from tapping_cell.verification.causes import CAMERA, ENDS, FOREIGN, FREEZES, LINES, POWER
+from tapping_cell.verification.faults import (
+    CHECKED,
+    MAKERS,
+    RELEASED,
+    Made,
+    Maker,
+    draw_duration,
+    told,
+)
+from tapping_cell.verification.fixed_cell import PhysicalFixedCell
+
+if TYPE_CHECKING:
+    from tapping_cell.verification.trial import Trial
+
+
+def _cell_of(trial: Trial) -> PhysicalFixedCell:
+    assert isinstance(trial.physical, PhysicalFixedCell)
+    return trial.physical
+
+
+def _any_tapper(rng: np.random.Generator, trial: Trial) -> str:
+    names = trial.cell.tapper_names
+    return names[int(rng.integers(len(names)))]
+
+
+def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
+    """Another program commands another tapper, with the next id."""
+    name, ahead = _any_tapper(rng, trial), int(rng.integers(0, 2))
+    valid = float(rng.uniform(1.0, 10.0))
+
+    def strike(t: Trial) -> None:
+        last = max(t.witness.commands, default=0)
+        if not last:
+            return
+        model = t.witness.commands[last]
+        entry = next(one for one in t.cell.fixed_tappers.tappers if one.name == name)
+        now = t.clocks["tap_planner"].now().ros
+        command = TapCommand(
+            request=TapCommand.TAP,
+            tap_id=last + ahead,
+            tapper=name,
+            striker_speed=model.striker_speed,
+            object_pose=model.object_pose,
+            predicted_pose=model.predicted_pose,
+            strike_pose=to_message(Pose(*entry.position, entry.direction), t.cell.strike_height),
+            expiry=to_stamp(now + round(valid * 1e9)),
+        )
+        command.header.frame_id = "table"
+        command.header.stamp = to_stamp(now)
+        t.network.publish("somebody_else", "tap_command", command)
+
+    return strike, f"a foreign TAP of '{name}' with the {('same', 'next')[ahead]} id"
+
+
+def _stays_out(rng: np.random.Generator, trial: Trial) -> Made:
+    """A striker is pulled off its mount, or does not return to it."""
+    name, lasting = _any_tapper(rng, trial), draw_duration(rng, 0.02, 5.0)
+
+    def strike(t: Trial) -> None:
+        cell = _cell_of(t)
+        cell.keep_out(name, True)
+        t.scheduler.after(lasting, lambda: cell.keep_out(name, False))
+
+    return strike, f"the striker of '{name}' stays out for {lasting:.2f} s"
+
+
+def _out_in_a_freeze(rng: np.random.Generator, trial: Trial) -> Made:
+    """A striker is pulled off its mount while the tapper's process is frozen during a shot."""
+    name, writes = _any_tapper(rng, trial), int(rng.integers(0, 4))
+    frozen, later = float(rng.uniform(0.2, 0.45)), draw_duration(rng, 0.002, 0.1)
+
+    def strike(t: Trial) -> None:
+        cell = _cell_of(t)
+        for kind in ("freeze at a write", "striker stays out"):
+            t.note_kind(kind)
+        t.processes["tapper_trigger"].freeze_before_write = (writes, frozen)
+        t.scheduler.after(later, lambda: cell.keep_out(name, True))
+        t.scheduler.after(later + 2.0, lambda: cell.keep_out(name, False))
+
+    return strike, (
+        f"the striker of '{name}' out after {later:.3f} s, tapper_trigger frozen for"
+        f" {frozen:.2f} s before its write number {writes}"
+    )
+
+
+def _blocked(rng: np.random.Generator, trial: Trial) -> Made:
+    """A striker does not leave its mount when it is released."""
+    name, lasting = _any_tapper(rng, trial), float(rng.uniform(1.0, 8.0))
+
+    def strike(t: Trial) -> None:
+        cell = _cell_of(t)
+        cell.block(name, True)
+        t.scheduler.after(lasting, lambda: cell.block(name, False))
+
+    return strike, f"the striker of '{name}' is blocked for {lasting:.1f} s"
+
+
+def _board_line(rng: np.random.Generator, trial: Trial) -> Made:
+    """The line of one board fails at a random byte."""
+    share, direction = float(rng.random()), list(Direction)[int(rng.integers(2))]
+    drawn = random_fault(rng, direction, 0, 1500)
+
+    def strike(t: Trial) -> None:
+        lines = _cell_of(t).lines
+        layer = lines[int(share * len(lines))].layer
+        layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
+
+    reset = " (the board restarts)" if drawn.kind is FaultKind.RESET else ""
+    return strike, f"line of a board: {drawn.kind.value}{reset} after {drawn.byte} bytes"
+
+
+def _board_power(rng: np.random.Generator, trial: Trial) -> Made:
+    """One board loses its power for a moment."""
+    share = float(rng.random())
+
+    def strike(t: Trial) -> None:
+        cell = _cell_of(t)
+        number = int(share * len(cell.boards))
+        t.tapper_power_lost_at = t.scheduler.now
+        cell.boards[number].power_cycle(t.scheduler.now)
+        cell.lines[number].schedule()
+
+    return strike, "a board loses power"
+
+
+WITHOUT_ARM = (
+    "freeze",
+    "freeze at a shot",
+    "freeze before a write",
+    "freeze at a write",
+    "freeze after the last check",
+    "kill",
+    "restart",
+    "deactivate",
+    "slow topic",
+    "duplicates",
+    "replay",
+    "foreign withdrawal",
+    "foreign outcome",
+    "repeated command",
+    "second node",
+    "clock step",
+    "line at a shot",
+    "cable at a shot",
+    "camera",
+    "object moved",
+    "object turned",
+    "emergency stop",
+    "stop service",
+    "guard",
+    "cancel",
+    "second client",
+    "disk full",
+)
+"""Kinds of faults that need no arm."""
+FIXED_MAKERS: dict[str, Maker] = {
+    **{kind: MAKERS[kind] for kind in WITHOUT_ARM},
+    "foreign command": _foreign_command,
+    "serial line": _board_line,
+    "loss of power": _board_power,
+    "striker stays out": _stays_out,
+    "striker out in a freeze": _out_in_a_freeze,
+    "striker blocked": _blocked,
+}
+FIXED_AT_A_SHOT = (
+    *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
+    *("striker stays out", "striker blocked", "foreign command") * 3,
+    *("striker out in a freeze",) * 2,
+    *("line at a shot", "cable at a shot", "loss of power") * 2,
+    *("object moved", "foreign withdrawal", "repeated command") * 2,
+    *("slow topic", "kill", "restart", "deactivate", "cancel", "camera", "emergency stop"),
+    *("stop service", "guard", "clock step", "duplicates", "second client", "object turned"),
+)
+FIXED_OF_A_SHOT = (
+    told("plan_state", PlanState.PLACING),
+    told("tapper_state", TapperState.CHARGING),
+    told("tapper_state", TapperState.FIRING),
+    CHECKED,
+    RELEASED,
+)
+FIXED_MOMENTS = (
+    told("tapper_state", TapperState.SAFE),
+    told("tapper_state", TapperState.CHARGING),
+    told("plan_state", PlanState.LOOKING),
+    told("plan_state", PlanState.PLACING),
+    told("plan_state", PlanState.SETTLING),
+)
+STRIKERS = frozenset({"striker stays out", "striker blocked"})
+FIXED_CAUSES: dict[int, frozenset[str]] = {
+    ErrorCode.TAPPER_STRIKER_AWAY: STRIKERS | LINES | POWER | FREEZES | ENDS,
+    ErrorCode.TAPPER_MOUNT_NOT_PROVEN: STRIKERS | LINES | POWER | ENDS | FREEZES | {"guard"},
+    ErrorCode.TAPPER_OTHER_ACTIVE: STRIKERS | FOREIGN | LINES | POWER | FREEZES,
+    ErrorCode.TAPPER_FAULT: STRIKERS,
+    ErrorCode.TAP_WITHOUT_EFFECT: STRIKERS,
+    ErrorCode.TAPPER_BUSY: STRIKERS,
+    ErrorCode.DEADLINE_EXCEEDED: STRIKERS,
+    ErrorCode.TAPPER_COMMAND_EXPIRED: STRIKERS | CAMERA,
+    ErrorCode.NOT_READY: STRIKERS,
+}
+"""For each error code, the kinds of faults that explain it in this cell, in addition to those of
+``causes``."""

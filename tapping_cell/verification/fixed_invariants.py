@@ -1,0 +1,110 @@
+"""Safety invariants of a positioning cell, in addition to those that it shares with an arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tapping_cell.logic.poses import from_message
+from tapping_cell.messages import TapCommand, TapperState
+from tapping_cell.verification.fixed_cell import FixedRelease, PhysicalFixedCell
+from tapping_cell.verification.invariants import CHECK_S, Witness
+from tapping_cell.verification.physical_cell import Release
+
+OTHERS_ASKED_S = 0.1
+"""Maximum age, at the last check, of the other boards' replies that they are at rest."""
+UNNOTICED_S = 3.0
+"""Maximum time for which a striker may be out before the tapper's node reports it: a request with
+all its repetitions, or the board's wait for a released striker, which its state shows."""
+
+LINE_POSITION_M, LINE_ANGLE_RAD = 0.005, 0.1
+"""Maximum deviation of a commanded line, with what was learnt about it, from the cell file."""
+
+
+@dataclass(slots=True)
+class FixedWitness(Witness):
+    """Checks the tappers at fixed mounts. Times in s of the run."""
+
+    unread_until: Callable[[], float] = lambda: -math.inf
+    """Time until which the tapper's node may not have read the boards, because of a fault."""
+
+    @property
+    def _cell(self) -> PhysicalFixedCell:
+        assert isinstance(self.physical, PhysicalFixedCell)
+        return self.physical
+
+    def _check_release(self, release: Release, earlier: list[Release]) -> None:
+        super(FixedWitness, self)._check_release(release, earlier)
+        assert isinstance(release, FixedRelease)
+        shot = release.shot
+        if release.others_charged:
+            self.violate(
+                "fired while another was charged",
+                f"shot {shot} was released by '{release.tapper}' while board"
+                f" {release.others_charged[0]} was charged",
+            )
+        if release.others_out:
+            self.violate(
+                "second striker",
+                f"shot {shot} was released by '{release.tapper}' while the striker of"
+                f" '{release.others_out[0]}' was out",
+            )
+        for name, since in self._cell.out_since.items():
+            if release.time > since + OTHERS_ASKED_S + CHECK_S:
+                self.violate(
+                    "fired at a striker",
+                    f"shot {shot} was released {release.time - since:.2f} s after the striker of"
+                    f" '{name}' had left its mount",
+                )
+        command = self._command_of(release)
+        if command is not None and command.tapper != release.tapper:
+            self.violate(
+                "wrong tapper",
+                f"shot {shot} was released by '{release.tapper}', the command named"
+                f" '{command.tapper}'",
+            )
+        if not release.object_at_rest and not self._recently_moved(release.time):
+            self.violate("object in motion", f"shot {shot} was released while the object moved")
+
+    def _recently_moved(self, time: float) -> bool:
+        moved = self.moved_by_hand
+        return moved is not None and time < moved[0] + self.unseen_limit
+
+    def _check_place(self, release: Release, command: TapCommand) -> None:
+        """Check that the commanded line is that of the tapper, which the planner has measured."""
+        wanted = from_message(command.strike_pose)
+        if (
+            wanted.distance_to(release.tip) > LINE_POSITION_M
+            or abs(wanted.rotation_to(release.tip)) > LINE_ANGLE_RAD
+        ):
+            self.violate(
+                "other line",
+                f"shot {release.shot} was commanded along another line than that of the tapper"
+                " that released it",
+            )
+
+    def _check_permit(self, release: Release) -> None:
+        """Do nothing: a mount needs no promise to stand still."""
+
+    def _check_charge(self) -> None:
+        charged = self._cell.charged()
+        if len(charged) > 1:
+            self.violate("two charged", f"the boards {charged} are charged at the same time")
+        self._check_charged(bool(charged))
+
+    def _on_tapper_state(self, message: TapperState) -> None:
+        super(FixedWitness, self)._on_tapper_state(message)
+        now = self.scheduler.now
+        claims_rest = message.state == TapperState.SAFE and message.mounts_proven
+        if not claims_rest or message.away:
+            return
+        for name, since in self._cell.out_since.items():
+            unnoticed = now - max(since, self.unread_until())
+            if unnoticed > UNNOTICED_S:
+                self.violate(
+                    "striker out unnoticed",
+                    f"the tapper reports its strikers at their mounts; that of '{name}' has been"
+                    f" out for {now - since:.1f} s",
+                )
+                self._cell.out_since[name] = math.inf

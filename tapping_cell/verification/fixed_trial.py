@@ -1,0 +1,224 @@
+"""Run of one positioning cell in virtual time: the nodes of a cell with fixed tappers, no arm."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.hardware.tapper_boards import TapperBoards
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.fixed_goal_handling import FixedGoalHandling
+from tapping_cell.logic.goal_handling import GoalHandling
+from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.planner import PlannerLogic
+from tapping_cell.logic.poses import to_message
+from tapping_cell.logic.tapper import TapperLogic, TapperOptions
+from tapping_cell.logic.tapper_peers import PeerLimits
+from tapping_cell.messages import TapCommand, TapperState
+from tapping_cell.planning.fixed_solver import GoalSolver
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.truth import TruthFile
+from tapping_cell.verification.fixed_cell import PhysicalFixedCell
+from tapping_cell.verification.fixed_faults import (
+    FIXED_AT_A_SHOT,
+    FIXED_CAUSES,
+    FIXED_MAKERS,
+    FIXED_MOMENTS,
+    FIXED_OF_A_SHOT,
+)
+from tapping_cell.verification.fixed_invariants import FixedWitness
+from tapping_cell.verification.host import Program
+from tapping_cell.verification.serial_line import BusyLine, SerialLine
+from tapping_cell.verification.trial import (
+    BAD_LINE_S,
+    CLEAR_VIEW_S,
+    HEARS,
+    RECOVERY_S,
+    SERVES,
+    Trial,
+)
+
+GOALS = ((0.0, 0.0), (0.020, -0.015), (-0.025, 0.010))
+"""Positions of all goals, m. A goal's policy takes a second to solve, so that few are used."""
+TURN_RAD = 1.0
+"""Maximum rotation to a goal, rad. The coarsest grid alone may not find a way from half a turn."""
+NEAR_M = 0.045
+"""Distance from the middle of the working area within which a person puts the object."""
+
+
+@cache
+def shipped_fixed_cell(boards: int) -> Cell:
+    """Return the shipped positioning cell with its tappers spread over 1 or 2 boards."""
+    cell = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
+    entries = tuple(
+        replace(entry, channel=index // boards, port=f"tapper_{index % boards}")
+        for index, entry in enumerate(cell.fixed_tappers.tappers)
+    )
+    section = replace(cell.fixed_tappers, tappers=entries)
+    return replace(cell, file=replace(cell.file, fixed_tappers=section))
+
+
+@cache
+def _solver() -> GoalSolver:
+    """Return the solver that all runs of this process share; it uses the coarsest grid only."""
+    return GoalSolver(finer=())
+
+
+class _GoalHandling(FixedGoalHandling):
+    """Goal handling with the shared solver."""
+
+    def _prepare(self, cell: Cell) -> None:
+        super()._prepare(cell)
+        self._solver = _solver()
+
+
+class FixedTrial(Trial):
+    """The complete positioning cell of one seed, with one board or two. Times in s of the run."""
+
+    physical: PhysicalFixedCell
+    witness: FixedWitness
+
+    devices = ("tapper_trigger",)
+    nodes = ("tap_planner", "tapper_trigger")
+    arm_node = "tapper_trigger"
+    makers = FIXED_MAKERS
+    at_a_shot = FIXED_AT_A_SHOT
+    of_a_shot = FIXED_OF_A_SHOT
+    moments = FIXED_MOMENTS
+    further_causes = FIXED_CAUSES
+
+    def _make_cell(self, seed: int) -> Cell:
+        return shipped_fixed_cell(1 + seed % 2)
+
+    def _make_physical(self, truth: TruthFile, seed: int) -> PhysicalFixedCell:
+        return PhysicalFixedCell(self.scheduler, self.cell, truth, seed)
+
+    def _make_witness(self) -> FixedWitness:
+        witness = FixedWitness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
+        witness.unread_until = self._unread_until
+        return witness
+
+    def _unread_until(self) -> float:
+        faults = [
+            happened[-1][0] for line in self.physical.lines if (happened := line.layer.happened)
+        ]
+        process = self.processes["tapper_trigger"]
+        return max(process.frozen_until, *(at + BAD_LINE_S for at in faults), -math.inf)
+
+    def _covers(self) -> bool:
+        return False
+
+    def _lines(self) -> tuple[SerialLine, ...]:
+        return tuple(self.physical.lines)
+
+    def _busy_lines(self) -> tuple[SerialLine, ...]:
+        return tuple(BusyLine(self.scheduler, line.layer, "tapper") for line in self._lines())
+
+    def _programs(self, *lines: SerialLine) -> dict[str, Program]:
+        cell = self.cell
+
+        def planner_connect(_: Any, __: float, now: Now) -> GoalHandling:
+            return _GoalHandling(
+                cell,
+                "",
+                OtherObjects((), 5.0, 0.002),
+                now,
+                adapt=True,
+                probe=False,
+                keep_for="",
+                time_limit=self.settings.goal_time_limit,
+                solve_in_background=False,
+            )
+
+        def tapper() -> tuple[TapperLogic, TapperBoards]:
+            draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
+            for line in lines:
+                line.set_clock(self.clocks["tapper_trigger"].steady_offset)
+            drivers = [
+                TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
+                for line in lines
+            ]
+            options = TapperOptions(limits=PeerLimits(unseen=CLEAR_VIEW_S))
+            return TapperLogic(options), TapperBoards(drivers)
+
+        return {
+            "tap_planner": Program(
+                lambda: (PlannerLogic(self.settings), None),
+                planner_connect,
+                cell,
+                HEARS["tap_planner"],
+                SERVES["tap_planner"],
+            ),
+            "tapper_trigger": Program(
+                tapper,
+                lambda driver, patience, _: driver.connect(timeout=patience),
+                cell,
+                HEARS["tapper_trigger"],
+                SERVES["tapper_trigger"],
+                lines,
+            ),
+        }
+
+    # Goals and taps
+
+    def draw_goal(self, rng: np.random.Generator) -> Pose:
+        """Draw one of a few goals, rotated by up to ``TURN_RAD`` from the object."""
+        x, y = GOALS[int(rng.integers(len(GOALS)))]
+        true = self.physical.object_pose(self.scheduler.now)
+        return Pose(x, y, true.theta + float(rng.uniform(-TURN_RAD, TURN_RAD)))
+
+    def next_goal(self, number: int) -> Pose:
+        """Draw the next goal."""
+        return self.draw_goal(self.rng)
+
+    def _fit_to_object(self, command: TapCommand, model: TapCommand, seen: Pose) -> None:
+        """Do nothing: a mount does not follow the object."""
+        command.strike_pose, command.predicted_pose = model.strike_pose, model.predicted_pose
+
+    def _publish_rivals(self, command: TapCommand, rival: TapCommand) -> None:
+        """Have two programs command two tappers with the same id."""
+        entries = self.cell.fixed_tappers.tappers
+        entry = entries[int(self.rng.integers(len(entries)))]
+        rival.tapper = entry.name
+        rival.strike_pose = to_message(
+            Pose(*entry.position, entry.direction), self.cell.strike_height
+        )
+        for node, message in (("second program", rival), ("program", command)):
+            self.network.publish(node, "tap_command", message)
+
+    def _place_by_hand(self, pose: Pose) -> None:
+        way = math.hypot(pose.x, pose.y)
+        share = min(1.0, NEAR_M / way) if way else 1.0
+        self.physical.world.place(Pose(share * pose.x, share * pose.y, pose.theta))
+
+    def _object_lost(self) -> bool:
+        pose = self.physical.object_pose(self.scheduler.now)
+        return math.hypot(pose.x, pose.y) > NEAR_M + 0.01
+
+    def recover(self) -> None:
+        """Recover the cell as a person would, until it is ready for a goal: inspect it, press the
+        clear buttons, and clear faults."""
+        until = self.scheduler.now + RECOVERY_S
+        while self.scheduler.now < until:
+            self.scheduler.run(self.scheduler.now + 1.0)
+            tapper = self._last("tapper_state")
+            alive = all(process.alive and process.active for process in self.processes.values())
+            if not alive or tapper is None or self.scheduler.now < self._pressed_until:
+                continue
+            if tapper.state == TapperState.SAFE and tapper.mounts_proven and not tapper.away:
+                if not self._object_lost():
+                    return
+                self.physical.world.place(Pose(0.0, 0.0, 0.0))
+                self.witness.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
+            elif tapper.state in (TapperState.STOPPED, TapperState.FAULT):
+                self.physical.press_clear_button()
+                self._give_word("tapper_trigger")
+                self.call_service("tapper_trigger", "~/clear_fault")
+        self.witness.violate("no way back", f"tapper {self._last('tapper_state')}")

@@ -1,0 +1,246 @@
+"""Arm and tapper with their boards over real DDS, attacked during a tap.
+
+The same attacks run in virtual time by the thousand (``verification/faults.py``). Only real nodes
+show that a service has two servers, what a hundred messages a second do to an executor, and how a
+life-cycle transition ends the work of a thread.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from harness import Bench, bench
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.duration import Duration
+from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
+from tapping_cell_msgs.srv import HoldStill
+
+from tapping_cell.configuration.cell import load_cell
+from tapping_cell.logic import arm as arms
+from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.conversions import to_message
+from tapping_cell.nodes.drivers.scara_arm import ScaraArm
+from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+from tapping_cell.se2 import Pose
+from tapping_cell.simulation.devices import arm_emulator
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.truth import ArmTruth
+
+STRIKE = Pose(-0.08, 0.02, 0.3)
+RATE_HZ = 100.0
+LOWERING = (arms.State.PLACING, arms.State.IN_POSITION)
+
+
+@dataclass
+class Cell:
+    """The two nodes, their boards, and what was seen of them."""
+
+    bench: Bench
+    arm: ScaraArm
+    board: TapperEmulator
+    mechanics: Any
+    arm_states: list[ArmState]
+    tapper_states: list[TapperState]
+    releases: list[tuple[int, bool]] = field(default_factory=list)
+    """Shot number, and whether the arm moved."""
+    carried: int = 0
+    """How often the arm was seen to begin a motion with a charged striker."""
+    moved: bool = False
+
+    def __post_init__(self) -> None:
+        assert self.bench.probe is not None
+        self.node = self.bench.probe
+        self.commands = self.node.create_publisher(TapCommand, "tap_command", COMMAND)
+        self.tap_id = int(time.time())
+        self.last = TapCommand()
+
+    def tap(self) -> None:
+        """Command the next tap."""
+        self.tap_id += 1
+        command = TapCommand(request=TapCommand.TAP, tap_id=self.tap_id, striker_speed=0.3)
+        command.header.frame_id = "table"
+        command.strike_pose = to_message(STRIKE)
+        command.expiry = (self.node.get_clock().now() + Duration(seconds=20)).to_msg()
+        self.last = command
+        self.commands.publish(command)
+
+    def withdraw(self) -> None:
+        self.commands.publish(TapCommand(request=TapCommand.WITHDRAW, tap_id=self.tap_id))
+
+    def look(self) -> None:
+        """Note an arm that begins a motion with a charged striker, not down to its pose."""
+        away = self.arm.logic.state not in LOWERING
+        moving = self.mechanics.moving(time.monotonic())
+        begins, self.moved = moving and not self.moved, moving
+        self.carried += self.board.state == "CHARGED" and begins and away
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        """Wait, and watch the arm meanwhile."""
+        self.bench.wait(lambda: (self.look(), condition())[1], what)
+
+    def over(self) -> bool:
+        return any(s.tap_id == self.tap_id and s.outcome for s in self.tapper_states)
+
+    def at_rest(self) -> bool:
+        resting = self.board.state in ("SAFE", "UNHOMED")
+        return self.arm_states[-1].state == ArmState.IDLE and resting
+
+    def end(self) -> None:
+        """End the tap, and let the arm leave."""
+        self.withdraw()
+        self.wait(self.at_rest, "arm and tapper are at rest")
+
+
+@contextmanager
+def attacked_cell(folder: Path) -> Iterator[Cell]:
+    now = time.monotonic()
+    board = TapperEmulator(now=now)
+    mechanics = arm_emulator(load_cell().file.arm, ArmTruth(), 1, now)
+    nodes: list[Any] = []
+
+    def make() -> list[Any]:
+        nodes.extend((ScaraArm(), TapperTrigger()))
+        return nodes
+
+    parameters: dict[str, dict[str, object]] = {
+        "tapper_trigger": {"port": folder / "tapper"},
+        "scara_arm": {"port": folder / "arm", "home_on_activate": True},
+    }
+    with (
+        PseudoTerminal(board, folder / "tapper"),
+        PseudoTerminal(mechanics, folder / "arm"),
+        bench(make, parameters) as b,
+    ):
+        cell = Cell(
+            b,
+            nodes[0],
+            board,
+            mechanics,
+            b.listen(ArmState, "arm_state", LATCHED),
+            b.listen(TapperState, "tapper_state", LATCHED),
+        )
+        board.on_fire = lambda shot, energy, now: cell.releases.append(
+            (shot, mechanics.moving(time.monotonic()))
+        )
+        b.wait(
+            lambda: (
+                cell.arm_states
+                and cell.tapper_states
+                and cell.commands.get_subscription_count() == 2
+                and cell.at_rest()
+                and cell.tapper_states[-1].state == TapperState.SAFE
+            ),
+            "arm and tapper are ready",
+            40.0,
+        )
+        yield cell
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Iterator[Cell]:
+    with attacked_cell(tmp_path) as made:
+        yield made
+
+
+@contextmanager
+def flood(cell: Cell, kind: type, topic: str, make: Callable[[], Any], qos: Any) -> Iterator[None]:
+    """Publish a message a hundred times a second."""
+    publisher = cell.node.create_publisher(kind, topic, qos)
+    ended = threading.Event()
+
+    def publish() -> None:
+        while not ended.wait(1 / RATE_HZ):
+            message = make()
+            if hasattr(message, "header"):
+                message.header.stamp = cell.node.get_clock().now().to_msg()
+            publisher.publish(message)
+
+    thread = threading.Thread(target=publish, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def test_a_hundred_foreign_messages_a_second_neither_fire_nor_move_anything(cell: Cell) -> None:
+    def safe(outcome: int) -> TapperState:
+        return TapperState(state=TapperState.SAFE, tap_id=cell.tap_id, outcome=outcome)
+
+    def in_position() -> ArmState:
+        pose = to_message(STRIKE)
+        return ArmState(state=ArmState.IN_POSITION, tap_id=cell.tap_id, homed=True, tip_pose=pose)
+
+    attacks: list[tuple[type, str, Callable[[], Any], Any]] = [
+        (TapperState, "tapper_state", lambda: safe(TapperState.NONE), LATCHED),
+        (TapperState, "tapper_state", lambda: safe(TapperState.NOT_FIRED), LATCHED),
+        (ArmState, "arm_state", in_position, LATCHED),
+    ]
+    for kind, topic, make, qos in attacks:
+        with flood(cell, kind, topic, make, qos):
+            cell.tap()
+            cell.wait(lambda: cell.over() or cell.board.state == "CHARGED", topic)
+            cell.end()
+    cell.tap()
+    cell.wait(cell.over, "an ordinary tap after all this")
+    assert cell.releases[-1] == (cell.tap_id, False)
+    shots = [shot for shot, _ in cell.releases]
+    assert len(shots) == len(set(shots))
+    assert not any(moving for _, moving in cell.releases)
+    assert cell.carried == 0
+
+
+@pytest.mark.parametrize("node", ["scara_arm", "tapper_trigger"])
+def test_a_node_that_is_deactivated_while_charged_neither_fires_nor_carries(
+    cell: Cell, node: str
+) -> None:
+    change = cell.node.create_client(ChangeState, f"{node}/change_state")
+    cell.bench.wait(change.service_is_ready, "change_state")
+    cell.tap()
+    cell.wait(lambda: cell.board.state in ("CHARGING", "CHARGED"), "charged")
+    answers = []
+    for number in (
+        Transition.TRANSITION_DEACTIVATE,
+        Transition.TRANSITION_CLEANUP,
+        Transition.TRANSITION_CONFIGURE,
+        Transition.TRANSITION_ACTIVATE,
+    ):
+        request = ChangeState.Request(transition=Transition(id=number))
+        answers.append(change.call_async(request))
+    cell.wait(lambda: all(answer.done() for answer in answers), "the transitions")
+    assert all(answer.result().success for answer in answers)
+    cell.end()
+    assert cell.releases == [] and cell.carried == 0
+    cell.tap()
+    cell.wait(cell.over, "an ordinary tap afterwards")
+    assert cell.releases == [(cell.tap_id, False)]
+
+
+def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
+    def grant(request: HoldStill.Request, response: HoldStill.Response) -> HoldStill.Response:
+        response.granted, response.duration = True, request.duration
+        return response
+
+    other = cell.node.create_service(HoldStill, "hold_still", grant)
+    cell.bench.wait(lambda: cell.node.count_services("hold_still") == 2, "both are known")
+    cell.tap()
+    cell.wait(cell.over, "the tap ends")
+    last = cell.tapper_states[-1]
+    assert last.error_code == ErrorCode.CONFIGURATION_CONFLICT, last.error_msg
+    assert cell.releases == []
+    cell.node.destroy_service(other)
+    cell.end()
+    cell.bench.wait(lambda: cell.node.count_services("hold_still") == 1, "one is known")
+    cell.tap()
+    cell.wait(cell.over, "an ordinary tap afterwards")
+    assert cell.releases == [(cell.tap_id, False)]

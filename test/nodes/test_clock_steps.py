@@ -1,0 +1,59 @@
+"""A computer's clock that is set back or replaced while a node runs stops no timer of the node."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from harness import Bench, bench
+from rcl_interfaces.srv import SetParameters
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+from tapping_cell_msgs.msg import TapperState
+
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
+from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+
+START = Time(seconds=1_800_000_000)
+
+
+def count_in(b: Bench, states: list[TapperState], seconds: float) -> int:
+    before = len(states)
+    time.sleep(seconds)
+    return len(states) - before
+
+
+def test_timers_go_on_when_the_clock_is_set_back_and_it_cannot_be_replaced(tmp_path: Path) -> None:
+    device = TapperEmulator(now=time.monotonic())
+    given = {"port": tmp_path / "tapper", "use_sim_time": True}
+    with (
+        PseudoTerminal(device, tmp_path / "tapper"),
+        bench(lambda: [TapperTrigger()], {"tapper_trigger": given}) as b,
+    ):
+        node = b.probe
+        assert node is not None
+        clock = node.create_publisher(Clock, "/clock", 10)
+        states: list[TapperState] = b.listen(TapperState, "tapper_state", LATCHED)
+        setter = node.create_client(SetParameters, "tapper_trigger/set_parameters")
+        b.wait(lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe")
+        b.wait(lambda: clock.get_subscription_count(), "the node takes the time from /clock")
+
+        def stamped(at: Time) -> bool:
+            clock.publish(Clock(clock=at.to_msg()))
+            return Time.from_msg(states[-1].header.stamp).nanoseconds == at.nanoseconds
+
+        b.wait(lambda: stamped(START), "the node takes this time")
+        back = START - Duration(seconds=3600)
+        b.wait(lambda: stamped(back), "the node takes the earlier time", 3.0)
+        assert count_in(b, states, 0.5) >= 5
+
+        real = Parameter("use_sim_time", value=False).to_parameter_msg()
+        answer = setter.call_async(SetParameters.Request(parameters=[real]))
+        b.wait(answer.done, "set_parameters answers")
+        (result,) = answer.result().results
+        assert not result.successful and "restart the node" in result.reason
+        assert stamped(back)

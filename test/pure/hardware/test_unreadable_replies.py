@@ -1,0 +1,136 @@
+"""Replies that stay unreadable, byte by byte: a wrong baud rate, interference, other firmware."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from wrong_baud import WrongBaud, sampled
+
+from tapping_cell.configuration.arm_assembly import make_arm_driver
+from tapping_cell.hardware.arm import ArmDriver
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.tapper import TapperDriver
+from tapping_cell.logic.error_codes import of_arm, of_tapper
+from tapping_cell.messages import ErrorCode
+from tapping_cell.simulation.device_emulator import DeviceEmulator
+from tapping_cell.simulation.devices import arm_emulator
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, FaultLayer, LineFault
+from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.truth import ArmTruth
+from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
+from tapping_cell.verification.trial import shipped_cell
+
+DIALECTS = ("grbl", "marlin")
+OTHER_RATES = (9600, 57600, 230400, 250000)
+
+
+class Line:
+    """A board behind a line in virtual time."""
+
+    def __init__(self, board: DeviceEmulator) -> None:
+        self.layer = FaultLayer(board)
+        self.clock = VirtualClock()
+        self.transport = VirtualTransport(self.layer, self.clock, "the port")
+
+    def disturb(self, every: int, count: int = 4000) -> None:
+        """Flip a bit of every n-th byte from the board."""
+        way = Direction.TO_HOST
+        first = self.layer.count(way)
+        for number in range(count):
+            byte = first + every * number
+            self.layer.add(LineFault(FaultKind.FLIP, way, byte, bit=number % 7))
+
+
+def board_of(dialect: str) -> DeviceEmulator:
+    return arm_emulator(shipped_cell(dialect).arm, ArmTruth(), 1, 0.0)
+
+
+def arm_on(line: Line, dialect: str) -> ArmDriver:
+    return make_arm_driver(shipped_cell(dialect).arm, line.transport)
+
+
+@given(st.binary(max_size=60), st.sampled_from((9600.0, 115200.0, 250000.0)))
+@settings(max_examples=50, deadline=None)
+def test_equal_rates_change_no_byte(data: bytes, rate: float) -> None:
+    assert sampled(data, rate, rate) == data
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("rate", OTHER_RATES)
+def test_an_arm_at_another_baud_rate_is_unreadable(dialect: str, rate: int) -> None:
+    board = board_of(dialect)
+    board.power_cycle(0.0)  # opening the port restarts most boards, which then greet
+    line = Line(WrongBaud(board, 115200, rate))
+    with pytest.raises(HardwareFault) as caught:
+        arm_on(line, dialect).connect(1.0)
+    assert of_arm(caught.value) == ErrorCode.ARM_REPLY_GARBLED, caught.value
+    assert "no text" in str(caught.value) and "check arm.baud" in str(caught.value)
+
+
+@pytest.mark.parametrize("rate", OTHER_RATES)
+def test_a_tapper_at_another_baud_rate_never_looks_like_a_tapper(rate: int) -> None:
+    """It answers nothing that it cannot read, so that most rates leave only silence."""
+    line = Line(WrongBaud(TapperEmulator(), 115200, rate))
+    with pytest.raises(HardwareFault) as caught:
+        TapperDriver(line.transport).connect(1.0)
+    assert caught.value.reason in (FaultReason.PROTOCOL, FaultReason.UNKNOWN_FIRMWARE)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_interference_on_the_line_of_a_connected_arm_is_told(dialect: str) -> None:
+    line = Line(board_of(dialect))
+    driver = arm_on(line, dialect)
+    driver.connect()
+    line.disturb(3)
+    with pytest.raises(HardwareFault) as caught:
+        driver.read()
+    assert of_arm(caught.value) == ErrorCode.ARM_REPLY_GARBLED, caught.value
+    assert "lines from the arm's controller on the port were unreadable" in str(caught.value)
+
+
+def test_interference_on_the_line_of_a_connected_tapper_is_told() -> None:
+    line = Line(TapperEmulator())
+    driver = TapperDriver(line.transport)
+    driver.connect()
+    line.disturb(7)
+    with pytest.raises(HardwareFault) as caught:
+        driver.status()
+    assert of_tapper(caught.value) == ErrorCode.TAPPER_REPLY_GARBLED
+    assert "of 5 requests were damaged" in str(caught.value)
+    assert "check tapper.baud" in str(caught.value)
+
+
+def test_interference_while_the_tapper_is_greeted_is_told() -> None:
+    line = Line(TapperEmulator())
+    line.disturb(7)
+    with pytest.raises(HardwareFault) as caught:
+        TapperDriver(line.transport).connect(1.0)
+    assert of_tapper(caught.value) == ErrorCode.TAPPER_REPLY_GARBLED
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_a_silent_or_foreign_board_is_not_called_unreadable(dialect: str) -> None:
+    other = DIALECTS[1 - DIALECTS.index(dialect)]
+    for board in (TapperEmulator(), board_of(other)):
+        with pytest.raises(HardwareFault) as caught:
+            arm_on(Line(board), dialect).connect(1.0)
+        assert of_arm(caught.value) == ErrorCode.ARM_FIRMWARE_UNKNOWN, caught.value
+    with pytest.raises(HardwareFault) as caught:
+        TapperDriver(Line(board_of(dialect)).transport).connect(1.0)
+    assert of_tapper(caught.value) == ErrorCode.TAPPER_FIRMWARE_UNKNOWN, caught.value
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_a_few_damaged_lines_are_survived_and_a_lost_line_is_a_timeout(dialect: str) -> None:
+    line = Line(board_of(dialect))
+    driver = arm_on(line, dialect)
+    driver.connect()
+    line.disturb(1, count=2)
+    driver.read()
+    assert driver.line_counters.bad_lines > 0
+    way = Direction.TO_HOST
+    line.layer.add(LineFault(FaultKind.DROP, way, line.layer.count(way), 10**6))
+    with pytest.raises(HardwareFault) as caught:
+        driver.read()
+    assert of_arm(caught.value) == ErrorCode.ARM_TIMEOUT

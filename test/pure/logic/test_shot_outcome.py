@@ -1,0 +1,46 @@
+"""The outcome of a shot when two replies on the board's line contradict each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
+from hypothesis import given
+from hypothesis import strategies as st
+from test_permit import board
+
+from tapping_cell.hardware.tapper import FireOutcome, FireResult
+from tapping_cell.hardware.tapper_protocol import Reply
+from tapping_cell.hardware.tapper_protocol import State as BoardState
+from tapping_cell.logic import tapper_jobs
+from tapping_cell.logic.effects import JobContext
+
+SHOT = 7
+
+
+class Line:
+    """A driver that was answered in this way, of which one answer may be forged."""
+
+    def __init__(self, told: FireOutcome, last_fired: int) -> None:
+        self.counters = SimpleNamespace(fired=0)
+        self.last_reply: Reply | None = None
+        self._told, self._last_fired = told, last_fired
+
+    def fire(self, shot: int, window: float, allowed: Callable[[float], bool]) -> FireResult:
+        return FireResult(self._told, shot)
+
+    def status(self) -> Reply:
+        return replace(board(BoardState.SAFE, SHOT), last_fired=self._last_fired)
+
+
+@given(st.sampled_from(FireOutcome), st.sampled_from([0, SHOT - 1, SHOT]))
+def test_an_outcome_that_the_board_does_not_confirm_is_unknown(
+    told: FireOutcome, last_fired: int
+) -> None:
+    context = cast(JobContext, SimpleNamespace(driver=Line(told, last_fired)))
+    end = tapper_jobs.fire(context, SHOT, lambda release_by, now: None, tell=False)
+    agrees = (told is FireOutcome.FIRED) == (last_fired == SHOT)
+    assert end.outcome is (told if agrees else FireOutcome.UNKNOWN)
+    assert agrees or told is FireOutcome.UNKNOWN or "contradict" in end.sentence

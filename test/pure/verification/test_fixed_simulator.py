@@ -1,0 +1,80 @@
+"""The positioning cell in virtual time: one board or two, no arm, every fault, and it can fail."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from tapping_cell.messages import ErrorCode
+from tapping_cell.verification.campaign import run_trial
+from tapping_cell.verification.faults import Mix
+from tapping_cell.verification.fixed_faults import FIXED_AT_A_SHOT, FIXED_CAUSES, FIXED_MAKERS
+from tapping_cell.verification.fixed_mutants import FIXED_MUTANTS
+from tapping_cell.verification.fixed_trial import FixedTrial
+from tapping_cell.verification.mutants import MUTANTS, Mutant, mutated, parts_of
+
+MIX = Mix(fixed=True)
+
+
+def test_the_same_seed_gives_the_same_trace() -> None:
+    first, second = (run_trial(7, 2, trace=True, mix=MIX) for _ in range(2))
+    assert first.trace == second.trace
+    assert len(first.trace) > 100
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_without_faults_every_goal_is_reached(seed: int) -> None:
+    trial = FixedTrial(seed, faults=False, mix=MIX)
+    assert len(trial.physical.boards) == 1 + seed
+    report = trial.run(2)
+    assert report.violations == []
+    assert trial.in_haste or {goal.code for goal in report.outcomes} == {ErrorCode.NONE}
+    assert report.releases >= 2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
+    report = run_trial(2000 + seed, 4, mix=MIX)
+    assert report.violations == []
+    assert len(report.outcomes) == 4
+
+
+def test_the_invariants_notice_what_they_forbid() -> None:
+    """A release as it must never be, made up from a real one, breaks each of them."""
+    trial = FixedTrial(1, faults=False, mix=MIX)
+    assert trial.run(1).violations == []
+    good = next(one for one in trial.physical.releases)
+    witness = trial.witness
+    made = {
+        "fired while another was charged": replace(good, others_charged=(0,)),
+        "second striker": replace(good, others_out=("west",)),
+        "wrong tapper": replace(good, tapper="nobody"),
+        "object in motion": replace(good, object_at_rest=False),
+    }
+    witness.moved_by_hand = None
+    for name, release in made.items():
+        witness.violations.clear()
+        witness._check_release(release, [])
+        assert name in {found.name for found in witness.violations}
+    witness.violations.clear()
+    trial.physical.out_since["west"] = -math.inf
+    witness._check_release(good, [])
+    assert "fired at a striker" in {found.name for found in witness.violations}
+
+
+@pytest.mark.parametrize("mutant", FIXED_MUTANTS, ids=lambda mutant: mutant.name)
+def test_every_mutant_fits_the_source(mutant: Mutant) -> None:
+    for part in parts_of(mutant):
+        compile(mutated(part), "mutant", "exec")
+    assert mutant.fixed
+    assert set(mutant.kinds) <= set(FIXED_MAKERS)
+
+
+def test_the_names_are_unique_and_known() -> None:
+    names = [mutant.name for mutant in (*MUTANTS, *FIXED_MUTANTS)]
+    assert len(set(names)) == len(names)
+    assert len(FIXED_MUTANTS) >= 5
+    assert set(FIXED_AT_A_SHOT) <= set(FIXED_MAKERS)
+    assert set().union(*FIXED_CAUSES.values()) >= {"striker stays out", "striker blocked"}
