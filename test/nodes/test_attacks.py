@@ -35,6 +35,7 @@ from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 
+pytestmark = pytest.mark.alone  # a hundred messages a second starve what runs beside them
 STRIKE = Pose(-0.08, 0.02, 0.3)
 RATE_HZ = 100.0
 LOWERING = (arms.State.PLACING, arms.State.IN_POSITION)

@@ -92,7 +92,7 @@ def test_a_grey_picture_is_not_copied():
 
 @pytest.mark.parametrize("encoding", ["", "jpeg", "32FC1", "bayer_rggb16"])
 def test_an_encoding_that_is_not_known_is_named(encoding):
-    with pytest.raises(images.ImageRefused, match="known are mono8"):
+    with pytest.raises(images.ImageRefused, match="set the camera to one of mono8"):
         images.to_grey(message(CASES["mono8"], encoding))
 
 

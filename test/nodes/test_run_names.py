@@ -19,7 +19,7 @@ def test_a_name_that_leads_elsewhere_or_is_none_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("folder", ["", "a\x00b", "a\nb", "x" * 2000])
 def test_a_folder_that_is_none_is_refused(folder: str) -> None:
-    with pytest.raises(ValueError, match="1 to 1024 characters"):
+    with pytest.raises(ValueError, match="1 to 1024 printable characters"):
         checked_folder(folder)
 
 

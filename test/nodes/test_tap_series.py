@@ -139,7 +139,7 @@ def test_what_is_no_use_is_recorded_by_name_and_made_again(tmp_path: Path) -> No
 
 def test_a_run_that_goes_wrong_again_and_again_is_given_up(tmp_path: Path) -> None:
     client = Told(["ok"] + ["miss"] * 9)
-    with pytest.raises(SeriesStopped, match="of 6 trials 1 can be used"):
+    with pytest.raises(SeriesStopped, match="only 1 of 6 trials are usable"):
         list(series(client, tmp_path).run())
     assert len(client.answers) == 4
 
