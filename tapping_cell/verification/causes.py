@@ -164,8 +164,6 @@ WAITS_S = {
             ErrorCode.GOAL_REPLACED,
             ErrorCode.GOAL_CANCELED,
             ErrorCode.EMERGENCY_STOP,
-            ErrorCode.ARM_STOPPED,
-            ErrorCode.TAPPER_STOPPED,
             ErrorCode.STAMP_INVALID,
             ErrorCode.OBJECT_MOVED,
         ),

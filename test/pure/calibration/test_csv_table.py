@@ -68,7 +68,7 @@ def test_a_bad_row_is_left_out_and_named(tmp_path: Path, row: str, words: str) -
         ("", "is empty"),
         ("x,angle\n", "no row"),
         ("x\n1\n", "no column angle"),
-        ("x,x_mm,angle\n1,1,1\n", "x is there 2 times"),
+        ("x,x_mm,angle\n1,1,1\n", "column x appears 2 times"),
         ("x,angle\n250,1\n-120,1\n0.1,1\n", "name the column x_mm"),
         ("x_mm,angle\n0.25,1\n-0.12,1\n", "name the column x_m "),
         ("x,angle\n0.2,90\n0.1,45\n", "name the column angle_deg"),

@@ -198,7 +198,7 @@ def test_the_outlines_of_a_marker_are_its_pattern() -> None:
         (lambda: paper_size("9000x20"), "outside"),
         (lambda: target_page((0.297, 0.21), Target("chessboard", 12, 9, 0.03)), "fewer or smaller"),
         (lambda: reference_page((0.297, 0.21), load_reference_map(SHIPPED)), "such as a1"),
-        (lambda: reference_map((0.297, 0.21), 0.06, "APRILTAG_36h11", 101), "at most"),
+        (lambda: reference_map((0.297, 0.21), 0.06, "APRILTAG_36h11", 101), "largest that fit"),
     ],
 )
 def test_what_does_not_fit_is_refused(act, words: str) -> None:

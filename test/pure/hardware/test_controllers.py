@@ -257,7 +257,7 @@ def test_a_controller_that_went_to_sleep_is_not_believed(name: str) -> None:
 
 def test_three_axes_are_refused_in_those_words() -> None:
     cell = Cell("grbl", change=lambda machine: replace(machine, variant=GRBL_3_AXES))
-    with pytest.raises(HardwareFault, match=r"has 3 axes \(XYZ\), 4 are needed") as caught:
+    with pytest.raises(HardwareFault, match=r"has 3 axes \(XYZ\), but 4 are needed") as caught:
         cell.driver.connect()
     assert caught.value.reason is FaultReason.UNKNOWN_FIRMWARE
 

@@ -340,7 +340,7 @@ def test_taps_that_somebody_else_ended_are_told_as_such(actors: Actors) -> None:
     actors.send()
     end = actors.end()
     assert end.error_code == ErrorCode.NOT_READY
-    assert "by another program" in end.error_msg and "tap_command" in end.error_msg
+    assert "another program" in end.error_msg and "tap_command" in end.error_msg
 
 
 def test_taps_without_any_effect_end(actors: Actors) -> None:
