@@ -253,7 +253,7 @@ def test_a_board_refuses_a_shot_number_that_another_program_has_used() -> None:
 def test_a_goal_with_more_taps_than_the_cell_allows_is_refused(ready_cell: ReportedCell) -> None:
     ready_cell.goal(max_taps=1000)
     limit = ready_cell.trial.cell.file.goal.max_taps
-    ready_cell.read(ErrorCode.GOAL_BAD_TAP_LIMIT, "max_taps is 1000", f"allows {limit}")
+    ready_cell.read(ErrorCode.GOAL_BAD_TAP_LIMIT, "max_taps is 1000", f"at most {limit}")
 
 
 def test_a_goal_that_needs_more_taps_than_it_was_given_ends(ready_cell: ReportedCell) -> None:
