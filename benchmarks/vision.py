@@ -80,7 +80,7 @@ def _measure(count: int) -> dict[str, Any]:
         assert scene is not None
         true = random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
         image = scene.render(true)
-        # The image is not yet cached for the first method, so each method is first in turn.
+        # The first method runs with a cold CPU cache, so the methods take turns at going first.
         turn = number % len(methods)
         for name in [*methods][turn:] + [*methods][:turn]:
             method = methods[name]

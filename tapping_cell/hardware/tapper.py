@@ -54,7 +54,8 @@ class FireOutcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FireResult:
-    """Result of :meth:`TapperDriver.fire`; ``sentence`` gives the reason if it is not FIRED."""
+    """Result of :meth:`TapperDriver.fire`; ``sentence`` gives the reason if the tapper has not
+    fired."""
 
     outcome: FireOutcome
     shot: int

@@ -36,7 +36,7 @@ class EnablingDevice:
         self._key_at = self._switch_at = -math.inf
 
     def on_key(self, held: bool, now: Now) -> None:
-        """Process a message of the topic ``enabling``."""
+        """Process a message on the topic ``enabling``."""
         self._key_at = now.steady if held else -math.inf
 
     def on_switch(self, held: bool, now: Now) -> None:

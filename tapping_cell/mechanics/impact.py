@@ -256,8 +256,9 @@ class Impact:
         if open_ended.any():
             other = np.where(open_ended, np.copysign(LARGEST_INCIDENCE, -e_straight), other)
             e_other = np.where(open_ended, error(other, _ALL), e_other)
-        # Far from a polygon's normal, the slope may decrease with the incidence, so try the other
-        # side too.
+        # For a contact far from the normal through a polygon's centre of mass, the slope of the
+        # impulse may decrease with the incidence. The root then lies at incidences of the other
+        # sign, so that sign is tried too.
         wrong_side = e_other * e_straight > 0
         if wrong_side.any():
             other = np.where(wrong_side, np.copysign(LARGEST_INCIDENCE, e_straight), other)

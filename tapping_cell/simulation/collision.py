@@ -86,7 +86,7 @@ def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap
     if distance == 0.0:
         way = np.array([there.x - here.x, there.y - here.y])
     length = float(np.hypot(*way))
-    # For two concentric disks any direction separates.
+    # Two concentric disks can be separated in any direction.
     normal = way / length if length > 0.0 else np.array([1.0, 0.0])
     place = one + normal * first.radius
     return Gap(

@@ -82,7 +82,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         except HardwareFault as fault:
             driver.close()
             if fault.reason is FaultReason.PORT_MISSING and not port.startswith("/dev/"):
-                # Not a system device, so it belongs to a simulated device that is just starting.
+                # A port outside /dev belongs to a simulated device that has not been started yet.
                 waits = f"the simulated device has not opened {port} yet; start sim_world"
                 self.host.lifecycle(Unreachable(HardwareFault(fault.reason, waits)))
                 raise NotReady(waits, expected=True) from fault

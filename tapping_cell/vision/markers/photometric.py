@@ -207,7 +207,8 @@ def _judged(
     columns, template, pixel = linearisation.columns, linearisation.template, linearisation.pixel
     contrast = float(answer[0])
     noise = max(math.sqrt(float((weight * residual**2).sum() / weight.sum())), spread, 0.3)
-    # Residuals at edges determine the error of the pose, and show deviations of the pattern.
+    # The residuals at edges determine the pose error and show where the image deviates from the
+    # pattern.
     slope = weight * (columns[:, _POSE][:, :2] ** 2).sum(axis=1)
     unexplained = math.sqrt(float((slope * residual**2).sum() / slope.sum()))
     noise = max(noise, unexplained)

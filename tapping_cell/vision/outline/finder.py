@@ -1,4 +1,4 @@
-"""Find the outline from frame to frame, or report why it is not found."""
+"""Track the outline from frame to frame, or report why it was not found."""
 
 from __future__ import annotations
 

@@ -208,8 +208,8 @@ class _Plane:
     def rectified(self, image: Image) -> NDArray[np.float32]:
         """Rectify a camera image to the plane; NaN outside the camera image."""
         columns, rows = self.size
-        # A lens is smooth, so the projection is interpolated between nodes. One row is added on
-        # each side.
+        # A lens is smooth, so the projection is interpolated between nodes. On both axes one extra
+        # node is added before and after, so that the border is interpolated too.
         u, v = ((np.arange(-1, n // _EVERY + 2) + 0.5) * _EVERY - 0.5 for n in (columns, rows))
         nodes = self.view.project(self.places(np.stack(np.meshgrid(u, v), axis=-1)), self.height)
         size = (_EVERY * len(u), _EVERY * len(v))
