@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -63,6 +64,8 @@ BEST_EFFORT_COMMAND = QoSProfile(
 SIMULATED_TIME = "use_sim_time"
 CONNECTION_CHECK_S = 5.0
 """Period at which the topics are checked for endpoints that cannot connect."""
+SIGNAL_S = 1.0
+"""Maximum time from a signal until the context of rclpy is shut down."""
 ROLE = "role"
 """Key in /diagnostics of a node's role."""
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -348,10 +351,14 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         if refused := security.explain(error):
             print(f"error: {refused}", file=sys.stderr)
             return 1
-        # A signal that arrives during a call leaves the call without a valid context, or, if the
-        # middleware was logging a warning, raises an exception that the middleware does not expect.
-        if rclpy.ok():
-            raise
+        # A signal that arrives during a call leaves the call without a valid context, or raises an
+        # exception that the called library does not expect and reports as an error of its own. The
+        # signal's thread then shuts the context down.
+        deadline = time.monotonic() + SIGNAL_S
+        while rclpy.ok():
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.01)
         return 0
     finally:
         # A launcher sends its own signal after the terminal's signal. The first is enough for an
