@@ -38,7 +38,14 @@ from tapping_cell.simulation.truth import ArmTruth
 pytestmark = pytest.mark.alone  # a hundred messages a second starve what runs beside them
 STRIKE = Pose(-0.08, 0.02, 0.3)
 RATE_HZ = 100.0
-LOWERING = (arms.State.PLACING, arms.State.IN_POSITION)
+CARRYING = (
+    arms.State.HOMING,
+    arms.State.LEAVING,
+    arms.State.WITHDRAWING,
+    arms.State.FOLLOWING,
+)
+"""States in which a motion carries the striker. Not among them: the arm may go to a strike pose
+with a charged striker, and a move that it has begun there ends after the node was deactivated."""
 
 
 @dataclass
@@ -79,7 +86,7 @@ class Cell:
 
     def look(self) -> None:
         """Note an arm that begins a motion with a charged striker, not down to its pose."""
-        away = self.arm.logic.state not in LOWERING
+        away = self.arm.logic.state in CARRYING
         moving = self.mechanics.moving(time.monotonic())
         begins, self.moved = moving and not self.moved, moving
         self.carried += self.board.state == "CHARGED" and begins and away

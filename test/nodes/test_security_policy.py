@@ -8,6 +8,7 @@ import importlib.util
 import os
 import subprocess
 import sys
+import time
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from tapping_cell.nodes.clients.goal_client import GoalClient
 FOLDER = shared_folder() / "security"
 SERVED = ("send_goal", "get_result", "cancel_goal")
 SENT = ("feedback", "status")
+DISCOVERY_S = 10.0
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
     # With image_transport:=compressed.
@@ -93,8 +95,22 @@ def _grant(rules: Endpoints, kind: str, name: str) -> None:
     rules[services] |= {f"{name}/_action/{part}" for part in SERVED}
 
 
-def opened(node: Any, name: str) -> Endpoints:
-    """What a node has opened in the running middleware."""
+def opened(node: Any, name: str, expected: Endpoints) -> Endpoints:
+    """Return what a node has opened in the running middleware.
+
+    The middleware's graph follows a little later than the calls that open something. Therefore,
+    this waits until everything expected is there, for ``DISCOVERY_S`` at most.
+    """
+    end = time.monotonic() + DISCOVERY_S
+    while True:
+        found = _opened_now(node, name)
+        missing = any(expected.get(kind, set()) - names for kind, names in found.items())
+        if not missing or time.monotonic() > end:
+            return found
+        time.sleep(0.05)
+
+
+def _opened_now(node: Any, name: str) -> Endpoints:
     asked = {
         "publish": node.get_publisher_names_and_types_by_node,
         "subscribe": node.get_subscriber_names_and_types_by_node,
@@ -117,27 +133,28 @@ def node_class(name: str) -> type[CellNode[Any]]:
 
 @pytest.mark.parametrize("name", [*MODULES, "goal", "cell_client"])
 def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
+    rules, later = granted()[name], OPENED_LATER.get(name, {})
+    if importlib.util.find_spec("tf2_ros") is None:
+        later = {**later, **OPENED_WITH_TF2.get(name, {})}
+    expected = {kind: names - later.get(kind, set()) for kind, names in rules.items()}
     if name == "goal":
         with GoalClient("goal") as client:
-            real = opened(client.node, "goal")
+            real = opened(client.node, "goal", expected)
     elif name == "cell_client":
         with CellClient() as watching:
-            real = opened(watching.node, name)
+            real = opened(watching.node, name, expected)
     else:
         rclpy.init(args=["--ros-args", "-p", "autostart:=false"])
         node = node_class(name)()
         try:
-            real = opened(node, name)
+            real = opened(node, name, expected)
         finally:
             node.cleanup()
             node.destroy_node()
             rclpy.try_shutdown()
-    rules, later = granted()[name], OPENED_LATER.get(name, {})
-    if importlib.util.find_spec("tf2_ros") is None:
-        later = {**later, **OPENED_WITH_TF2.get(name, {})}
     for kind, names in real.items():
         assert names <= rules[kind], f"{name} may not {kind} {sorted(names - rules[kind])}"
-        needless = rules[kind] - names - later.get(kind, set())
+        needless = expected.get(kind, set()) - names
         assert not needless, f"{name} is granted to {kind} {sorted(needless)} and does not"
 
 
