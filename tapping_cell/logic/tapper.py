@@ -822,7 +822,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             tapper=told.tapper,
             fixed_mounts=self._fixed,
             away=list(self._mounts.away) if self._fixed else [],
-            mounts_proven=not self._fixed or (self._mounts.fitted and self._mounts.proven),
+            mounts_proven=self._mounts_proven(),
             tap_id=told.tap_id,
             outcome=told.outcome,
             measured_speed=told.measured_speed,
@@ -837,11 +837,10 @@ class TapperLogic(DeviceLogic[State, Event]):
         message.header.stamp = to_stamp(now.ros)
         return Publish("tapper_state", message)
 
-    def _comparable(self, message: Message) -> Message:
-        return (
-            message.state,
-            message.tap_id,
-            message.outcome,
-            message.error_code,
-            message.mounts_proven,
-        )
+    def _mounts_proven(self) -> bool:
+        return not self._fixed or (self._mounts.fitted and self._mounts.proven)
+
+    def _urgent_content(self, now: Now) -> tuple[object, ...]:
+        told = self._told
+        state, code = WIRE[self.state], self._trouble[0]
+        return state, told.tap_id, told.outcome, code, self._mounts_proven()
