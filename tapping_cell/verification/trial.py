@@ -800,9 +800,10 @@ class Trial:
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
         process = self.processes[node]
-        if process.alive and self.scheduler.now >= process.frozen_until:
+        if process.alive:
             self.report.by_node[f"stop {node}"] += 1
             self.note_kind(f"stop of {node}")
+        if process.alive and self.scheduler.now >= process.frozen_until:
             self.witness.stopped_at.setdefault(node, self.scheduler.now)
             if node == "scara_arm":
                 self.witness.word_given = False
