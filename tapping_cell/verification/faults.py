@@ -24,6 +24,7 @@ from tapping_cell.messages import (
 from tapping_cell.messages import Pose as Pose3
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
+from tapping_cell.verification.host import PlannedFreeze
 
 if TYPE_CHECKING:
     from tapping_cell.verification.trial import Trial
@@ -175,7 +176,7 @@ def _freeze_before_write(rng: np.random.Generator, trial: Trial) -> Made:
     writes, duration = int(rng.integers(0, 60)), draw_duration(rng, 0.005, 3.0)
 
     def strike(t: Trial) -> None:
-        t.processes[node].freeze_before_write = (writes, duration)
+        t.processes[node].freeze_before_write = PlannedFreeze(writes, duration)
 
     return strike, f"{node} frozen for {duration:.3f} s before its write number {writes}"
 
@@ -184,7 +185,7 @@ def _freeze_at_write(rng: np.random.Generator, trial: Trial) -> Made:
     writes, duration = int(rng.integers(0, 4)), draw_duration(rng, 0.02, 3.0)
 
     def strike(t: Trial) -> None:
-        t.processes["tapper_trigger"].freeze_before_write = (writes, duration)
+        t.processes["tapper_trigger"].freeze_before_write = PlannedFreeze(writes, duration)
 
     return strike, f"tapper_trigger frozen for {duration:.3f} s before its write number {writes}"
 

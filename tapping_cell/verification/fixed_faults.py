@@ -23,9 +23,13 @@ from tapping_cell.verification.faults import (
     told,
 )
 from tapping_cell.verification.fixed_cell import PhysicalFixedCell
+from tapping_cell.verification.host import PlannedFreeze
 
 if TYPE_CHECKING:
     from tapping_cell.verification.trial import Trial
+
+OUT_S = 2.0
+"""Time for which a striker that was pulled off in a freeze stays out."""
 
 
 def _cell_of(trial: Trial) -> PhysicalFixedCell:
@@ -81,20 +85,26 @@ def _stays_out(rng: np.random.Generator, trial: Trial) -> Made:
 
 def _out_in_a_freeze(rng: np.random.Generator, trial: Trial) -> Made:
     """A striker is pulled off its mount while the tapper's process is frozen during a shot."""
-    name, writes = _any_tapper(rng, trial), int(rng.integers(0, 4))
-    frozen, later = float(rng.uniform(0.2, 0.45)), draw_duration(rng, 0.002, 0.1)
+    name, job = _any_tapper(rng, trial), ("charge", "fire")[int(rng.integers(2))]
+    writes, frozen = int(rng.integers(0, 4)), float(rng.uniform(0.2, 0.45))
+    later = float(rng.uniform(0.0, 0.3)) * frozen
 
     def strike(t: Trial) -> None:
         cell = _cell_of(t)
-        for kind in ("freeze at a write", "striker stays out"):
-            t.note_kind(kind)
-        t.processes["tapper_trigger"].freeze_before_write = (writes, frozen)
-        t.scheduler.after(later, lambda: cell.keep_out(name, True))
-        t.scheduler.after(later + 2.0, lambda: cell.keep_out(name, False))
+
+        def begin() -> None:
+            for kind in ("freeze at a write", "striker stays out"):
+                t.note_kind(kind)
+            t.disturbed_until = max(t.disturbed_until, t.scheduler.now + OUT_S)
+            t.scheduler.after(later, lambda: cell.keep_out(name, True))
+            t.scheduler.after(later + OUT_S, lambda: cell.keep_out(name, False))
+
+        plan = PlannedFreeze(writes, frozen, job, begin)
+        t.processes["tapper_trigger"].freeze_before_write = plan
 
     return strike, (
-        f"the striker of '{name}' out after {later:.3f} s, tapper_trigger frozen for"
-        f" {frozen:.2f} s before its write number {writes}"
+        f"tapper_trigger frozen for {frozen:.2f} s before write number {writes} of the next job"
+        f" '{job}', and the striker of '{name}' out after {later:.3f} s"
     )
 
 

@@ -136,6 +136,20 @@ class Program:
     lines: tuple[SerialLine, ...] = ()
 
 
+@dataclass(slots=True)
+class PlannedFreeze:
+    """A freeze of a process before one of its driver's writes."""
+
+    writes: int
+    """Number of writes before it."""
+    duration: float
+    """Duration of the freeze, s."""
+    job: str = ""
+    """Job whose writes count; empty: any job."""
+    on_begin: Callable[[], None] = lambda: None
+    """Called when the freeze begins."""
+
+
 class Process:
     """A process that runs one program on one computer. Times in s of the run."""
 
@@ -153,8 +167,7 @@ class Process:
         self.alive = False
         self.active = False
         self.frozen_until = 0.0
-        self.freeze_before_write: tuple[int, float] | None = None
-        """Planned freeze: number of the driver's writes before it, and its duration in s."""
+        self.freeze_before_write: PlannedFreeze | None = None
         self.freeze_after_check: float = 0.0
         """Duration of a freeze after the next query of a job to its machine, s; 0 for none."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
@@ -492,11 +505,15 @@ class Process:
         plan, worker = self.freeze_before_write, self._worker
         if plan is None or worker is None:
             return
-        left, duration = plan
-        self.freeze_before_write = (left - 1, duration) if left > 0 else None
-        if left <= 0:
-            self.freeze(duration)
-            self._pause(worker)
+        if plan.job and (self._running is None or self._running.name != plan.job):
+            return
+        if plan.writes > 0:
+            plan.writes -= 1
+            return
+        self.freeze_before_write = None
+        plan.on_begin()
+        self.freeze(plan.duration)
+        self._pause(worker)
 
 
 @dataclass(slots=True)
