@@ -372,7 +372,7 @@ class Trial:
                 TapperOptions(limits=limits, draw_key=lambda: int(draw.integers(1, 2**63)))
             ), driver
 
-        limits = PeerLimits(unseen=unseen)
+        limits = PeerLimits(unseen=unseen, needs_camera=True)
         programs: dict[
             str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], tuple[SerialLine, ...]]
         ] = {

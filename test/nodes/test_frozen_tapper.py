@@ -38,6 +38,7 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
     promised: dict[int, float] = {}
     path = tmp_path / "tapper"
     command = [sys.executable, "-m", MODULES["tapper_trigger"], "--ros-args", "-p", f"port:={path}"]
+    command += ["-p", "needs_camera:=false"]
     with PseudoTerminal(device, path), bench(lambda: [], {}) as b:
         node = b.probe
         assert node is not None

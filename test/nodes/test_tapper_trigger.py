@@ -117,7 +117,7 @@ def tapper_cell(
 ) -> Iterator[Cell]:
     device = TapperEmulator(machine, now=time.monotonic())
     path = folder / "tapper"
-    parameters = {"tapper_trigger": {"port": path}}
+    parameters = {"tapper_trigger": {"port": path, "needs_camera": False}}
     nodes = made if made is not None else []
 
     def make() -> list[TapperTrigger]:
@@ -244,7 +244,7 @@ def test_a_board_that_starts_anew_for_seconds_when_its_port_is_opened_is_reached
 def test_a_stop_published_before_the_node_was_there_holds(tmp_path: Path) -> None:
     device = TapperEmulator(now=time.monotonic())
     path = tmp_path / "tapper"
-    parameters = {"tapper_trigger": {"port": path, "autostart": False}}
+    parameters = {"tapper_trigger": {"port": path, "autostart": False, "needs_camera": False}}
     nodes: list[TapperTrigger] = []
 
     def make() -> list[TapperTrigger]:
