@@ -51,8 +51,8 @@ def counts_of(closing_line: str) -> Counter[str]:
 
 def closing_line(counts: Counter[str], seconds: float) -> str:
     """One line in the form of pytest's own closing line."""
-    said = [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
-    return f" {', '.join(said) or 'no tests ran'} in {seconds:.2f}s ".center(80, "=")
+    counted = [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
+    return f" {', '.join(counted) or 'no tests ran'} in {seconds:.2f}s ".center(80, "=")
 
 
 def started(ring: str, options: Sequence[str], output: int | IO[str]) -> subprocess.Popen[str]:
@@ -64,7 +64,7 @@ def started(ring: str, options: Sequence[str], output: int | IO[str]) -> subproc
     return subprocess.Popen(words, cwd=ROOT, stdout=output, text=True)
 
 
-def told(ring: str, lines: Iterable[str]) -> Counter[str]:
+def count_outcomes(ring: str, lines: Iterable[str]) -> Counter[str]:
     """Print what a ring says; its outcomes."""
     print(f"---- ring {ring}", flush=True)
     last = ""
@@ -91,8 +91,8 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
     with ExitStack() as stack:
         beside: subprocess.Popen[str] | None = None
         if BESIDE in there:
-            said = stack.enter_context(tempfile.TemporaryFile("w+"))
-            beside = stack.enter_context(started(BESIDE, options, said))
+            log = stack.enter_context(tempfile.TemporaryFile("w+"))
+            beside = stack.enter_context(started(BESIDE, options, log))
             stack.callback(beside.terminate)  # does nothing where it has ended
         for ring in there:
             if ring == BESIDE:
@@ -101,12 +101,12 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
                 beside.wait()
             with started(ring, options, subprocess.PIPE) as process:
                 assert process.stdout is not None
-                total += told(ring, process.stdout)
+                total += count_outcomes(ring, process.stdout)
             judge(ring, process.returncode)
         if beside is not None:
             judge(BESIDE, beside.wait())
-            said.seek(0)
-            total += told(BESIDE, said)
+            log.seek(0)
+            total += count_outcomes(BESIDE, log)
     return failed, total
 
 

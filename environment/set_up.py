@@ -55,7 +55,7 @@ class SetUpError(RuntimeError):
     """What is wrong and what to do, in one sentence."""
 
 
-def say(words: str) -> None:
+def report(words: str) -> None:
     """Tell the person who waits what is being done."""
     print(f"tapping cell: {words}", file=sys.stderr, flush=True)
 
@@ -258,7 +258,7 @@ def run(words: list[str], log: Path, failure: str) -> None:
                 break
             except subprocess.TimeoutExpired:
                 waited += SIGN_OF_LIFE
-                say(f"... {waited} s")
+                report(f"... {waited} s")
     if status != 0:
         text = log.read_text(errors="replace")
         raise SetUpError(f"{failure}: {cause_of(text)} (all of it: {log.relative_to(ROOT)}).")
@@ -328,10 +328,10 @@ def make_venv(stamp: Path, wanted: str) -> None:
     python = Path(sys.executable).resolve()
     version = platform.python_version()
     if VENV.exists():
-        say(f"making .venv again for Python {version}: it was unfinished or is out of date")
+        report(f"making .venv again for Python {version}: it was unfinished or is out of date")
         shutil.rmtree(VENV)
     lines = pinned(LOCK.read_text(), sourced)
-    say(f"installing {len(lines)} packages for Python {version} into .venv (about a minute)")
+    report(f"installing {len(lines)} packages for Python {version} into .venv (about a minute)")
     site = ["--system-site-packages"] if sourced else []
     venv = [str(python), "-I", "-m", "venv", *site, str(VENV)]
     run(venv, LOG / "venv.log", "making .venv failed")
@@ -384,7 +384,7 @@ def build(packages: list[str], words: str) -> None:
     if "tapping_cell_msgs" in packages:
         require_build_tools()
         require_python_headers(python)
-    say(words)
+    report(words)
     for package in packages:
         for folder in (BUILD / package, INSTALL / package):
             shutil.rmtree(folder, ignore_errors=True)
@@ -431,7 +431,7 @@ def set_up() -> None:
         elif not is_made(*stages[2]):
             build(["tapping_cell"], "building the package")
             write_stamp(*stages[2])
-    say(f"set up in {time.monotonic() - started:.0f} s")
+    report(f"set up in {time.monotonic() - started:.0f} s")
 
 
 @contextmanager
@@ -443,7 +443,7 @@ def locked() -> Iterator[None]:
         try:
             fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            say("waiting for another set-up of this folder to end")
+            report("waiting for another set-up of this folder to end")
             fcntl.flock(folder, fcntl.LOCK_EX)
         yield
     finally:
@@ -455,13 +455,13 @@ def main() -> int:
     try:
         set_up()
     except SetUpError as error:
-        say(str(error))
+        report(str(error))
         return 1
     except OSError as error:
-        say(f"the set-up failed: {error}.")
+        report(f"the set-up failed: {error}.")
         return 1
     except KeyboardInterrupt:
-        say("interrupted: the next call goes on from the last finished stage.")
+        report("interrupted: the next call goes on from the last finished stage.")
         return 130
     return 0
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
             made = replace(learnt.content, calibration=record)
             write_kept(output, object_yaml(made, record, LEARNT), record, load_object)
     except (RecordError, RunError, KeptFile, ConfigurationError, OSError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
     if arguments.json:
         values = {entry.name: _numbers(entry) for entry in learnt.estimates}
@@ -156,7 +156,7 @@ def _probed(
                 if _known(taps, content):
                     break
     except (GraphError, session.NotReadyInTime, session.NotRecorded, ProbingStopped) as error:
-        tell_error(str(error))
+        print_error(str(error))
         if folders:
             print(_resume(arguments, folders), file=sys.stderr)
         return folders, taps, 1

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from tapping_cell.logic.arrangement import ArrangementTask
-from tapping_cell.logic.cell_monitor import CellMonitor, Trouble
+from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.effects import (
     Answer,
@@ -112,7 +112,7 @@ class Event(Enum):
     TAP_DROPPED = "proposed tap dropped"
     TAP_COMMANDED = "tap commanded"
     IN_POSITION = "arm in position"
-    OUTCOME_TOLD = "tapper reported the outcome"
+    OUTCOME_REPORTED = "tapper reported the outcome"
     GIVEN_UP = "tap given up"
     WITHDRAWN = "arm withdrawn"
     HIDDEN = "object hidden"
@@ -152,7 +152,7 @@ TABLE = table(
         # With a fixed tapper no arm moves, so the planner enters FIRING directly.
         ((S.PLANNING, S.CONFIRMING), Event.TAP_COMMANDED, (S.PLACING, S.FIRING)),
         ((S.PLACING,), Event.IN_POSITION, (S.FIRING,)),
-        (TAPPING, Event.OUTCOME_TOLD, (S.SETTLING,)),
+        (TAPPING, Event.OUTCOME_REPORTED, (S.SETTLING,)),
         (TAPPING, Event.GIVEN_UP, (S.SETTLING,)),
         ((S.SETTLING,), Event.WITHDRAWN, (S.LOOKING,)),
         ((S.LOOKING,), Event.HIDDEN, (S.SETTLING,)),
@@ -224,7 +224,7 @@ class PlannerLogic:
         self._ask = settings.ask
         self._deadline = math.inf
         self._computation = 0
-        self._look_after = -math.inf
+        self._observe_after = -math.inf
         self._last_tap_id = 0
         self._withdrawn_tap_id = 0
         self._parked_tap_id = 0
@@ -531,7 +531,7 @@ class PlannerLogic:
         """Wait until arm, tapper and camera are ready; end a tap left over from a former run."""
         missing = self._monitor.missing(now)
         if missing is None:
-            self._look_after = now.steady
+            self._observe_after = now.steady
             self._enter(Event.CELL_READY, S.LOOKING, now, self._settings.look_deadline)
             return
         orphan = self._monitor.left_behind()
@@ -544,7 +544,7 @@ class PlannerLogic:
     def _observe(self, task: Task, now: Now) -> None:
         """Observe the object at rest, evaluate the last tap, and decide on the next one."""
         needed = self._settings.frames_needed
-        observed = task.observed(self._monitor, self._look_after, needed, now)
+        observed = task.observed(self._monitor, self._observe_after, needed, now)
         seen = self._monitor.object
         if seen is None or not observed:
             if self._monitor.silent("object", now):
@@ -562,7 +562,7 @@ class PlannerLogic:
             # Only the goal's time limit ends this wait.
             self._deadline = now.steady + self._settings.look_deadline
             return
-        unknown = self.goals.update_free_space(task, self._look_after, now)
+        unknown = self.goals.update_free_space(task, self._observe_after, now)
         if unknown is not None:
             if self._late(now):
                 self._fail(*unknown, now)
@@ -616,9 +616,9 @@ class PlannerLogic:
                 S.IDLE if isinstance(task, SingleTapTask) else S.REACHED, ErrorCode.NONE, "", now
             )
             return
-        trouble = self._exhausted(task)
-        if trouble is not None:
-            self._fail(*trouble, now)
+        error = self._exhausted(task)
+        if error is not None:
+            self._fail(*error, now)
         elif self._monitor.missing(now) is not None:
             self._wait_again(now)
         else:
@@ -635,7 +635,7 @@ class PlannerLogic:
                 "anew",
             )
 
-    def _exhausted(self, task: Task) -> Trouble | None:
+    def _exhausted(self, task: Task) -> CodedError | None:
         """Return why no further tap is made, or None if one may be made."""
         if task.without_effect >= self._settings.attempts:
             return (
@@ -728,7 +728,7 @@ class PlannerLogic:
         needed = self._settings.frames_needed
         if missing is not None:
             self._wait_again(now)
-        elif not task.observed(self._monitor, self._look_after, needed, now):
+        elif not task.observed(self._monitor, self._observe_after, needed, now):
             missing = self._monitor.blind(0.0, needed, now)
             self._drop_proposal("the object is not seen at rest", now)
         else:
@@ -744,7 +744,7 @@ class PlannerLogic:
         shot, self._proposed = self._proposed, None
         assert shot is not None
         self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned anew: {why}")
-        self._look_after = now.steady
+        self._observe_after = now.steady
         self._enter(Event.TAP_DROPPED, S.LOOKING, now, self._settings.look_deadline)
 
     def _wait_for_arm(self, task: Task, now: Now) -> None:
@@ -815,7 +815,7 @@ class PlannerLogic:
                 return
         else:
             task.not_fired = task.late = 0
-        self._enter(Event.OUTCOME_TOLD, S.SETTLING, now, self._settings.withdraw_deadline)
+        self._enter(Event.OUTCOME_REPORTED, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:
         """Wait until the arm has withdrawn and the camera has a free view."""
@@ -824,7 +824,7 @@ class PlannerLogic:
             # The tapper may report an outcome after the planner has assumed it to be unknown.
             shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
-            self._look_after = now.steady
+            self._observe_after = now.steady
             self._enter(Event.WITHDRAWN, S.LOOKING, now, self._settings.look_deadline)
             return
         self._check_cell(
@@ -895,8 +895,8 @@ class PlannerLogic:
         """Return whether the object is not seen although it should be, so that the arm parks."""
         if not self._has_arm or self._withdrawn_tap_id in (0, self._parked_tap_id):
             return False
-        looked = now.steady - self._look_after
-        return min(looked, self._monitor.unseen_for(now)) > HIDDEN_S
+        elapsed = now.steady - self._observe_after
+        return min(elapsed, self._monitor.unseen_for(now)) > HIDDEN_S
 
     def _park(self, now: Now) -> None:
         """Move the arm on to its park pose, by publishing the withdrawal a second time."""
@@ -962,7 +962,7 @@ class PlannerLogic:
         state.header.stamp = to_stamp(now.ros)
         state.header.frame_id = "table"
         state.residual_distance = state.residual_rotation = math.nan
-        state.learnt = self._known_of_the_object()
+        state.learnt = self._learnt_gains()
         state.ask = self._asks(task)
         planned = self._proposed or self._shot
         if planned is not None and self.state in (S.CONFIRMING, *TAPPING):
@@ -1000,7 +1000,7 @@ class PlannerLogic:
                 )
             )
 
-    def _known_of_the_object(self) -> LearntGains:
+    def _learnt_gains(self) -> LearntGains:
         """Return the gains learnt for the object as a message, cached until they change."""
         if not self._configured:
             return LearntGains()

@@ -149,7 +149,7 @@ class _Worker:
         try:
             self._line.send(job)
         except OSError:
-            self._take(job.key, _gone())
+            self._take(job.key, _solver_ended())
 
     def _receive(self) -> None:
         while True:
@@ -157,12 +157,12 @@ class _Worker:
                 key, result = self._line.recv()
             except (EOFError, OSError):
                 for asked in self._asked:
-                    self._take(asked, _gone())
+                    self._take(asked, _solver_ended())
                 return
             self._take(key, result)
 
 
-def _gone() -> PlanningError:
+def _solver_ended() -> PlanningError:
     return PlanningError("the process that solves goals has ended; start the planner again")
 
 

@@ -84,7 +84,7 @@ class Cell:
     def withdraw(self) -> None:
         self.commands.publish(TapCommand(request=TapCommand.WITHDRAW, tap_id=self.tap_id))
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Note an arm that begins a motion with a charged striker, not down to its pose."""
         away = self.arm.logic.state in CARRYING
         moving = self.mechanics.moving(time.monotonic())
@@ -93,7 +93,7 @@ class Cell:
 
     def wait(self, condition: Callable[[], object], what: str) -> None:
         """Wait, and watch the arm meanwhile."""
-        self.bench.wait(lambda: (self.look(), condition())[1], what)
+        self.bench.wait(lambda: (self.check(), condition())[1], what)
 
     def over(self) -> bool:
         return any(s.tap_id == self.tap_id and s.outcome for s in self.tapper_states)

@@ -148,7 +148,7 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report port, firmware and counters."""
-        driver, (code, sentence) = self.driver, self.logic.trouble
+        driver, (code, sentence) = self.driver, self.logic.error
         if driver is None:
             return DiagnosticStatus.WARN, sentence, {}
         counters = driver.counters

@@ -201,9 +201,9 @@ def test_a_stop_ends_the_goal_and_the_proposal(asked: Asked, how: str) -> None:
 def test_a_lost_arm_drops_the_proposal(asked: Asked) -> None:
     asked.send()
     shown = asked.proposal()
-    asked.arm_talks = False
+    asked.arm_active = False
     asked.wait(lambda: asked.plans[-1].state == PlanState.WAITING_FOR_CELL, "it waits", 3.0)
-    asked.arm_talks = True
+    asked.arm_active = True
     assert asked.proposal(shown.tap_id).tap_id > shown.tap_id
 
 

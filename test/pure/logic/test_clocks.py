@@ -81,7 +81,7 @@ def test_no_observation_before_the_withdrawal_counts_as_one_after_it(
     ahead: float, delays: list[float], arm_delay: float, withdrawn: float
 ) -> None:
     monitor = CellMonitor(silence_limit=0.5)
-    told = withdrawn + arm_delay
+    reported = withdrawn + arm_delay
     received, least = 0.0, math.inf
     for number, delay in enumerate(delays):
         taken = number / 30
@@ -90,7 +90,7 @@ def test_no_observation_before_the_withdrawal_counts_as_one_after_it(
         monitor.on_object(seen(taken, ahead), at(received))
         # The stated bound: the quickest image is at most so much slower than the arm's message.
         bounded = least <= arm_delay + QUICKEST_IMAGE_S
-        if bounded and monitor.usable(told, 10, at(received)):
+        if bounded and monitor.usable(reported, 10, at(received)):
             assert taken > withdrawn - 1e-6
 
 
