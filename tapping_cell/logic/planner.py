@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from tapping_cell.logic.arrangement import ArrangementTask
 from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
+from tapping_cell.logic.confirmation import Confirmation
 from tapping_cell.logic.effects import (
     Answer,
     Effect,
@@ -220,6 +221,7 @@ class PlannerLogic:
         self._task: Task | None = None
         self._shot: Shot | None = None
         self._proposed: Shot | None = None
+        self._confirmed: Confirmation | None = None
         self._answer_by = 0
         self._ask = settings.ask
         self._deadline = math.inf
@@ -668,13 +670,27 @@ class PlannerLogic:
         )
         if strike.detour:
             self._log(LogLevel.INFO, f"tap {shot.number}: {strike.detour}")
-        if not self._asks(task):
+        if not self._asks(task) or self._confirmation_holds(shot, now):
             self._command(shot, now)
             return
         patience = self._settings.confirm_deadline
         self._proposed, self._answer_by = shot, now.ros + round(patience * NANOSECONDS)
         self._log(LogLevel.INFO, f"tap {shot.number} waits for confirmation (id {shot.tap_id})")
         self._enter(Event.TAP_PROPOSED, S.CONFIRMING, now, patience)
+
+    def _confirmation_holds(self, shot: Shot, now: Now) -> bool:
+        """Return whether a person has confirmed this tap in an earlier plan that was not fired."""
+        confirmed = self._confirmed
+        if confirmed is None:
+            return False
+        difference = confirmed.difference(shot, now.steady)
+        if difference:
+            self._confirmed = None
+            shot.asked_again = f"asked again because {difference}"
+            self._log(LogLevel.INFO, f"tap {shot.number} must be confirmed again: {difference}")
+            return False
+        self._log(LogLevel.INFO, f"tap {shot.number} is unchanged; the confirmation holds")
+        return True
 
     def _command(self, shot: Shot, now: Now) -> None:
         """Publish the command of one tap."""
@@ -720,6 +736,7 @@ class PlannerLogic:
                 error_msg=f"tap {asked.tap_id} is not waiting for confirmation ({waiting}); "
                 "answer for the tap that is shown now",
             )
+        self._confirmed = None
         if not asked.confirm:
             task.session.skip(shot.strike)
             self._drop_proposal("it was skipped", now)
@@ -732,9 +749,13 @@ class PlannerLogic:
             missing = self._monitor.blind(0.0, needed, now)
             self._drop_proposal("the object is not seen at rest", now)
         else:
+            self._confirmed = Confirmation(shot, now.steady)
             self._command(shot, now)
             return ConfirmTap.Response(accepted=True)
         code, sentence = missing
+        if code in LATE:
+            self._confirmed = Confirmation(shot, now.steady)
+            return ConfirmTap.Response(accepted=True)
         return ConfirmTap.Response(
             error_code=code, error_msg=f"tap {shot.number} is planned anew: {sentence}"
         )
@@ -809,12 +830,16 @@ class PlannerLogic:
             late = tapper.error_code in LATE
             task.late += late
             task.not_fired += not late
+            if self._confirmed is not None and not late:
+                why = f"the confirmed tap was not fired ({sentence})"
+                self._confirmed = replace(self._confirmed, withdrawn=why)
             settings = self._settings
             if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
                 self._fail(code, sentence, now)
                 return
         else:
             task.not_fired = task.late = 0
+            self._confirmed = None
         self._enter(Event.OUTCOME_REPORTED, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:
@@ -865,6 +890,8 @@ class PlannerLogic:
         shot = self._shot
         assert shot is not None
         shot.outcome = outcome
+        if outcome == TapperState.UNKNOWN:
+            self._confirmed = None
         self._withdraw(shot.tap_id, now)
         self._enter(Event.GIVEN_UP, S.SETTLING, now, self._settings.withdraw_deadline)
 
@@ -928,7 +955,7 @@ class PlannerLogic:
             state, Event.GOAL_MET
         )
         self._machine.move(event, state)
-        self._proposed = None
+        self._proposed = self._confirmed = None
         if self._shot is not None:
             task.lose(self._shot)
         task.end(code, sentence)

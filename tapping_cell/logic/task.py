@@ -65,6 +65,8 @@ class Shot:
     """Arrival time of the tapper's report, ROS time in ns."""
     outcome: int = TapperState.NONE
     measured_speed: float = math.nan
+    asked_again: str = ""
+    """Why a person is asked again although an earlier plan of this tap was confirmed."""
 
     def command(self, now: int, expiry: int, height: float) -> TapCommand:
         """Return the command of this tap. Times in ns; ``height``: tip above the table, m."""
@@ -98,7 +100,7 @@ class Shot:
             object_pose=to_message(self.before),
             strike_pose=to_message(plan.strike_pose, height),
             striker_speed=plan.striker_speed,
-            reason=self.strike.detour,
+            reason="; ".join(filter(None, (self.strike.detour, self.asked_again))),
             answer_by=to_stamp(answer_by),
         )
         tap.predicted_pose.pose = to_message(self.strike.predicted)
