@@ -138,6 +138,15 @@ class CellMonitor:
             and seen.frames_fused >= frames
         )
 
+    def at_rest_after(self, moment: float, now: Now) -> bool:
+        """Return whether the object is seen at rest, and this rest began after the steady time
+        ``moment``."""
+        seen = self.object
+        if seen is None or not seen.visible or not seen.at_rest:
+            return False
+        since = self.camera_clock.to_steady(seen.at_rest_since, now)
+        return since > moment + QUICKEST_IMAGE_S
+
     def missing(self, now: Now) -> CodedError | None:
         """Return why the cell is not ready for a tap, or None if it is."""
         arm, tapper = self.arm, self.tapper

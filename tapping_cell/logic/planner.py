@@ -227,6 +227,7 @@ class PlannerLogic:
         self._deadline = math.inf
         self._computation = 0
         self._observe_after = -math.inf
+        self._struck_at = math.inf
         self._last_tap_id = 0
         self._withdrawn_tap_id = 0
         self._parked_tap_id = 0
@@ -546,7 +547,8 @@ class PlannerLogic:
     def _observe(self, task: Task, now: Now) -> None:
         """Observe the object at rest, evaluate the last tap, and decide on the next one."""
         needed = self._settings.frames_needed
-        observed = task.observed(self._monitor, self._observe_after, needed, now)
+        after = self._struck_at if self._moved_by_tap(now) else self._observe_after
+        observed = task.observed(self._monitor, after, needed, now)
         seen = self._monitor.object
         if seen is None or not observed:
             if self._monitor.silent("object", now):
@@ -585,6 +587,11 @@ class PlannerLogic:
         self._computation += 1
         self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
+
+    def _moved_by_tap(self, now: Now) -> bool:
+        """Return whether the object has moved since a fixed tapper struck it, and is at rest again.
+        Images from before the striker's return then show the result of the tap."""
+        return self._monitor.at_rest_after(self._struck_at, now)
 
     def _wait_for_computation(self, task: Task, now: Now) -> None:
         """Wait for the job of the decision. A fault or the goal's time limit also ends the wait."""
@@ -695,6 +702,7 @@ class PlannerLogic:
     def _command(self, shot: Shot, now: Now) -> None:
         """Publish the command of one tap."""
         self._shot, self._proposed = shot, None
+        self._struck_at = math.inf
         allowance = self._settings.place_deadline + self._settings.fire_deadline
         expiry = now.ros + round(allowance * NANOSECONDS)
         height = self.goals.cell.strike_height
@@ -820,6 +828,8 @@ class PlannerLogic:
         shot.outcome = self._monitor.outcome(shot.tap_id)
         shot.measured_speed = tapper.measured_speed
         shot.fired_at = now.ros
+        if not self._has_arm and shot.outcome == TapperState.FIRED:
+            self._struck_at = now.steady + shot.flight
         self._withdraw(shot.tap_id, now)
         if shot.outcome == TapperState.NOT_FIRED:
             code, sentence = tapper.error_code, tapper.error_msg
@@ -873,6 +883,7 @@ class PlannerLogic:
         """End the tap and wait for the cell, because a part of it is missing."""
         self._end_tap(now)
         self._proposed = None
+        self._struck_at = math.inf
         deadline = self._settings.ready_deadline
         self._enter(Event.CELL_NOT_READY, S.WAITING_FOR_CELL, now, deadline)
 

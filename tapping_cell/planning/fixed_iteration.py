@@ -341,6 +341,8 @@ class _Problem:
         fixed = 1.0 + share * LOST * beyond.sum(axis=1)
         made = value.copy()
         for _ in range(SWEEPS):
+            if self._interrupted():
+                raise Abandoned
             made[self.rows] = np.minimum(fixed + matrix @ made, LOST)
         return made
 
