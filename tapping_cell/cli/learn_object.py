@@ -197,26 +197,17 @@ def _known(taps: list[Moves], content: ObjectFile) -> bool:
 
 
 def _taps(folder: Path, name: str) -> list[Moves]:
-    """Return the commanded and the measured displacement of each fired tap of a run, in the
+    """Return the commanded and the measured displacement of each measured tap of a run, in the
     object's axes.
 
     Raises:
         RecordError: the run is of another object.
     """
-    from tapping_cell.calibration.csv_table import RecordError
-    from tapping_cell.report.run_folder import read_run
+    from tapping_cell.cli.measured_taps import measured_taps
     from tapping_cell.se2 import Pose
 
-    run_ = read_run(folder)
-    if run_.object_name and run_.object_name != name:
-        raise RecordError(
-            f"{folder} is a run of '{run_.object_name}', but the object file is of '{name}'; "
-            "give the file that was used in the run"
-        )
     taps: list[Moves] = []
-    for tap in run_.taps:
-        if tap.outcome != "fired" or not math.isfinite(tap.measured.x):
-            continue
+    for tap in measured_taps(folder, name):
         moved = Pose(
             tap.measured.x - tap.before.x,
             tap.measured.y - tap.before.y,

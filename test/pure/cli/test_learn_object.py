@@ -70,4 +70,4 @@ def test_runs_of_another_object_and_no_runs_are_refused(
     other = shared_folder() / "objects" / "plexiglas_disk.yaml"
     if json.loads((Path(runs[0]) / "summary.json").read_text())["object"]:
         assert main(["learn-object", *runs, "--object", str(other)]) == 2
-        assert "give the file that was used in the run" in capsys.readouterr().err
+        assert "give the file of the object that was tapped" in capsys.readouterr().err
