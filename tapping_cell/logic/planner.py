@@ -673,7 +673,13 @@ class PlannerLogic:
         )
         covariance = task.session.predicted_covariance(strike, before)
         shot = Shot(
-            self._last_tap_id, task.object_id, len(task.records) + 1, strike, before, covariance
+            self._last_tap_id,
+            task.object_id,
+            len(task.records) + 1,
+            strike,
+            before,
+            covariance,
+            purpose=task.purpose,
         )
         if strike.detour:
             self._log(LogLevel.INFO, f"tap {shot.number}: {strike.detour}")

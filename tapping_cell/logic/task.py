@@ -65,6 +65,8 @@ class Shot:
     """Arrival time of the tapper's report, ROS time in ns."""
     outcome: int = TapperState.NONE
     measured_speed: float = math.nan
+    purpose: str = ""
+    """Why this object is tapped now; empty for the only object with a goal."""
     asked_again: str = ""
     """Why a person is asked again although an earlier plan of this tap was confirmed."""
 
@@ -106,7 +108,7 @@ class Shot:
             object_pose=to_message(self.before),
             strike_pose=to_message(plan.strike_pose, height),
             striker_speed=plan.striker_speed,
-            reason="; ".join(filter(None, (self.strike.detour, self.asked_again))),
+            reason="; ".join(filter(None, (self.purpose, self.strike.detour, self.asked_again))),
             answer_by=to_stamp(answer_by),
         )
         tap.predicted_pose.pose = to_message(self.strike.predicted)
@@ -183,6 +185,11 @@ class Task:
             f"goal x {1000 * self.goal.x:.1f} mm, y {1000 * self.goal.y:.1f} mm, "
             f"{math.degrees(self.goal.theta):.1f} deg"
         )
+
+    @property
+    def purpose(self) -> str:
+        """Why the present object is tapped now; empty for the only object with a goal."""
+        return ""
 
     @property
     def ready(self) -> bool:
