@@ -835,7 +835,7 @@ class PlannerLogic:
         shot.measured_speed = tapper.measured_speed
         shot.fired_at = now.ros
         if not self._has_arm and shot.outcome == TapperState.FIRED:
-            self._struck_at = now.steady + shot.flight
+            self._struck_at = now.steady + shot.strike.plan.flight
         self._withdraw(shot.tap_id, now)
         if shot.outcome == TapperState.NOT_FIRED:
             code, sentence = tapper.error_code, tapper.error_msg

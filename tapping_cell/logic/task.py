@@ -70,12 +70,6 @@ class Shot:
     asked_again: str = ""
     """Why a person is asked again although an earlier plan of this tap was confirmed."""
 
-    @property
-    def flight(self) -> float:
-        """Time from the release until the striker meets the object, s."""
-        plan = self.strike.plan
-        return plan.strike_pose.distance_to(plan.contact_pose) / plan.striker_speed
-
     def command(self, now: int, expiry: int, height: float) -> TapCommand:
         """Return the command of this tap. Times in ns; ``height``: tip above the table, m."""
         plan = self.strike.plan
