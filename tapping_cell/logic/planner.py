@@ -10,7 +10,7 @@ fired twice.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -238,6 +238,15 @@ class PlannerLogic:
         self._learnt: tuple[Gains | None, LearntGains] = (None, LearntGains())
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
         """Last published report."""
+        self._handlers: Mapping[State, Callable[[Task, Now], None]] = {
+            S.WAITING_FOR_CELL: self._wait_for_cell,
+            S.LOOKING: self._observe,
+            S.PLANNING: self._wait_for_computation,
+            S.CONFIRMING: self._wait_for_person,
+            S.PLACING: self._wait_for_arm,
+            S.FIRING: self._wait_for_tapper,
+            S.SETTLING: self._wait_for_withdrawal,
+        }
 
     @property
     def state(self) -> State:
@@ -520,15 +529,7 @@ class PlannerLogic:
                 now,
             )
             return
-        {
-            S.WAITING_FOR_CELL: self._wait_for_cell,
-            S.LOOKING: self._observe,
-            S.PLANNING: self._wait_for_computation,
-            S.CONFIRMING: self._wait_for_person,
-            S.PLACING: self._wait_for_arm,
-            S.FIRING: self._wait_for_tapper,
-            S.SETTLING: self._wait_for_withdrawal,
-        }[self.state](task, now)
+        self._handlers[self.state](task, now)
 
     def _wait_for_cell(self, task: Task, now: Now) -> None:
         """Wait until arm, tapper and camera are ready; end a tap left over from a former run."""
