@@ -201,7 +201,7 @@ class Process:
     # Life of the process
 
     @property
-    def lives(self) -> int:
+    def starts(self) -> int:
         """Number of starts and kills of the process so far."""
         return self._life
 
@@ -312,7 +312,9 @@ class Process:
     def _take(self, topic: str, message: Any) -> None:
         if topic == "emergency_stop" and isinstance(message, Bool) and message.data:
             self._stop_publishers |= {
-                name for name, said in self._network.latched("emergency_stop").items() if said.data
+                name
+                for name, level in self._network.latched("emergency_stop").items()
+                if level.data
             }
         self._handle(self.logic.on_message, topic, message)
         self.on_handled(self.name, topic, message)
@@ -385,7 +387,7 @@ class Process:
     def _compute(self, job: Job, life: int) -> None:
         if life == self._life:
             ended = self._run(job, None)
-            self._when_awake(lambda: self._tell_end(ended))
+            self._when_awake(lambda: self._report_end(ended))
 
     def _run(self, job: Job, worker: Fiber | None) -> JobEnded:
         try:
@@ -411,7 +413,7 @@ class Process:
                 return
             self._network.call(effect.service, effect.request, answered, effect.timeout)
         elif isinstance(effect, AskStops):
-            self._scheduler.after(0.3, lambda: self._tell_stops(effect.token, life))
+            self._scheduler.after(0.3, lambda: self._report_stops(effect.token, life))
         elif isinstance(effect, KeepGoal):
             if not self.disk.full or effect.content is None:
                 self.disk.goal = effect.content
@@ -423,12 +425,14 @@ class Process:
         elif isinstance(effect, Feedback):
             pass
 
-    def _tell_stops(self, token: Any, life: int) -> None:
+    def _report_stops(self, token: Any, life: int) -> None:
         if life != self._life:
             return
         levels = self._network.latched("emergency_stop")
-        gone = tuple(sorted(self._stop_publishers - set(levels)))
-        answer = StopLevels(any(said.data for said in levels.values()), tuple(sorted(levels)), gone)
+        absent = tuple(sorted(self._stop_publishers - set(levels)))
+        answer = StopLevels(
+            any(level.data for level in levels.values()), tuple(sorted(levels)), absent
+        )
         if not answer.asserted:
             self._stop_publishers.clear()
         self._when_awake(lambda: self._handle(self.logic.on_answer, token, answer))
@@ -438,9 +442,9 @@ class Process:
     def _configure(self, life: int) -> None:
         """Configure a node without a device, which needs no waiting."""
         if life == self._life:
-            self._come_up(self._program.connect(None, 0.0, self._clock.now()), life)
+            self._finish_start(self._program.connect(None, 0.0, self._clock.now()), life)
 
-    def _come_up(self, connected: Any, life: int) -> None:
+    def _finish_start(self, connected: Any, life: int) -> None:
         if life != self._life:
             return
         self._connected = self._driver is not None
@@ -476,9 +480,9 @@ class Process:
                 connected = self._program.connect(self._driver, patience, self._clock.now())
                 break
             except HardwareFault as fault:
-                self._tell_unreachable(fault)
+                self._report_unreachable(fault)
                 worker.wait_until(self._scheduler.now + RETRY_S)
-        self._come_up(connected, self._life)
+        self._finish_start(connected, self._life)
         while True:
             if not self._jobs:
                 worker.wait_until(math.inf)
@@ -488,12 +492,12 @@ class Process:
             self._running = None
             self._abandoned.discard(job.number)
             self._pause(worker)
-            self._tell_end(ended)
+            self._report_end(ended)
 
-    def _tell_unreachable(self, fault: HardwareFault) -> None:
+    def _report_unreachable(self, fault: HardwareFault) -> None:
         self._handle(self.logic.on_lifecycle, Unreachable(fault))
 
-    def _tell_end(self, event: JobEnded) -> None:
+    def _report_end(self, event: JobEnded) -> None:
         self._handle(self.logic.on_job, event)
 
     def _pause(self, worker: Fiber) -> None:
