@@ -209,12 +209,14 @@ class InvariantChecker:
 
     def _command_of(self, release: Release) -> TapCommand | None:
         """Return the command of a release. If several commands had its id (two planners by
-        mistake), return the one with the nearest strike pose."""
+        mistake), return the one with the nearest strike pose and energy."""
 
         def distance(command: TapCommand) -> float:
             pose = from_message(command.strike_pose)
             turn = abs(pose.rotation_to(release.tip))
-            return pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
+            excess = abs(release.energy / self.physical.energy_for(command.striker_speed) - 1.0)
+            place = pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
+            return place + excess / ENERGY_SHARE
 
         variants = self.taken_by_tapper.get(release.shot)
         return min(variants, key=distance) if variants else None

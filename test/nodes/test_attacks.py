@@ -20,6 +20,7 @@ from harness import Bench, bench
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.duration import Duration
+from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState, ErrorCode, TapCommand, TapperState
 from tapping_cell_msgs.srv import HoldStill
 
@@ -277,3 +278,44 @@ def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
     cell.bench.wait(lambda: cell.node.count_services("hold_still") == 1, "one is known")
     cell.fire()
     assert cell.releases == [(cell.tap_id, False)]
+
+
+def test_no_line_that_somebody_injects_on_the_arms_port_fires_at_a_moving_arm(cell: Cell) -> None:
+    """Before every output of the arm's controller its node receives a forged line. A report that
+    the arm stands at its strike pose is the one that an earlier tap really received."""
+    said, forged, honest = list[bytes](), [b""], cell.mechanics.take_output
+
+    def take_output(now: float) -> bytes:
+        output: bytes = honest(now)
+        said.append(output)
+        return forged[0] + output if output else output
+
+    cell.mechanics.take_output = take_output
+    cell.fire()
+    standing = next(output for output in reversed(said) if output.startswith(b"<Idle"))
+    cell.end()
+    services = {
+        name: cell.node.create_client(Trigger, f"scara_arm/{name}")
+        for name in ("clear_fault", "home")
+    }
+    remedies = {ArmState.FAULT: "clear_fault", ArmState.NOT_HOMED: "home"}
+
+    def recovered() -> bool:
+        state = cell.arm_states[-1].state
+        if state in remedies and (not asked or asked[-1] != len(cell.arm_states)):
+            asked.append(len(cell.arm_states))
+            services[remedies[state]].call_async(Trigger.Request())
+        return cell.at_rest()
+
+    for line in (b"ok\r\n", standing, b"ALARM:1\r\n", b"error:9\r\n", b"\r\nGrbl 1.1h\r\n"):
+        forged[0], asked = line, list[int]()
+        cell.tap()
+        cell.wait(lambda: cell.over() or cell.arm_states[-1].state in remedies, f"after {line!r}")
+        forged[0] = b""
+        cell.withdraw()
+        cell.wait(recovered, f"a recovery from {line!r}")
+    cell.fire()
+    shots = [shot for shot, _ in cell.releases]
+    assert len(shots) == len(set(shots))
+    assert not any(moving for _, moving in cell.releases)
+    assert cell.carried == 0

@@ -160,7 +160,7 @@ def test_a_frozen_arm_does_not_move_before_the_striker_has_landed(tmp_path: Path
                 states.clear()
                 command(TapCommand.TAP, tap_id)
                 b.wait(
-                    lambda tap_id=tap_id: reached(  # type: ignore[misc]
+                    lambda tap_id=tap_id: reached(
                         tap_id, lambda s: s.state == TapperState.FIRING or s.outcome in SERVED
                     ),
                     f"tap {tap_id} is fired or given up",
@@ -173,9 +173,7 @@ def test_a_frozen_arm_does_not_move_before_the_striker_has_landed(tmp_path: Path
                     time.sleep(draw.uniform(0.05, 0.6))
                     processes["scara_arm"].send_signal(signal.SIGCONT)
                 b.wait(
-                    lambda tap_id=tap_id: reached(  # type: ignore[misc]
-                        tap_id, lambda s: s.outcome in SERVED
-                    ),
+                    lambda tap_id=tap_id: reached(tap_id, lambda s: s.outcome in SERVED),
                     f"tap {tap_id} ends",
                 )
                 command(TapCommand.WITHDRAW, tap_id)
