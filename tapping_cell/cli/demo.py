@@ -32,7 +32,7 @@ from tapping_cell_msgs.msg import ErrorCode
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.demo_arrangement import arrange
 from tapping_cell.cli.demo_scene import GOALS, MOST_OBJECTS, write_scene
-from tapping_cell.cli.errors import tell_error, tell_refusal
+from tapping_cell.cli.errors import print_error, print_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
     Graph,
@@ -133,7 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.cell, arguments.object, arguments.truth = scene.cell, None, scene.truth
             cell = load_cell(scene.cell)
     except (ConfigurationError, UnknownPlannerError, GraphError, OSError) as error:
-        return tell_refusal(error)
+        return print_refusal(error)
     domain.use()
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
     parameters = node_parameters(arguments, cell)
@@ -152,7 +152,7 @@ def run(arguments: argparse.Namespace) -> int:
             with GoalClient("demo") as client:
                 record = read_run(_position(arguments, graph, client, console))
     except (GraphError, session.NotReadyInTime, session.NotRecorded, RunError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         not_ready = isinstance(error, session.NotReadyInTime)
         code = ErrorCode.NOT_READY if not_ready else ErrorCode.INTERNAL
         write_failure(folder, code, str(error), arguments.seed, time.monotonic() - began)
@@ -225,5 +225,5 @@ def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> i
         )
         return 0
     reason = record.error_msg or "the object's true pose is outside the tolerance"
-    tell_error(f"goal not reached: {reason}", record.error_code)
+    print_error(f"goal not reached: {reason}", record.error_code)
     return 1

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from tapping_cell.cli.arrange import follow, result_of, wait_for
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import Graph
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.configuration.layout_file import LayoutFile
@@ -90,7 +90,7 @@ def arrange(
         console.print(f"'{first}' touched '{second}'", highlight=False)
     if ended.error_code or not inside:
         reason = ended.error_msg or "the true pose of at least one object is outside its tolerance"
-        tell_error(f"arrangement not reached: {reason}", ended.error_code)
+        print_error(f"arrangement not reached: {reason}", ended.error_code)
         return 1
     console.print(
         f"[green]arrangement reached[/green] in {ended.taps} taps, {took:.0f} s, "

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.report.arrangement_page import write_page
 from tapping_cell.report.arrangement_run import SUMMARY as ARRANGEMENT
 from tapping_cell.report.arrangement_run import read_arrangement
@@ -38,9 +38,9 @@ from tapping_cell.report.run_folder import (
     RunError,
     read_run,
     write_folder,
-    write_story,
+    write_illustrated_run,
 )
-from tapping_cell.report.run_reader import Story, read_story
+from tapping_cell.report.run_reader import IllustratedRun, read_illustrated_run
 
 COMPARISON = "comparison.html"
 
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if all runs were reported, 1 if some are unreadable, 2 if all are."""
     console = Console(stderr=arguments.json)
-    told: list[tuple[Run, Path]] = []
+    reports: list[tuple[Run, Path]] = []
     arranged: list[Path] = []
     skipped = 0
     several = len(arguments.runs) > 1
@@ -75,17 +75,17 @@ def run(arguments: argparse.Namespace) -> int:
             continue
         try:
             if (path / ARRANGEMENT).exists():
-                arranged.append(tell_arrangement(path, None if several else arguments.output))
+                arranged.append(write_arrangement(path, None if several else arguments.output))
                 continue
-            told.append(tell(path, None if several else arguments.output))
+            reports.append(write_report(path, None if several else arguments.output))
         except (BagError, RunError, OSError) as error:
-            tell_error(str(error))
-    if not told and not arranged:
+            print_error(str(error))
+    if not reports and not arranged:
         return 2
-    rows = [row_of(run) for run, _ in told]
-    written = [*arranged, *(folder / PAGE for _, folder in told[:1])]
-    if len(told) > 1:
-        written[-1] = compare(told, arguments.output or told[0][1].parent)
+    rows = [row_of(run) for run, _ in reports]
+    written = [*arranged, *(folder / PAGE for _, folder in reports[:1])]
+    if len(reports) > 1:
+        written[-1] = compare(reports, arguments.output or reports[0][1].parent)
     if arguments.json:
         figures = {
             "runs": [_plain(row) for row in rows],
@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(table_of(rows))
         for page in written:
             console.print(f"see {page}", highlight=False, soft_wrap=True)
-    return 0 if len(told) + len(arranged) + skipped == len(arguments.runs) else 1
+    return 0 if len(reports) + len(arranged) + skipped == len(arguments.runs) else 1
 
 
 def no_run(path: Path) -> bool:
@@ -110,7 +110,7 @@ def no_run(path: Path) -> bool:
     return path.is_dir() and not holds_run
 
 
-def tell(path: Path, output: Path | None) -> tuple[Run, Path]:
+def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
     """Rewrite the files of one run. Return the run and the folder of the files.
 
     Raises:
@@ -120,23 +120,25 @@ def tell(path: Path, output: Path | None) -> tuple[Run, Path]:
     if is_folder and output is None:
         if (path / BAG).is_dir():
             return write_folder(path), path
-        story = Story(read_run(path), ())
+        illustrated = IllustratedRun(read_run(path), ())
     elif is_folder:
-        story = (
-            read_story(path / BAG, path.name)
+        illustrated = (
+            read_illustrated_run(path / BAG, path.name)
             if (path / BAG).is_dir()
-            else Story(read_run(path), ())
+            else IllustratedRun(read_run(path), ())
         )
     else:
         own = path if path.is_dir() else path.parent
-        story = read_story(path, (own.parent if own.name == BAG else own).resolve().name)
+        illustrated = read_illustrated_run(
+            path, (own.parent if own.name == BAG else own).resolve().name
+        )
     folder = output or (path if is_folder else path.parent)
     folder.mkdir(parents=True, exist_ok=True)
-    write_story(folder, story)
-    return story.run, folder
+    write_illustrated_run(folder, illustrated)
+    return illustrated.run, folder
 
 
-def tell_arrangement(path: Path, output: Path | None) -> Path:
+def write_arrangement(path: Path, output: Path | None) -> Path:
     """Rewrite the page of an arrangement of several objects. Return its path.
 
     Raises:
@@ -147,12 +149,12 @@ def tell_arrangement(path: Path, output: Path | None) -> Path:
     return write_page(read_arrangement(path), folder)
 
 
-def compare(told: list[tuple[Run, Path]], folder: Path) -> Path:
+def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
     """Write the page that compares runs, replacing an earlier comparison."""
     folder.mkdir(parents=True, exist_ok=True)
-    links = [os.path.relpath(own / PAGE, folder) for _, own in told]
+    links = [os.path.relpath(own / PAGE, folder) for _, own in reports]
     page = folder / COMPARISON
-    page.write_text(comparison_page([run for run, _ in told], links), encoding="utf-8")
+    page.write_text(comparison_page([run for run, _ in reports], links), encoding="utf-8")
     return page
 
 

@@ -175,9 +175,9 @@ class PoseTracker:
         view = self.view
         settled = observation.frames_fused >= self.settings.settled_frames
         self._last = observation if settled and not self._references.suspect else None
-        lying = [(self._object, observation)]
-        lying += [(self._others[n], seen) for n, seen in self._seen.items() if seen.visible]
-        since = tuple(seen.at_rest_since for _, seen in lying)
+        tracked = [(self._object, observation)]
+        tracked += [(self._others[n], seen) for n, seen in self._seen.items() if seen.visible]
+        since = tuple(seen.at_rest_since for _, seen in tracked)
         if view is None or observation.pose is None or None in since:
             self._resting_since = ()
         elif since == self._resting_since:
@@ -185,7 +185,7 @@ class PoseTracker:
         else:
             self._resting_since = since
             regions = [*view.project(self.table.points)]
-            for follower, seen in lying:
+            for follower, seen in tracked:
                 assert seen.pose is not None, "an object seen at rest has a pose"
                 outline = follower.outline(np.array(seen.pose))
                 regions.append(view.project(outline, follower.height))
@@ -211,9 +211,9 @@ class PoseTracker:
         state = self._update_table(image, edges, rows, stamp)
         unseen = stamp - self._references_seen
         refused = table_refusal(state, self.table, unseen, self.settings.references_timeout)
-        trouble = self._object.trouble
-        if state is TableState.UNKNOWN and trouble and trouble[0] is Problem.MIRRORED_MARKER:
-            refused = trouble
+        failure = self._object.failure
+        if state is TableState.UNKNOWN and failure and failure[0] is Problem.MIRRORED_MARKER:
+            refused = failure
         if refused is not None:
             if state in (TableState.SUSPECT, TableState.TOO_FAR, TableState.CONTRADICTED):
                 self._clear_tracks()

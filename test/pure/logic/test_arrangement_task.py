@@ -102,7 +102,7 @@ class Table(VirtualNode):
         )
         self.network.subscribe("actors", "tap_command", lambda _, m: self._on_command(m))
         self.network.subscribe("actors", "arrangement_state", lambda _, m: self.reports.append(m))
-        self.scheduler.after(0.0, self._say)
+        self.scheduler.after(0.0, self._publish)
         self.process.start()
         self.wait(lambda: self.states, "the planner is up")
         self.run(0.3)
@@ -118,7 +118,7 @@ class Table(VirtualNode):
         self.poses[command.object_id] = from_message(command.predicted_pose)
         self.on_tap()
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         stamp, states = self.stamp(), []
         due = self.scheduler.now >= self.look_began + 1.2
         self.look_began = self.scheduler.now if due else self.look_began
@@ -152,7 +152,7 @@ class Table(VirtualNode):
                 interlock_closed=True,
             ),
         )
-        self.scheduler.after(0.03, self._say)
+        self.scheduler.after(0.03, self._publish)
 
     def send(self, goals: dict[str, Pose], **rest: Any) -> None:
         asked = ArrangeObjects.Goal(

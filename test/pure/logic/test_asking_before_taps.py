@@ -218,12 +218,12 @@ def test_a_confirmation_holds_for_a_tap_that_was_late(asked: Asked) -> None:
 def test_a_confirmation_given_while_the_camera_is_late_is_kept(asked: Asked) -> None:
     asked.send()
     shown = asked.proposal()
-    asked.camera_talks = False
+    asked.camera_active = False
     asked.run(0.6)
     assert asked.answer(shown.tap_id).accepted and asked.taps() == []
     asked.run(0.3)
     assert asked.taps() == []
-    asked.camera_talks = True
+    asked.camera_active = True
     asked.wait(asked.taps, "the confirmed tap", 5.0)
     assert asked.taps()[0].strike_pose == shown.strike_pose
 
@@ -261,9 +261,9 @@ def test_a_tap_that_is_asked_for_again_says_why(
 def test_a_lost_arm_drops_the_proposal(asked: Asked) -> None:
     asked.send()
     shown = asked.proposal()
-    asked.arm_talks = False
+    asked.arm_active = False
     asked.wait(lambda: asked.plans[-1].state == PlanState.WAITING_FOR_CELL, "it waits", 3.0)
-    asked.arm_talks = True
+    asked.arm_active = True
     assert asked.proposal(shown.tap_id).tap_id > shown.tap_id
 
 
