@@ -8,10 +8,11 @@ measured and the true pose of the object are within the tolerance.
     python -m tapping_cell demo --move 10 0 10 --seed 1
 
 With --objects, several objects lie on the table, and each is brought to its own goal. Start and
-goal poses are random and depend on --seed. The run folder then contains the scene's files,
-report.html, arrangement.json and arrangement.png.
+goal poses are random and depend on --seed; with --goals swap the objects exchange their places. The
+run folder then contains the scene's files, report.html, arrangement.json and arrangement.png.
 
     python -m tapping_cell demo --objects 3
+    python -m tapping_cell demo --objects 2 --goals swap
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.demo_arrangement import arrange
-from tapping_cell.cli.demo_scene import MOST_OBJECTS, write_scene
+from tapping_cell.cli.demo_scene import GOALS, MOST_OBJECTS, write_scene
 from tapping_cell.cli.errors import print_error, print_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
@@ -84,7 +85,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=range(1, MOST_OBJECTS + 1),
         metavar="N",
-        help=f"number of objects (1 to {MOST_OBJECTS}), each brought to a random goal",
+        help=f"number of objects (1 to {MOST_OBJECTS}), each brought to a goal of its own",
+    )
+    parser.add_argument(
+        "--goals",
+        choices=GOALS,
+        default=GOALS[0],
+        help="goals of the objects: random poses, or the objects exchange their places in pairs "
+        "(only with --objects; default: random)",
     )
     parser.add_argument(
         "--seed",
@@ -120,6 +128,7 @@ def run(arguments: argparse.Namespace) -> int:
                 arguments.cell,
                 arguments.object,
                 arguments.truth,
+                arguments.goals,
             )
             arguments.cell, arguments.object, arguments.truth = scene.cell, None, scene.truth
             cell = load_cell(scene.cell)

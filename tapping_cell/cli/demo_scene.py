@@ -18,7 +18,7 @@ from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import ConfigurationError, load, read_yaml
 from tapping_cell.planning import FreeSpace, make_planner
-from tapping_cell.planning.evaluation.arrangements import Kind, draw_places
+from tapping_cell.planning.evaluation.arrangements import Kind, draw_places, swapped_goals
 from tapping_cell.se2 import Pose
 
 FIRST_MARKER = 20
@@ -30,6 +30,7 @@ DENSITY = 2700 * 0.012
 GAP_M = 0.04
 """Minimum gap between objects at their start poses, and at their goals."""
 TRIES = 40
+GOALS = ("random", "swap")
 MOST_OBJECTS = 8
 
 
@@ -43,11 +44,18 @@ class DemoScene:
 
 
 def write_scene(
-    folder: Path, count: int, seed: int, cell: Path | None, own: Path | None, truth: Path | None
+    folder: Path,
+    count: int,
+    seed: int,
+    cell: Path | None,
+    own: Path | None,
+    truth: Path | None,
+    goals: str = "random",
 ) -> DemoScene:
     """Write the files of a scene of ``count`` objects: the object of the cell file (or of ``own``,
-    if given) and generated disks and squares. Start and goal poses are random poses at which the
-    arm can tap.
+    if given) and generated disks and squares. The start poses are random poses at which the arm can
+    tap. ``goals`` is one of ``GOALS``: random poses, or the places of the objects exchanged in
+    pairs.
 
     Raises:
         ConfigurationError: a file cannot be used, or the objects do not fit on the table.
@@ -69,14 +77,14 @@ def write_scene(
             "with an arm"
         )
     files = (made.object, *load_further_objects(made))
-    starts, goals = _drawn([_kind(made, file) for file in files], seed, source)
+    starts, ends = _drawn([_kind(made, file) for file in files], seed, source, goals)
     parameters = _mapping(truth or shared_folder() / "truth" / "default.yaml")
     parameters["object_start"] = _numbers(starts[0])
     parameters["further_starts"] = [_numbers(start) for start in starts[1:]]
     truth_path = folder / "truth.yaml"
     _write(truth_path, parameters)
     layout_path = folder / "layout.yaml"
-    named = zip(files, goals, strict=True)
+    named = zip(files, ends, strict=True)
     _write(
         layout_path,
         {"goals": [{"object": file.name, "pose": _numbers(goal)} for file, goal in named]},
@@ -90,12 +98,19 @@ def _kind(cell: Cell, file: ObjectFile) -> Kind:
     return Kind(FreeSpace(assembly.make_strike_space(own)), make_planner("exact", settings))
 
 
-def _drawn(kinds: list[Kind], seed: int, source: Path) -> tuple[list[Pose], list[Pose]]:
-    """Return random start and goal poses of the objects."""
+def _drawn(
+    kinds: list[Kind], seed: int, source: Path, wanted: str
+) -> tuple[list[Pose], list[Pose]]:
+    """Return random start poses of the objects, and their goal poses."""
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
-        starts, goals = draw_places(kinds, GAP_M, rng), draw_places(kinds, GAP_M, rng)
-        if starts is not None and goals is not None:
+        starts = draw_places(kinds, GAP_M, rng)
+        if starts is None:
+            continue
+        goals = draw_places(kinds, GAP_M, rng) if wanted == "random" else swapped_goals(starts, rng)
+        if goals is not None and all(
+            kind.free.contains(np.array(goal[:2])) for kind, goal in zip(kinds, goals, strict=True)
+        ):
             return starts, goals
     raise ConfigurationError(
         f"{len(kinds)} objects with gaps of {1e3 * GAP_M:.0f} mm do not fit on the table of "

@@ -156,12 +156,7 @@ def draw_scene(
         if task.goals == "random":
             goals = draw_places(chosen, task.gap, rng)
         elif task.goals == "swap":
-            goals = [
-                Pose(*starts[index ^ 1][:2], rng.uniform(-math.pi, math.pi))
-                if index ^ 1 < task.count
-                else start
-                for index, start in enumerate(starts)
-            ]
+            goals = swapped_goals(starts, rng)
             if not all(_workable(k, g) for k, g in zip(chosen, goals, strict=True)):
                 continue
         else:
@@ -358,6 +353,16 @@ def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -
         else:
             return None
     return [pose for pose, _ in placed]
+
+
+def swapped_goals(starts: Sequence[Pose], rng: np.random.Generator) -> list[Pose]:
+    """Exchange the places of objects in pairs, with random angles; an odd last one stays."""
+    return [
+        Pose(*starts[index ^ 1][:2], rng.uniform(-math.pi, math.pi))
+        if index ^ 1 < len(starts)
+        else start
+        for index, start in enumerate(starts)
+    ]
 
 
 def _grid(kinds: Sequence[Kind], between: float) -> list[Pose]:

@@ -29,6 +29,16 @@ def test_a_scene_names_places_and_goals_of_every_object(tmp_path: Path) -> None:
             assert between >= GAP_M - 2e-5  # the files round to 0.01 mm
 
 
+def test_objects_exchange_their_places_in_pairs(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path, 3, 7, None, None, None, "swap")
+    truth = load(TruthFile, scene.truth)
+    starts = [Pose(*truth.object_start), *(Pose(*start) for start in truth.further_starts)]
+    goals = [Pose(*goal.pose) for goal in scene.layout.goals]
+    for goal, start in zip(goals, (starts[1], starts[0], starts[2]), strict=True):
+        assert goal.distance_to(start) < 2e-5
+    assert abs(goals[2].rotation_to(starts[2])) < 2e-5
+
+
 def test_a_cell_without_an_arm_is_refused(tmp_path: Path) -> None:
     cell = Path("config/positioning_cell/cell.yaml")
     with pytest.raises(ConfigurationError, match="an arm"):

@@ -1,0 +1,45 @@
+"""Two objects exchange their places in the whole cell, as a user of the demo runs it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tapping_cell.report.arrangement_run import moves_of, read_arrangement
+
+PATIENCE_S = 900
+"""Longer than the goals' own time limit on any computer that runs the cell at all."""
+
+
+@pytest.mark.timeout(PATIENCE_S + 60)
+def test_two_objects_exchange_their_places_without_a_contact(tmp_path: Path) -> None:
+    folder = tmp_path / "exchange"
+    command = [sys.executable, "-m", "tapping_cell", "demo", "--out", str(folder)]
+    command += ["--objects", "2", "--goals", "swap", "--seed", "20"]
+    done = subprocess.run(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=tmp_path,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+    told = json.loads((folder / "arrangement.json").read_text())
+    assert told["reached"] and told["truly_inside"] and told["contacts"] == []
+    run = read_arrangement(folder)
+    assert len(run.objects) == 2 and len(run.taps) == told["taps"]
+    for one, other in (run.objects, run.objects[::-1]):
+        assert one.goal is not None and other.start is not None and one.end_true is not None
+        assert one.goal.distance_to(other.start) < 0.0005
+        assert one.end_true.distance_to(one.goal) <= run.tolerance[0]
+    # Neither goal is free at first, so one object makes way for the other.
+    first, second = moves_of(run)[:2]
+    assert f" makes way: it is in the way of '{second.name}'" in first.purpose
+    assert f"'{second.name}' goes to its goal" in second.purpose
+    assert (folder / "report.html").stat().st_size > 10_000
