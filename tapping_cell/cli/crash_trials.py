@@ -36,7 +36,7 @@ LOW = 0.030
 """Height of the tip in m below which the striker counts as lowered."""
 STILL = 2e-4
 """Minimum displacement in m that counts as a motion of the object."""
-LEEWAY_S = 0.4
+SILENCE_MARGIN_S = 0.4
 """Maximum time between the last message that reports the arm in position and an observed strike."""
 PATIENCE_S = 240.0
 DOWN_S = 0.3
@@ -66,7 +66,7 @@ class Crash:
 
 
 @dataclass
-class Witness:
+class Observed:
     """Recorder of all messages of one trial."""
 
     plans: deque[PlanState] = field(default_factory=lambda: deque(maxlen=5000))
@@ -108,7 +108,7 @@ class Witness:
             self.moving = True
             self.motions += 1
             silent = time.monotonic() - self.settled_at
-            if silent > LEEWAY_S:
+            if silent > SILENCE_MARGIN_S:
                 self.unsafe.append(
                     f"the object was struck {silent:.2f} s after the arm was in position"
                 )
@@ -141,7 +141,7 @@ class CrashCell:
         # The planner's stored goal is kept separate from that of other cells.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("crash_trials")
-        self.seen = Witness()
+        self.seen = Observed()
         node = self.client.node
         self._goals = node.create_publisher(PoseStamped, "goal_pose", COMMAND)
         self._reset = node.create_client(ResetWorld, "reset_world")
@@ -276,7 +276,7 @@ class CrashCell:
             30.0,
         )
         # Discard all messages that belong to the previous goal.
-        self.seen = Witness(arm=self.seen.arm, tapper=self.seen.tapper, lain=self.seen.lain)
+        self.seen = Observed(arm=self.seen.arm, tapper=self.seen.tapper, lain=self.seen.lain)
         self.seen.watching = True
 
     def _help(self) -> None:
@@ -304,7 +304,7 @@ class CrashCell:
 
 
 def run_crashes(
-    folder: Path, nodes: Sequence[str], phases: Sequence[str], say: Callable[[Crash], None]
+    folder: Path, nodes: Sequence[str], phases: Sequence[str], report: Callable[[Crash], None]
 ) -> list[Crash]:
     """Run the trials of every node at every phase, one after another in one running cell."""
     crashes: list[Crash] = []
@@ -312,5 +312,5 @@ def run_crashes(
         for node in nodes:
             for phase in phases:
                 crashes.append(cell.trial(node, phase))
-                say(crashes[-1])
+                report(crashes[-1])
     return crashes

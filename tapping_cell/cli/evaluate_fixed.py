@@ -86,7 +86,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
         "--unknown": tuple(arguments.unknown) != (1.0, 1.0),
         "--off-centre": arguments.off_centre != 0.0,
     }
-    given = [name for name, told in without_meaning.items() if told]
+    given = [name for name, is_set in without_meaning.items() if is_set]
     if given:
         raise PlanningError(
             f"{', '.join(given)}: not supported for a cell with fixed tappers; leave it out, "

@@ -58,7 +58,7 @@ SWEEPS = 20
 SETTLED = 0.01
 """Mean change of W, in taps, below which the iteration ends."""
 
-PROMISING = 20
+MOST_KEPT = 20
 """Number of taps per state that are compared on the fine grid."""
 
 AROUND = (0.93, 1.07)
@@ -100,7 +100,7 @@ def solve_finer(
     """
     place = np.asarray(start.goal, dtype=float)
     problem = _Problem(space, settings, place, step, LENGTHS[1], POINTS[1], interrupted)
-    problem.keep_promising(problem.start(start))
+    problem.keep_best(problem.start(start))
     return _solve_on(problem, IMPROVEMENTS[1], start)
 
 
@@ -292,19 +292,19 @@ class _Problem:
                 raise Abandoned
             yield slice(first, first + size)
 
-    def keep_promising(self, value: Array) -> None:
+    def keep_best(self, value: Array) -> None:
         """Restrict later comparisons to the taps with the lowest mean W over a few points."""
         table = self._table(value)
         count = self.kept.shape[1]
-        if count <= PROMISING:
+        if count <= MOST_KEPT:
             return
-        kept = np.empty((self.rows.size, PROMISING), dtype=np.intp)
+        kept = np.empty((self.rows.size, MOST_KEPT), dtype=np.intp)
         few = self.points[: len(self.points) // 2]
         for rows in self._chunks(count * few.shape[0]):
             taps = self._taps(rows)
             mean = table[self._leads_to(rows, *taps, few)].mean(axis=-1)
             mean += self._cost(rows, *taps)
-            kept[rows] = np.argpartition(mean, PROMISING, axis=1)[:, :PROMISING]
+            kept[rows] = np.argpartition(mean, MOST_KEPT, axis=1)[:, :MOST_KEPT]
         self.kept = kept
 
     def improve(self, value: Array) -> tuple[NDArray[np.intp], Singles]:

@@ -25,7 +25,7 @@ from tapping_cell.planning.fixed_tappers import (
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.goal import place_text
 from tapping_cell.planning.interface import Array
-from tapping_cell.planning.mounts import MountBelief, believed
+from tapping_cell.planning.mounts import MountBelief, corrected_space
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import (
     MISSED,
@@ -119,7 +119,7 @@ class FixedTapperSession(GoalSession):
     def use_free_space(self, space: FixedStrikeSpace) -> None:
         """Replace the space, because the obstacles on the table may have changed."""
         self._nominal = space
-        self._space = believed(space, self.mounts)
+        self._space = corrected_space(space, self.mounts)
         self._solved: SolvedGoal | None = None
         self._goal_refusal = check_fixed_goal(self.goal, space)
         if self._goal_refusal is None:
@@ -159,7 +159,7 @@ class FixedTapperSession(GoalSession):
             self.settings.scatter,
             noise,
         )
-        self._space = believed(self._nominal, self.mounts)
+        self._space = corrected_space(self._nominal, self.mounts)
         lines = self._space.lines(before)
         length = lines.reach[index] * strike.plan.striker_speed**2
         if length > 0.0:

@@ -174,7 +174,7 @@ class _Worker:
             try:
                 self._line.send(job)
             except OSError:
-                self._take(job, _gone())
+                self._take(job, _solver_ended())
 
     def _receive(self) -> None:
         while True:
@@ -182,13 +182,13 @@ class _Worker:
                 key, result, ended = self._line.recv()
             except (EOFError, OSError):
                 for job in list(self._asked.values()):
-                    self._take(job, _gone())
+                    self._take(job, _solver_ended())
                 return
             job = self._asked.pop(key) if ended else self._asked[key]
             self._take(job, result)
 
 
-def _gone() -> PlanningError:
+def _solver_ended() -> PlanningError:
     return PlanningError("the process that solves goals has ended; start the planner again")
 
 

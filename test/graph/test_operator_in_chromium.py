@@ -194,14 +194,14 @@ def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
     page.ready()
     names = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
     # On a busy machine a node may warn that it cannot keep up: the page must show what it says.
-    said: dict[str, set[tuple[str, str]]] = {name: set() for name in names}
+    logged: dict[str, set[tuple[str, str]]] = {name: set() for name in names}
 
     def on_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
             level = {DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning"}.get(status.level)
             name = status.name.split("/")[-1]
-            if level and name in said:
-                said[name].add(
+            if level and name in logged:
+                logged[name].add(
                     (f"active, {level}", "" if status.message == "ok" else status.message)
                 )
 
@@ -210,7 +210,7 @@ def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
         lambda: node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
     )
     page.wait(
-        lambda: all(page.node_row(name) in said[name] for name in names),
+        lambda: all(page.node_row(name) in logged[name] for name in names),
         "every node is active, with its own words",
     )
     # In the client's own thread: another one destroys it under the hands of the executor.
@@ -385,7 +385,6 @@ def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
             and client.tapper_state.state == TapperState.STOPPED
         ),
         "both stopped",
-        5.0,
     )
     page.wait(lambda: page.mode() == "stopped", "the page says so")
     assert page.element("attention").is_displayed()
@@ -404,14 +403,14 @@ def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
 def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
     page.ready()
     os.kill(page.graph.process_ids["operator_page"], signal.SIGKILL)
-    end = time.monotonic() + 10
+    end = time.monotonic() + 90
     while page.mode() != "lost":
         assert time.monotonic() < end
         time.sleep(0.1)
     # Nothing may be pressed that would not be received; STOP has a connection of its own.
     for name in ("send", "cancel", "goal-x", "home-ghost"):
         assert not page.element(name).is_enabled(), name
-    end = time.monotonic() + 20
+    end = time.monotonic() + 90
     while page.element("stop").is_enabled():
         assert time.monotonic() < end, "STOP is offered, but not served"
         time.sleep(0.1)

@@ -32,7 +32,7 @@ def cell(folder: Path, domain: int, namespace: str, seed: int) -> Iterator[dict[
         assert process.poll() is None, process.stdout.read() if process.stdout else ""
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=120)
 
 
 def arm_terminals() -> dict[int, str]:
@@ -60,7 +60,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(tmp_path: Path) -> None:
         cell(tmp_path, domains[0], names[0], seed=4) as first,
         cell(tmp_path, domains[1], names[1], seed=5) as second,
     ):
-        talks = [
+        clients = [
             subprocess.Popen(
                 (*CELL, "goal", *goal, "--namespace", name, "--wait", "90", "--json"),
                 env=environment,
@@ -70,7 +70,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(tmp_path: Path) -> None:
             )
             for goal, name, environment in zip(goals, names, (first, second), strict=True)
         ]
-        answers = [json.loads(talk.communicate(timeout=170)[0]) for talk in talks]
+        answers = [json.loads(client.communicate(timeout=170)[0]) for client in clients]
         terminals = {
             terminal for process, terminal in arm_terminals().items() if process not in before
         }
@@ -102,7 +102,7 @@ def test_hardware_on_the_packaged_example_file_is_refused(
     folder = tmp_path / "config"
     folder.symlink_to(shared_folder())
     ended = subprocess.run(
-        (*CELL, "up", "--hardware", *given), cwd=folder, capture_output=True, text=True, timeout=30
+        (*CELL, "up", "--hardware", *given), cwd=folder, capture_output=True, text=True, timeout=150
     )
     assert ended.returncode == 2
     words = " ".join(ended.stderr.split())
