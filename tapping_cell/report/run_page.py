@@ -15,6 +15,7 @@ from tapping_cell.report import error_codes
 from tapping_cell.report.activities import (
     ASKS,
     CHARGES,
+    FLIES,
     LOWERS,
     MEASURES,
     PLANS,
@@ -67,6 +68,7 @@ _ACTIVITY_COLOURS = {
     CHARGES: STRIKE,
     SLIDES: SLIDING,
     WITHDRAWS: WITHDRAWING,
+    FLIES: PREDICTED,
     MEASURES: REST,
     PLANS: WAITING,
     ASKS: CONFIRMING,

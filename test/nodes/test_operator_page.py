@@ -384,6 +384,8 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
                 await page.send({"do": "cancel"})
                 assert "no goal of an action" in (await page.answer("cancel"))["text"]
                 await page.send({"do": "goal", "x": 50, "y": 0, "angle": 10})
+                # The planner's state may arrive before or after this answer.
+                assert (await page.answer("goal"))["text"] == "goal sent"
                 await page.state(lambda s: s["plan"]["busy"])
                 await page.send({"do": "cancel"})
                 assert (await page.answer("cancel"))["ok"]

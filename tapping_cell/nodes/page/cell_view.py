@@ -201,7 +201,7 @@ class CellView:
         if stopped:
             return Mode("stopped", "; ".join(dict.fromkeys(stopped)), ErrorCode.EMERGENCY_STOP)
         if self.emergency_stop and self._monitor.lost(_now()):
-            sentence = "the emergency stop is pressed; arm or tapper do not answer"
+            sentence = "the emergency stop is pressed; a device does not answer"
             return Mode("stopped", sentence, ErrorCode.EMERGENCY_STOP)
         fault = self._monitor.fault()
         if fault is not None:

@@ -487,7 +487,7 @@ class OperatorPage(CellNode[Parameters]):
             self._do(self._change_lists, request, answer)
         elif isinstance(request, Command) and request.name == "stop":
             sent = self._stop is not None and self._stop.stop(who)
-            text = "stop sent to arm, tapper and planner" if sent else STOP_NOT_SENT
+            text = "stop sent to all devices and the planner" if sent else STOP_NOT_SENT
             answer(_answer("stop", sent, text))
         elif isinstance(request, Command) and request.name in ("enable", "disable"):
             self._do(self._enable, request.name == "enable")
@@ -640,7 +640,8 @@ class OperatorPage(CellNode[Parameters]):
     def _cancel(self, who: str, answer: server.Answer) -> None:
         def done(future: Future) -> None:
             if future.result().goals_canceling:
-                answer(_answer("cancel", True, "goal canceled; the arm withdraws"))
+                withdraws = "; the arm withdraws" if self._view.has_arm else ""
+                answer(_answer("cancel", True, f"goal canceled{withdraws}"))
                 return
             answer(
                 _answer(

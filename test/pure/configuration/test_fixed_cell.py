@@ -38,6 +38,16 @@ def test_the_shipped_cell_has_eight_tappers_and_no_arm(file: Path) -> None:
         _ = load_cell().fixed_tappers
 
 
+@pytest.mark.parametrize("shape", ["aluminium_disk", "aluminium_square"])
+def test_the_shipped_cell_with_twelve_tappers_has_two_boards(file: Path, shape: str) -> None:
+    cell = load_cell(
+        file.with_name("twelve_tappers.yaml"), file.parent.parent / "objects" / f"{shape}.yaml"
+    )
+    assert conflicts(cell)[0] == []
+    assert [len(board.channels) for board in cell.boards] == [8, 4]
+    assert len(set(cell.tapper_channels.values())) == len(cell.tapper_names) == 12
+
+
 def test_arm_or_fixed_tappers_but_not_both_or_none(file: Path) -> None:
     change(file, lambda d: d.pop("fixed_tappers"))
     with pytest.raises(ConfigurationError, match="either the key 'arm'"):

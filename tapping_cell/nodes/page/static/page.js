@@ -234,7 +234,7 @@ function render() {
 function renderStop() {
   const ready = connected || stop.served;
   $("stop").disabled = !ready;
-  setText(document.querySelector(".stop-note"), ready ? "arm and tapper" : "offline: use the wired stop");
+  setText(document.querySelector(".stop-note"), ready ? (!state || state.arm ? "arm and tapper" : "all tappers") : "offline: use the wired stop");
 }
 
 const TITLES = { stopped: "The cell is stopped", fault: "The cell has a fault" };

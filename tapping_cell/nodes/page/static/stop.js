@@ -44,7 +44,7 @@ class Stop {
     const said = this.alsoSay();
     try {
       await this.ask("stop");
-      this.onAnswer("STOP sent to arm, tapper and planner", "good");
+      this.onAnswer("STOP sent to all devices and the planner", "good");
     } catch (error) {
       if (!said) this.onAnswer("STOP was NOT sent: use the wired emergency stop", "bad");
     }
