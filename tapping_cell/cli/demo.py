@@ -9,7 +9,7 @@ measured and the true pose of the object are within the tolerance.
 
 With --objects, several objects lie on the table, and each is brought to its own goal. Start and
 goal poses are random and depend on --seed. The run folder then contains the scene's files,
-arrangement.json and arrangement.png.
+report.html, arrangement.json and arrangement.png.
 
     python -m tapping_cell demo --objects 3
 """

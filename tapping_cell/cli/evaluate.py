@@ -183,7 +183,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--objective",
         choices=("taps", "time"),
         help="minimise the number of taps, or the total time of taps and arm motion (only with "
-        "--table; default: the cell file's)",
+        "--table or for a cell with fixed tappers; default: the cell file's)",
     )
     numbers(
         "--table",

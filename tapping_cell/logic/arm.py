@@ -8,6 +8,7 @@ for a while. docs/safety.md shows why no shot is then fired while the arm moves.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
@@ -24,6 +25,7 @@ from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
 from tapping_cell.logic.effects import (
     Answer,
+    Effect,
     JobEnded,
     LogLevel,
     Message,
@@ -709,7 +711,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             homed=reading is not None,
             clear_of_camera=self._clear_of_camera,
             set_up=self._options.set_up,
-            enabled=self._options.set_up and self._enabling.held(now),
+            enabled=self._is_key_held(now),
             error_code=code,
             error_msg=sentence,
         )
@@ -717,14 +719,26 @@ class ArmLogic(DeviceLogic[State, Event]):
         message.header.stamp = self._read_stamp if reading is not None else to_stamp(now.ros)
         if reading is not None:
             message.tip_pose = self._tip_pose(reading)
-            # An arm with its own ROS driver publishes the joint states itself.
-            own_driver = self._cell.arm.ros2_control is not None
-            if self._read_stamp != self._joints_published and not own_driver:
-                self._joints_published = self._read_stamp
-                joints = JointState(name=list(Joints._fields), position=list(reading.joints))
-                joints.header.stamp = self._read_stamp
-                self._effects.append(Publish("joint_states", joints))
         return Publish("arm_state", message)
+
+    def _is_key_held(self, now: Now) -> bool:
+        return self._options.set_up and self._enabling.held(now)
+
+    def _drain(self, now: Now) -> Sequence[Effect]:
+        self._publish_joints()
+        return super()._drain(now)
+
+    def _publish_joints(self) -> None:
+        """Publish the joint states of a new reading, unless the arm's own ROS driver does so."""
+        reading = self._reading_kept if self._homed() else None
+        if reading is None or self._read_stamp == self._joints_published:
+            return
+        if self._cell.arm.ros2_control is not None:
+            return
+        self._joints_published = self._read_stamp
+        joints = JointState(name=list(Joints._fields), position=list(reading.joints))
+        joints.header.stamp = self._read_stamp
+        self._effects.append(Publish("joint_states", joints))
 
     def _tip_pose(self, reading: Reading) -> PoseMessage:
         """Return the tip's pose in ``table`` from a reading; computed once per reading."""
@@ -736,11 +750,11 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._tip = reading, pose
         return pose
 
-    def _comparable(self, message: Message) -> Message:
+    def _urgent_content(self, now: Now) -> tuple[object, ...]:
         # While the arm moves, the end of each move is published immediately.
-        read = self._read_stamp if self.state is S.PLACING else None
-        error = message.error_code, message.error_msg
-        return message.state, message.tap_id, message.enabled, *error, read
+        state = self.state
+        read = self._read_stamp if state is S.PLACING else None
+        return WIRE[state], self._tap_id, self._is_key_held(now), self._error, read
 
 
 def _plan_withdrawal(

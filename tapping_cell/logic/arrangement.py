@@ -130,6 +130,15 @@ class ArrangementTask(Task):
         )
         return f"arrangement: {goals}"
 
+    @property
+    def purpose(self) -> str:
+        """Why the present object is tapped now."""
+        if self._tap is None:
+            return ""
+        move = self._tap.move
+        away = move.purpose is Purpose.MAKE_WAY
+        return f"'{move.name}' {'makes way' if away else 'goes to its goal'}: {move.reason}"
+
     def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:
         """Return whether every object was seen at rest after the steady time ``after``.
 
@@ -348,6 +357,11 @@ class AmongOthersTask(ArrangementTask):
     def description(self) -> str:
         """Return a readable description of the goal."""
         return f"'{self.object_id}': {Task.description(self)}"
+
+    @property
+    def purpose(self) -> str:
+        """Empty, because this object is the only one with a goal."""
+        return ""
 
     def feedback(
         self, state: PlanState

@@ -110,7 +110,11 @@ class CellMonitor:
         return self.camera_clock.to_steady(self.object.header.stamp, now)
 
     def unseen_for(self, now: Now) -> float:
-        """Return the time since the object was last seen, s."""
+        """Return the time since the object was last seen, s; 0 if the last observation shows it,
+        however old that observation is."""
+        seen = self.object
+        if seen is not None and seen.visible and not seen.error_code:
+            return 0.0
         return now.steady - self._seen_at.get(self._watched, -math.inf)
 
     @property
@@ -133,6 +137,15 @@ class CellMonitor:
             and seen.error_code == ErrorCode.NONE
             and seen.frames_fused >= frames
         )
+
+    def at_rest_after(self, moment: float, now: Now) -> bool:
+        """Return whether the object is seen at rest, and this rest began after the steady time
+        ``moment``."""
+        seen = self.object
+        if seen is None or not seen.visible or not seen.at_rest:
+            return False
+        since = self.camera_clock.to_steady(seen.at_rest_since, now)
+        return since > moment + QUICKEST_IMAGE_S
 
     def missing(self, now: Now) -> CodedError | None:
         """Return why the cell is not ready for a tap, or None if it is."""

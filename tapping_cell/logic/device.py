@@ -89,7 +89,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._job_name = ""
         self._reading: int | None = None
         self._read_at = -1.0
-        self._published: Message | None = None
+        self._published: tuple[object, ...] | None = None
 
     # Public properties
 
@@ -349,16 +349,16 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _drain(self, now: Now) -> Sequence[Effect]:
         """Return the collected effects, and the state message if the state changed."""
-        report = self._report(now)
-        if self._comparable(report.message) != self._published:
-            self._published = self._comparable(report.message)
-            self._effects.append(report)
+        content = self._urgent_content(now)
+        if content != self._published:
+            self._published = content
+            self._effects.append(self._report(now))
         effects, self._effects = self._effects, []
         return effects
 
     @abstractmethod
-    def _comparable(self, message: Message) -> Message:
-        """Return the part of the state message whose changes are published immediately."""
+    def _urgent_content(self, now: Now) -> tuple[object, ...]:
+        """Return the content of the state message whose changes are published immediately."""
 
     # Stops
 

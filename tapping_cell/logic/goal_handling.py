@@ -105,8 +105,8 @@ class GoalHandling:
         self.other_objects = other_objects
         self._adapt = adapt
         self._probe = probe
-        objective = objective or cell.file.goal.objective
-        arm = objective == "time" and cell.file.arm is not None
+        self._objective = objective or cell.file.goal.objective
+        arm = self._objective == "time" and cell.file.arm is not None
         self._times = ArmTimes(cell) if arm else None
         self._keep_for = keep_for
         self._time_limit = time_limit

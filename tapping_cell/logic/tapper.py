@@ -829,7 +829,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             tapper=reported.tapper,
             fixed_mounts=self._fixed,
             away=list(self._mounts.away) if self._fixed else [],
-            mounts_proven=not self._fixed or (self._mounts.fitted and self._mounts.proven),
+            mounts_proven=self._mounts_proven(),
             tap_id=reported.tap_id,
             outcome=reported.outcome,
             measured_speed=reported.measured_speed,
@@ -844,11 +844,10 @@ class TapperLogic(DeviceLogic[State, Event]):
         message.header.stamp = to_stamp(now.ros)
         return Publish("tapper_state", message)
 
-    def _comparable(self, message: Message) -> Message:
-        return (
-            message.state,
-            message.tap_id,
-            message.outcome,
-            message.error_code,
-            message.mounts_proven,
-        )
+    def _mounts_proven(self) -> bool:
+        return not self._fixed or (self._mounts.fitted and self._mounts.proven)
+
+    def _urgent_content(self, now: Now) -> tuple[object, ...]:
+        reported = self._reported
+        state, code = WIRE[self.state], self._error[0]
+        return state, reported.tap_id, reported.outcome, code, self._mounts_proven()

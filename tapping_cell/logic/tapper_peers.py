@@ -52,6 +52,9 @@ class PeerLimits:
     """Maximum distance of the object from the pose for which the tap was planned, m."""
     turned: float = math.radians(3)
     """Maximum rotation of the object from the pose for which the tap was planned, rad."""
+    needs_camera: bool = False
+    """Whether a usable image must have arrived since the start. Otherwise, a camera that has sent
+    nothing yet is not required."""
 
 
 @dataclass(slots=True)
@@ -93,9 +96,10 @@ class Mounts:
 class TapperPeers:
     """Last messages of arm, planner and camera, with their times on this computer's steady clock.
 
-    A planner or camera without any message yet does not count as lost, because a person or a
-    program may command single taps without it. If its messages end, for example because its process
-    hangs, it is lost. The age of a message is determined from its stamp.
+    A planner without any message yet does not count as lost, because a person or a program may
+    command single taps without it; whether a camera does is one of the limits. If the messages of a
+    peer end, for example because its process hangs, it is lost. The age of a message is determined
+    from its stamp.
     """
 
     def __init__(self, limits: PeerLimits) -> None:
@@ -191,6 +195,7 @@ class TapperPeers:
         return (
             self.given_up()
             or self._skew(now)
+            or self._missing()
             or self._silence(now)
             or self._disturbance(planned, now)
         )
@@ -233,6 +238,15 @@ class TapperPeers:
                     f" {SKEW_LIMIT_S:.2f} s), or the {name}'s messages are delayed that much;"
                     " synchronise the clocks",
                 )
+        return None
+
+    def _missing(self) -> CodedError | None:
+        if self._limits.needs_camera and self._picture_at is None:
+            return (
+                ErrorCode.CAMERA_SILENT,
+                "no usable image of the camera has been received since this node was started; check"
+                " the camera and its node, or set needs_camera to false in a cell without a camera",
+            )
         return None
 
     def _silence(self, now: Now) -> CodedError | None:

@@ -8,6 +8,7 @@ area average of the true pattern, so edges lack the bias of sampling sharp patte
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -52,6 +53,7 @@ class Layer:
         return np.asarray(found[..., 0]), np.asarray(found[..., 1])
 
 
+@lru_cache(maxsize=16)
 def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blur: float) -> Layer:
     """Return a marker of side ``size`` with a white margin of one module; ``pixel`` and ``blur``
     (sigma) in m."""
@@ -68,7 +70,13 @@ def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blu
 
 def outline_layer(outline: ArrayLike, reflectance: float, pixel: float, blur: float) -> Layer:
     """Return a convex outline, points (N, 2) in m around the origin, of uniform reflectance."""
-    points = np.asarray(outline, dtype=float)
+    points = np.ascontiguousarray(outline, dtype=float)
+    return _outline_layer(points.tobytes(), reflectance, pixel, blur)
+
+
+@lru_cache(maxsize=8)
+def _outline_layer(outline: bytes, reflectance: float, pixel: float, blur: float) -> Layer:
+    points = np.frombuffer(outline).reshape(-1, 2)
     reach = float(np.max(np.abs(points))) + 4.0 * blur
     texels = int(np.clip(np.ceil(16.0 * reach / pixel), 64, 1600))
     texel = 2.0 * reach / texels
@@ -91,12 +99,20 @@ def convex_coverage(
     y = (np.arange(rows * rows_each) + 0.5) / rows_each
     ends = [np.interp(y, chain[:, 1], chain[:, 0]) for chain in (there, back)]
     within = (y >= p[0, 1]) & (y <= p[turn, 1])
-    left = np.where(within, np.minimum(*ends), np.inf)
-    right = np.where(within, np.maximum(*ends), -np.inf)
-    edge = np.arange(columns)
-    share = np.minimum(right[:, None], edge + 1.0) - np.maximum(left[:, None], edge)
-    covered = np.clip(share, 0.0, 1.0).reshape(rows, rows_each, columns)
-    return np.asarray(covered.mean(axis=1), dtype=float)
+    left = np.where(within, np.minimum(*ends), 0.0)
+    right = np.where(within, np.maximum(*ends), 0.0)
+    # What lies left of an end covers every cell before it and a part of the cell that holds it;
+    # what lies left of both cancels. Per row: changes from cell to cell, summed over the samples.
+    change = np.zeros((rows, columns + 2))
+    row = np.arange(rows * rows_each) // rows_each
+    for end, sign in ((right, 1.0), (left, -1.0)):
+        place = np.clip(end, 0.0, columns)
+        cell = np.minimum(place.astype(int), columns)
+        part = place - cell
+        np.add.at(change, (row, cell), sign * (part - 1.0))
+        np.add.at(change, (row, cell + 1), -sign * part)
+    covered = np.cumsum(change[:, :columns], axis=1) / rows_each
+    return np.asarray(np.clip(covered, 0.0, 1.0), dtype=float)
 
 
 def _blurred(

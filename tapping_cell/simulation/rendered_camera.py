@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -127,7 +129,9 @@ class SceneRenderer:
     ) -> None:
         self.view = View(camera, pose)
         self.settings = settings or SceneSettings()
-        self._random = np.random.default_rng(seed)
+        grain, field, state = _random_fields(seed, camera.height, camera.width)
+        self._random = np.random.default_rng()
+        self._random.bit_generator.state = state
         # Pixel coverage already averages over a pixel's area, so the point spread excludes it.
         self._point_spread = max(0.1, np.sqrt(max(0.0, self.settings.blur**2 - 1.0 / 12.0)))
         distance = float(pose.position[2])
@@ -136,7 +140,7 @@ class SceneRenderer:
         rays = _ray_map(camera)
         ground = self.view.rays_on_plane(rays, 0.0)
         self._light = self._light_map(ground).astype(np.float32)
-        background = self._background(ground, references, pixel, blur)
+        background = self._background(ground, references, pixel, blur, grain)
         self._background16 = _fixed_point(background)
         self._background_image = background
         objects = (SceneObject(np.asarray(outline, dtype=float), marker), *others)
@@ -146,7 +150,8 @@ class SceneRenderer:
         )
         if self.settings.shadow_depth > 0.0:
             self._ground = ground.astype(np.float32)
-        self._noise = self._noise_pool()
+        scale = np.float32(self.settings.noise * _FRACTION)
+        self._noise = np.round(field * scale).astype(np.int16)
         # Stationary objects are drawn into one image, moving objects over a copy of it.
         self._still, self._still16 = background.copy(), self._background16.copy()
         self._still_key: tuple[tuple[float, ...], ...] = ()
@@ -207,12 +212,12 @@ class SceneRenderer:
         references: ReferenceMap,
         pixel: float,
         blur: float,
+        grain: Array32,
     ) -> Array32:
         reflectance = np.full(ground.shape[:2], TABLE_REFLECTANCE, dtype=np.float32)
         # A faint grain of the table, about a centimetre wide.
-        grain = self._random.standard_normal((64, 80)).astype(np.float32) * 0.006
         size = (ground.shape[1], ground.shape[0])
-        smooth = cv2.resize(grain, size, interpolation=cv2.INTER_CUBIC)
+        smooth = cv2.resize(grain * np.float32(0.006), size, interpolation=cv2.INTER_CUBIC)
         reflectance += np.asarray(smooth, dtype=np.float32)
         for marker in references.markers:
             layer = marker_layer(references.dictionary, marker.id, marker.size, pixel, blur)
@@ -333,12 +338,6 @@ class SceneRenderer:
         soft = cv2.GaussianBlur(sharp, (0, 0), self._point_spread)
         return np.asarray(soft, dtype=np.float32)
 
-    def _noise_pool(self) -> NDArray[np.int16]:
-        camera = self.view.camera
-        shape = (4, camera.height + 192, camera.width + 256)
-        field = self._random.standard_normal(shape, dtype=np.float32)
-        return np.round(field * np.float32(self.settings.noise * _FRACTION)).astype(np.int16)
-
     def _noise_field(self) -> NDArray[np.int16]:
         """Return one of about 200 000 windows of the noise pool, chosen at random."""
         camera = self.view.camera
@@ -370,10 +369,21 @@ def _local(pose: NDArray[np.float64], x: Array32, y: Array32) -> tuple[Array32, 
     return cos * dx + sin * dy, cos * dy - sin * dx
 
 
+@lru_cache(maxsize=2)
+def _random_fields(seed: int, height: int, width: int) -> tuple[Array32, Array32, dict[str, Any]]:
+    """Return what a scene draws at its start: the table's grain and the pool of noise, both of
+    deviation 1, and the state of the generator after them. Scenes of one seed share them."""
+    random = np.random.default_rng(seed)
+    grain = random.standard_normal((64, 80)).astype(np.float32)
+    field = random.standard_normal((4, height + 192, width + 256), dtype=np.float32)
+    return grain, field, dict(random.bit_generator.state)
+
+
 def _fixed_point(image: Array32) -> NDArray[np.int16]:
     return np.round(image * np.float32(_FRACTION)).astype(np.int16)
 
 
+@lru_cache(maxsize=2)
 def _ray_map(camera: CameraModel) -> NDArray[np.float64]:
     """Return the ray directions (height, width, 2) of all pixels: exact on a grid of 16 pixels,
     interpolated by splines between."""

@@ -147,7 +147,7 @@ class FixedTrial(Trial):
                 TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
                 for line in lines
             ]
-            options = TapperOptions(limits=PeerLimits(unseen=CLEAR_VIEW_S))
+            options = TapperOptions(limits=PeerLimits(unseen=CLEAR_VIEW_S, needs_camera=True))
             return TapperLogic(options), TapperBoards(drivers)
 
         return {

@@ -332,10 +332,10 @@ class InvariantChecker:
         self._check_charged(self.physical.tapper_board.state in ("CHARGING", "CHARGED"))
 
     def _check_charged(self, charged: bool) -> None:
-        now = self.scheduler.now
         if not charged:
             self._charged_since = None
             return
+        now = self.scheduler.now
         if self._charged_since is None:
             self._charged_since = now
         elif now - self._charged_since > CHARGED_LIMIT_S:

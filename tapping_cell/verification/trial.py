@@ -372,7 +372,7 @@ class Trial:
                 TapperOptions(limits=limits, draw_key=lambda: int(draw.integers(1, 2**63)))
             ), driver
 
-        limits = PeerLimits(unseen=unseen)
+        limits = PeerLimits(unseen=unseen, needs_camera=True)
         programs: dict[
             str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], tuple[SerialLine, ...]]
         ] = {
@@ -462,7 +462,7 @@ class Trial:
         self._moments.clear()
         for fault in faults:
             if fault.moment is None:
-                self.scheduler.at(began + fault.time, partial(self._strike, fault))
+                self.scheduler.at(began + fault.time, partial(self._strike, fault), in_main=True)
         limit = began + self.settings.goal_time_limit + GOAL_SLACK_S
         self.scheduler.run(limit, lambda: self._result is not None)
         if self._result is None:
@@ -699,7 +699,7 @@ class Trial:
         second.on_log = self._on_log
         self._seconds.append(second)
         second.start()
-        self.scheduler.after(lasting, second.kill)
+        self.scheduler.after(lasting, second.kill, in_main=True)
 
     def hide_object(self, duration: float) -> None:
         """Hide the object, as by a hand, for ``duration`` s."""
@@ -802,9 +802,10 @@ class Trial:
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
         process = self.processes[node]
-        if process.alive and self.scheduler.now >= process.frozen_until:
+        if process.alive:
             self.report.by_node[f"stop {node}"] += 1
             self.note_kind(f"stop of {node}")
+        if process.alive and self.scheduler.now >= process.frozen_until:
             self.checker.stopped_at.setdefault(node, self.scheduler.now)
             if node == "scara_arm":
                 self.checker.motion_allowed = False
@@ -904,7 +905,7 @@ class Trial:
         for fault in list(self._waiting_faults):
             if fault.moment == Moment(name, self._moments[name]):
                 self._waiting_faults.remove(fault)
-                self.scheduler.after(fault.time, partial(self._strike, fault))
+                self.scheduler.after(fault.time, partial(self._strike, fault), in_main=True)
 
     def _on_call(self, service: str, request: Any) -> None:
         if service == "hold_still" and request.duration > 0:

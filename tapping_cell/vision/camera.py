@@ -306,5 +306,10 @@ class View:
         """Intersect directions (..., 2) with the plane at ``height`` (m): points (..., 2) in m."""
         r = np.asarray(rays, dtype=float)
         inverse = np.linalg.inv(self.pose.plane(height))
-        homogeneous = r @ inverse[:, :2].T + inverse[:, 2]
-        return np.asarray(homogeneous[..., :2] / homogeneous[..., 2:])
+        # Component by component: numpy multiplies large stacks of tiny matrices slowly.
+        x, y = r[..., 0], r[..., 1]
+        across, along, depth = (row[0] * x + row[1] * y + row[2] for row in inverse)
+        points = np.empty(r.shape)
+        np.divide(across, depth, out=points[..., 0])
+        np.divide(along, depth, out=points[..., 1])
+        return points

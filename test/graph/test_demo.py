@@ -54,7 +54,7 @@ def children_of(folder: Path) -> dict[str, int]:
 
 
 def wait_for_nodes(folder: Path, process: subprocess.Popen[str]) -> dict[str, int]:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 120
     while len(found := children_of(folder)) < len(NODES):
         assert process.poll() is None, process.stdout.read() if process.stdout else ""
         assert time.monotonic() < deadline, f"only {sorted(found)} came up"
@@ -70,7 +70,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
     process = start(folder, "--seed", "5", "--move", "-25", "15", "-12")
-    output, _ = process.communicate(timeout=180)
+    output, _ = process.communicate(timeout=280)
     assert process.returncode == 0, output
     content = json.loads((folder / "summary.json").read_text())
     assert content["reached"] is True and content["error_code"] == 0 and content["seed"] == 5
@@ -90,7 +90,7 @@ def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
     check_bag(folder, len(rows))
     assert f"Goal reached in {len(rows)} tap" in (folder / "report.html").read_text()
     again = start(folder)
-    output, _ = again.communicate(timeout=60)
+    output, _ = again.communicate(timeout=150)
     assert again.returncode == 2 and "already contains a run" in " ".join(output.split())
 
 
@@ -120,13 +120,13 @@ def check_bag(folder: Path, taps: int) -> None:
 def test_ctrl_c_in_a_goal_leaves_its_record(folder: Path) -> None:
     process = start(folder, "--move", "100", "0", "90")
     wait_for_nodes(folder, process)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while not (folder / "bag").exists():
         assert time.monotonic() < deadline and process.poll() is None
         time.sleep(0.1)
     time.sleep(1.0)
     process.send_signal(signal.SIGINT)
-    assert process.wait(30) == 130
+    assert process.wait(120) == 130
     content = json.loads((folder / "summary.json").read_text())
     assert (content["outcome"], content["error_code"]) == ("canceled", 111)
     assert content["goal"] is not None and content["reached"] is False
@@ -140,13 +140,13 @@ def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
     """
     process = start(folder, "--seed", "5", "--move", "100", "0", "90")
     nodes = wait_for_nodes(folder, process)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while not (folder / "bag").exists():
         assert time.monotonic() < deadline and process.poll() is None
         time.sleep(0.05)
     time.sleep(1.0)  # the bag is written to twice a second
     os.kill(nodes["run_recorder"], signal.SIGKILL)
-    output, _ = process.communicate(timeout=180)
+    output, _ = process.communicate(timeout=280)
     assert process.returncode == 0, output
     rest = folder.with_name(folder.name + "_2")
     content = json.loads((rest / "summary.json").read_text())
@@ -165,14 +165,14 @@ def test_ctrl_c_ends_every_node_of_a_background_job(folder: Path) -> None:
     wait_for_nodes(folder, process)
     time.sleep(3.0)
     process.send_signal(signal.SIGINT)
-    assert process.wait(20) == 130
+    assert process.wait(120) == 130
     assert json.loads((folder / "summary.json").read_text())["reached"] is False
 
 
 def test_a_crashing_node_ends_the_run_with_its_name(folder: Path) -> None:
     process = start(folder, "--move", "100", "0", "90")
     os.kill(wait_for_nodes(folder, process)["camera_pose"], signal.SIGKILL)
-    output, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=150)
     assert process.returncode == 1
     assert "camera_pose" in output
     content = json.loads((folder / "summary.json").read_text())
@@ -183,8 +183,8 @@ def test_killing_the_demo_itself_leaves_no_node(folder: Path) -> None:
     process = start(folder, "--move", "100", "0", "90")
     nodes = wait_for_nodes(folder, process)
     process.kill()
-    process.wait(10)
-    deadline = time.monotonic() + 10
+    process.wait(60)
+    deadline = time.monotonic() + 60
     while any(Path(f"/proc/{number}").exists() for number in nodes.values()):
         assert time.monotonic() < deadline, f"left behind: {children_of(folder)}"
         time.sleep(0.1)
@@ -192,7 +192,7 @@ def test_killing_the_demo_itself_leaves_no_node(folder: Path) -> None:
 
 def test_a_goal_off_the_table_is_refused_in_words(folder: Path) -> None:
     process = start(folder, "--goal", "900", "0", "0")
-    output, _ = process.communicate(timeout=90)
+    output, _ = process.communicate(timeout=200)
     assert process.returncode == 1
     content = json.loads((folder / "summary.json").read_text())
     assert (content["error_code"], content["taps"]) == (103, 0)
@@ -217,6 +217,6 @@ def test_a_wrong_object_file_is_refused_before_any_node(
     path = tmp_path / "object.yaml"
     path.write_text(good.replace(old, new, 1))
     process = start(folder, "--object", str(path))
-    output, _ = process.communicate(timeout=60)
+    output, _ = process.communicate(timeout=150)
     assert process.returncode == 2
     assert word in output.replace("\n", " ") and "object.yaml" in output.replace("\n", "")

@@ -385,7 +385,6 @@ def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
             and client.tapper_state.state == TapperState.STOPPED
         ),
         "both stopped",
-        5.0,
     )
     page.wait(lambda: page.mode() == "stopped", "the page says so")
     assert page.element("attention").is_displayed()
@@ -404,14 +403,14 @@ def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
 def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
     page.ready()
     os.kill(page.graph.process_ids["operator_page"], signal.SIGKILL)
-    end = time.monotonic() + 10
+    end = time.monotonic() + 90
     while page.mode() != "lost":
         assert time.monotonic() < end
         time.sleep(0.1)
     # Nothing may be pressed that would not be received; STOP has a connection of its own.
     for name in ("send", "cancel", "goal-x", "home-ghost"):
         assert not page.element(name).is_enabled(), name
-    end = time.monotonic() + 20
+    end = time.monotonic() + 90
     while page.element("stop").is_enabled():
         assert time.monotonic() < end, "STOP is offered, but not served"
         time.sleep(0.1)

@@ -16,7 +16,7 @@ def test_the_demo_reaches_a_goal_without_an_arm(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     options = ["--cell", str(CELL), "--goal", "15", "-20", "60", "--seed", "2"]
     command = [sys.executable, "-m", "tapping_cell", "demo", "--out", str(folder), *options]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=280)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert summary["reached"]

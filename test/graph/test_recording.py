@@ -39,7 +39,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
         yield tmp_path
     finally:
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(120) == 0
 
 
 def goal(*words: str) -> tuple[int, str]:
@@ -68,7 +68,7 @@ def recorded(folder: Path, number: int) -> list[Run]:
 
 def a_second_cell_is_refused(folder: Path) -> None:
     command = [sys.executable, "-m", "tapping_cell", "up", "--namespace", "left"]
-    second = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60)
+    second = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=150)
     assert second.returncode == 1
     words = " ".join(second.stderr.split())
     assert "another cell runs on this machine in ROS domain" in words

@@ -17,7 +17,7 @@ NODES = ("camera_pose", "tap_planner", "scara_arm", "tapper_trigger", "sim_world
 
 def run_node(node: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", MODULES[node], "--ros-args", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=150, check=False)
 
 
 def wrong_cell(tmp_path: Path, old: str, new: str) -> Path:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
@@ -29,7 +30,7 @@ from tapping_cell.cli import session
 from tapping_cell.cli.graph import SIMULATED, Graph
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
-from tapping_cell.nodes.conversions import to_message
+from tapping_cell.nodes.conversions import seconds, to_message
 from tapping_cell.se2 import Pose
 
 
@@ -56,12 +57,12 @@ class Cell:
             time.sleep(0.02)
 
     def ready(self) -> None:
-        session.wait_until_ready(self.client, 60.0, self.graph.check, Console(quiet=True))
+        session.wait_until_ready(self.client, 120.0, self.graph.check, Console(quiet=True))
 
     def place(self, pose: Pose) -> None:
         request = ResetWorld.Request(object_pose=to_message(pose))
         future = self.reset.call_async(request)
-        self.wait(future.done, "reset_world", 10.0)
+        self.wait(future.done, "reset_world")
         assert future.result().success, future.result().message
         self.ready()
 
@@ -141,9 +142,7 @@ def test_a_bad_goal_on_the_topic_is_refused_in_words_and_moves_nothing(
 ) -> None:
     received, commanded = len(cell.plans), len(cell.commands)
     cell.publish_goal(pose, frame)
-    cell.wait(
-        lambda: any(plan.error_code == code for plan in cell.plans[received:]), str(code), 10.0
-    )
+    cell.wait(lambda: any(plan.error_code == code for plan in cell.plans[received:]), str(code))
     refused = next(plan for plan in cell.plans[received:] if plan.error_code == code)
     assert len(refused.error_msg) > 30
     time.sleep(0.5)
@@ -152,31 +151,32 @@ def test_a_bad_goal_on_the_topic_is_refused_in_words_and_moves_nothing(
 
 def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
     """The default transport loses best-effort pictures of 1.3 MB; the shipped profile does not."""
-    counts: dict[str, list[int]] = {"/sim_world": [], "/camera_pose": []}
+    counts: dict[str, list[tuple[float, int]]] = {"/sim_world": [], "/camera_pose": []}
 
     def count(message: DiagnosticArray) -> None:
         for status in message.status:
             values = {entry.key: entry.value for entry in status.values}
             if status.name in counts:
-                counts[status.name].append(int(values["pictures"]))
+                at = seconds(message.header.stamp)
+                counts[status.name].append((at, int(values["pictures"])))
 
     subscription = cell.client.node.create_subscription(DiagnosticArray, "/diagnostics", count, 10)
 
     def since_start(node: str) -> int:
-        return counts[node][-1] - counts[node][0] if counts[node] else 0
+        return counts[node][-1][1] - counts[node][0][1] if counts[node] else 0
 
     # On a slow machine the world sends fewer pictures a second; waiting takes no processor here.
-    deadline = time.monotonic() + 24.0
+    deadline = time.monotonic() + 120.0
     time.sleep(8.0)
-    while since_start("/sim_world") <= 150:
+    while since_start("/sim_world") <= 150 or len(counts["/camera_pose"]) < 6:
         assert time.monotonic() < deadline, counts
         time.sleep(1.0)
     cell.client.node.destroy_subscription(subscription)
-    sent, taken = since_start("/sim_world"), since_start("/camera_pose")
-    # The two nodes count at different moments of a second; a lost picture is lost for good, so
-    # the difference of the sums would grow with the time.
-    ahead = [a - b for a, b in zip(counts["/sim_world"], counts["/camera_pose"], strict=False)]
-    assert max(ahead) - min(ahead) <= 4, (sent, taken, ahead)
+    # The two nodes count at different moments of a second. On a busy machine a picture may wait
+    # for its turn, which makes the difference larger for a while; a lost one is lost for good.
+    times, sent = np.array(counts["/sim_world"]).T
+    ahead = [np.interp(at, times, sent) - taken for at, taken in counts["/camera_pose"]]
+    assert min(ahead[len(ahead) // 2 :]) - min(ahead) <= 4, counts
 
 
 def test_a_bad_goal_of_the_action_gets_its_code_as_the_result(cell: Cell) -> None:
@@ -198,7 +198,7 @@ def test_canceling_withdraws_the_arm_and_disarms_the_tapper(cell: Cell) -> None:
     cell.client.cancel()
     ends = [event for event in cell.client.events() if isinstance(event, Finished)]
     assert ends[0].error_code == ErrorCode.GOAL_CANCELED
-    cell.wait(lambda: not cell.client.missing(), "the cell is at rest again", 30)
+    cell.wait(lambda: not cell.client.missing(), "the cell is at rest again")
     assert before is not None and cell.client.true_pose is not None
     assert before.distance_to(cell.client.true_pose) < 1e-6
 
@@ -222,7 +222,6 @@ def test_the_emergency_stop_ends_the_goal_and_latches_every_actor(cell: Cell) ->
             and cell.client.tapper_state.state == TapperState.STOPPED
         ),
         "both stopped",
-        5.0,
     )
     finished = cell.run_action(Pose(0.0, 0.0, 0.0))
     assert finished.error_code == ErrorCode.ARM_STOPPED

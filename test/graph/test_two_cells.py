@@ -32,7 +32,7 @@ def cell(folder: Path, domain: int, namespace: str, seed: int) -> Iterator[dict[
         assert process.poll() is None, process.stdout.read() if process.stdout else ""
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=120)
 
 
 def arm_terminals() -> dict[int, str]:
@@ -102,7 +102,7 @@ def test_hardware_on_the_packaged_example_file_is_refused(
     folder = tmp_path / "config"
     folder.symlink_to(shared_folder())
     ended = subprocess.run(
-        (*CELL, "up", "--hardware", *given), cwd=folder, capture_output=True, text=True, timeout=30
+        (*CELL, "up", "--hardware", *given), cwd=folder, capture_output=True, text=True, timeout=150
     )
     assert ended.returncode == 2
     words = " ".join(ended.stderr.split())

@@ -32,12 +32,16 @@ from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
-from tapping_cell.simulation.tapper_emulator import TapperEmulator
+from tapping_cell.simulation.spring_drive import SpringMechanism
+from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.simulation.truth import ArmTruth
 
 pytestmark = pytest.mark.alone  # a hundred messages a second starve what runs beside them
 STRIKE = Pose(-0.08, 0.02, 0.3)
 RATE_HZ = 100.0
+TRIES = 10
+SLOW = TapperMachine(SpringMechanism(step_rate=400.0))
+"""A spring that takes 2 s to charge, so that who wants to come in between does."""
 CARRYING = (
     arms.State.HOMING,
     arms.State.LEAVING,
@@ -61,8 +65,7 @@ class Cell:
     releases: list[tuple[int, bool]] = field(default_factory=list)
     """Shot number, and whether the arm moved."""
     carried: int = 0
-    """How often the arm was seen to begin a motion with a charged striker."""
-    moved: bool = False
+    """How often the arm began a motion that carries a charged striker."""
 
     def __post_init__(self) -> None:
         assert self.bench.probe is not None
@@ -70,6 +73,19 @@ class Cell:
         self.commands = self.node.create_publisher(TapCommand, "tap_command", COMMAND)
         self.tap_id = int(time.time())
         self.last = TapCommand()
+        # A motion begins with bytes for the arm's controller. Samples would miss some, and see
+        # others late, when the state has changed.
+        self._receive = self.mechanics.receive
+        self.mechanics.receive = self._watch
+
+    def _watch(self, data: bytes, now: float) -> None:
+        """Let the controller receive bytes, and note a motion that begins with a charged striker,
+        not down to its pose."""
+        moved = self.mechanics.moving(now)
+        away = self.arm.logic.state in CARRYING
+        self._receive(data, now)
+        begins = self.mechanics.moving(now) and not moved
+        self.carried += begins and away and self.board.state == "CHARGED"
 
     def tap(self) -> None:
         """Command the next tap."""
@@ -84,16 +100,9 @@ class Cell:
     def withdraw(self) -> None:
         self.commands.publish(TapCommand(request=TapCommand.WITHDRAW, tap_id=self.tap_id))
 
-    def check(self) -> None:
-        """Note an arm that begins a motion with a charged striker, not down to its pose."""
-        away = self.arm.logic.state in CARRYING
-        moving = self.mechanics.moving(time.monotonic())
-        begins, self.moved = moving and not self.moved, moving
-        self.carried += self.board.state == "CHARGED" and begins and away
-
     def wait(self, condition: Callable[[], object], what: str) -> None:
-        """Wait, and watch the arm meanwhile."""
-        self.bench.wait(lambda: (self.check(), condition())[1], what)
+        """Wait until the condition holds."""
+        self.bench.wait(condition, what)
 
     def over(self) -> bool:
         return any(s.tap_id == self.tap_id and s.outcome for s in self.tapper_states)
@@ -107,11 +116,22 @@ class Cell:
         self.withdraw()
         self.wait(self.at_rest, "arm and tapper are at rest")
 
+    def fire(self) -> None:
+        """Tap until one is fired: where the arm's last reading is late, a tap is given up."""
+        for _ in range(TRIES):
+            self.tap()
+            self.wait(self.over, "an ordinary tap")
+            told = [s.outcome for s in self.tapper_states if s.tap_id == self.tap_id]
+            if TapperState.FIRED in told:
+                return
+            self.end()
+        raise AssertionError(f"none of {TRIES} taps was fired: {self.tapper_states[-1].error_msg}")
+
 
 @contextmanager
-def attacked_cell(folder: Path) -> Iterator[Cell]:
+def attacked_cell(folder: Path, machine: TapperMachine | None = None) -> Iterator[Cell]:
     now = time.monotonic()
-    board = TapperEmulator(now=now)
+    board = TapperEmulator(machine, now=now)
     mechanics = arm_emulator(load_cell().file.arm, ArmTruth(), 1, now)
     nodes: list[Any] = []
 
@@ -120,7 +140,7 @@ def attacked_cell(folder: Path) -> Iterator[Cell]:
         return nodes
 
     parameters: dict[str, dict[str, object]] = {
-        "tapper_trigger": {"port": folder / "tapper"},
+        "tapper_trigger": {"port": folder / "tapper", "needs_camera": False},
         "scara_arm": {"port": folder / "arm", "home_on_activate": True},
     }
     with (
@@ -148,7 +168,6 @@ def attacked_cell(folder: Path) -> Iterator[Cell]:
                 and cell.tapper_states[-1].state == TapperState.SAFE
             ),
             "arm and tapper are ready",
-            40.0,
         )
         yield cell
 
@@ -199,8 +218,7 @@ def test_a_hundred_foreign_messages_a_second_neither_fire_nor_move_anything(cell
             cell.tap()
             cell.wait(lambda: cell.over() or cell.board.state == "CHARGED", topic)
             cell.end()
-    cell.tap()
-    cell.wait(cell.over, "an ordinary tap after all this")
+    cell.fire()
     assert cell.releases[-1] == (cell.tap_id, False)
     shots = [shot for shot, _ in cell.releases]
     assert len(shots) == len(set(shots))
@@ -210,8 +228,13 @@ def test_a_hundred_foreign_messages_a_second_neither_fire_nor_move_anything(cell
 
 @pytest.mark.parametrize("node", ["scara_arm", "tapper_trigger"])
 def test_a_node_that_is_deactivated_while_charged_neither_fires_nor_carries(
-    cell: Cell, node: str
+    tmp_path: Path, node: str
 ) -> None:
+    with attacked_cell(tmp_path, SLOW) as cell:
+        deactivated_while_charged(cell, node)
+
+
+def deactivated_while_charged(cell: Cell, node: str) -> None:
     change = cell.node.create_client(ChangeState, f"{node}/change_state")
     cell.bench.wait(change.service_is_ready, "change_state")
     cell.tap()
@@ -229,8 +252,7 @@ def test_a_node_that_is_deactivated_while_charged_neither_fires_nor_carries(
     assert all(answer.result().success for answer in answers)
     cell.end()
     assert cell.releases == [] and cell.carried == 0
-    cell.tap()
-    cell.wait(cell.over, "an ordinary tap afterwards")
+    cell.fire()
     assert cell.releases == [(cell.tap_id, False)]
 
 
@@ -241,14 +263,17 @@ def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
 
     other = cell.node.create_service(HoldStill, "hold_still", grant)
     cell.bench.wait(lambda: cell.node.count_services("hold_still") == 2, "both are known")
-    cell.tap()
-    cell.wait(cell.over, "the tap ends")
-    last = cell.tapper_states[-1]
+    for _ in range(TRIES):  # a tap that is given up before the arm is asked says nothing of it
+        cell.tap()
+        cell.wait(cell.over, "the tap ends")
+        last = cell.tapper_states[-1]
+        if last.error_code == ErrorCode.CONFIGURATION_CONFLICT:
+            break
+        cell.end()
     assert last.error_code == ErrorCode.CONFIGURATION_CONFLICT, last.error_msg
     assert cell.releases == []
     cell.node.destroy_service(other)
     cell.end()
     cell.bench.wait(lambda: cell.node.count_services("hold_still") == 1, "one is known")
-    cell.tap()
-    cell.wait(cell.over, "an ordinary tap afterwards")
+    cell.fire()
     assert cell.releases == [(cell.tap_id, False)]

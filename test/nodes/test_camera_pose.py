@@ -164,7 +164,6 @@ def test_a_silent_camera_is_said_and_comes_back(cell: Cell) -> None:
     cell.bench.wait(
         lambda: cell.states and cell.states[-1].error_code == ErrorCode.CAMERA_SILENT,
         "silence noticed",
-        10.0,
     )
     assert not cell.states[-1].visible
     assert cell.show(10)[-1].visible

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from harness import Bench, bench
+from harness import bench
 from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
@@ -19,12 +19,6 @@ from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 
 START = Time(seconds=1_800_000_000)
-
-
-def count_in(b: Bench, states: list[TapperState], seconds: float) -> int:
-    before = len(states)
-    time.sleep(seconds)
-    return len(states) - before
 
 
 def test_timers_go_on_when_the_clock_is_set_back_and_it_cannot_be_replaced(tmp_path: Path) -> None:
@@ -48,8 +42,10 @@ def test_timers_go_on_when_the_clock_is_set_back_and_it_cannot_be_replaced(tmp_p
 
         b.wait(lambda: stamped(START), "the node takes this time")
         back = START - Duration(seconds=3600)
-        b.wait(lambda: stamped(back), "the node takes the earlier time", 3.0)
-        assert count_in(b, states, 0.5) >= 5
+        b.wait(lambda: stamped(back), "the node takes the earlier time")
+        # A timer on the node's own time would be silent for an hour.
+        before = len(states)
+        b.wait(lambda: len(states) >= before + 5, "timers go on")
 
         real = Parameter("use_sim_time", value=False).to_parameter_msg()
         answer = setter.call_async(SetParameters.Request(parameters=[real]))

@@ -42,7 +42,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def wait(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 60.0
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)

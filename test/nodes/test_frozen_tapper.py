@@ -38,6 +38,7 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
     promised: dict[int, float] = {}
     path = tmp_path / "tapper"
     command = [sys.executable, "-m", MODULES["tapper_trigger"], "--ros-args", "-p", f"port:={path}"]
+    command += ["-p", "needs_camera:=false"]
     with PseudoTerminal(device, path), bench(lambda: [], {}) as b:
         node = b.probe
         assert node is not None
@@ -56,11 +57,9 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
 
         node.create_service(HoldStill, "hold_still", hold)
         try:
-            b.wait(
-                lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe", 40.0
-            )
+            b.wait(lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe")
             # On a busy machine a tap may be given up before the arm is asked: it was not frozen.
-            for tap_id in range(100, 100 + 2 * FREEZES):
+            for tap_id in range(100, 100 + 6 * FREEZES):
                 if len(promised) == FREEZES:
                     break
                 tap = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=SPEED_M_S)
@@ -85,13 +84,13 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
                     last = states[-1]
                     return last.tap_id == tap_id and last.outcome in SERVED
 
-                b.wait(step, f"tap {tap_id} ends", 20.0)
+                b.wait(step, f"tap {tap_id} ends")
                 freeze_at.clear()
                 b.wait(lambda: states[-1].state == TapperState.SAFE, "safe again")
         finally:
             process.send_signal(signal.SIGCONT)
             process.terminate()
-            process.wait(10.0)
+            process.wait(60.0)
     assert len(promised) == FREEZES
     flight = STROKE_M / SPEED_M_S
     late = {shot for shot in fired if fired[shot] + flight > promised[shot]}

@@ -24,7 +24,7 @@ from tapping_cell.nodes.clients.goal_client import Finished, GoalClient, TapProp
 @contextmanager
 def client_of_a_cell() -> Iterator[GoalClient]:
     with GoalClient("goal") as client:
-        session.wait_for_planner(client, 20.0, Console(quiet=True))
+        session.wait_for_planner(client, 60.0, Console(quiet=True))
         yield client
 
 
@@ -96,5 +96,6 @@ def test_a_planner_that_is_killed_in_mid_goal_ends_the_wait() -> None:
             planner.kill()
     assert finished.error_code == ErrorCode.NOT_READY, finished.error_msg
     assert "sent no message" in finished.error_msg
-    assert took < RETURN_S + SILENCE_S
+    # Not a measure of speed: it does not wait for the 120 s that the goal may wait for the cell.
+    assert took < RETURN_S + SILENCE_S + 30.0
     assert "waiting for it to return" in words.getvalue()

@@ -194,7 +194,7 @@ def test_the_doctor_finds_it_and_switches_nothing_on(tmp_path: Path) -> None:
             [sys.executable, "-m", "tapping_cell", "doctor", "--cell", str(cell.file), "--json"],
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=150,
         )
         rows = [r for r in json.loads(ran.stdout)["findings"] if r["device"] == "tapper"]
         assert rows and all(row["ok"] for row in rows), rows

@@ -149,12 +149,16 @@ def test_a_tap_and_back_with_the_arms_own_driver(cell: Cell) -> None:
     tip, height = cell.true_tip()
     assert tip.distance_to(STRIKE) < 5e-4 and height == pytest.approx(0.006, abs=2e-4)
     assert not cell.moving()
+    # The promise begins after this time, and a motion that is seen before its end broke it.
+    until = time.monotonic() + 0.2
     held = cell.call("hold_still", HoldStill.Request(tap_id=100, duration=0.2))
     assert held.granted
-    until = time.monotonic() + 0.2
     cell.commands.publish(TapCommand(request=TapCommand.WITHDRAW, tap_id=100))
-    while time.monotonic() < until:
-        assert not cell.moving(), "it moved within its promise to stand still"
+    while True:
+        moved = cell.moving()
+        if time.monotonic() >= until:
+            break
+        assert not moved, "it moved within its promise to stand still"
         time.sleep(0.005)
     cell.wait_state(ArmState.IDLE)
     assert cell.last.clear_of_camera
@@ -164,11 +168,9 @@ def test_a_stop_brakes_the_arm_and_demands_homing(cell: Cell) -> None:
     cell.homed()
     cell.tap(100)
     cell.bench.wait(cell.moving, "it moves")
-    time.sleep(0.15)
     cell.call("stop")
     cell.wait_state(ArmState.STOPPED)
-    time.sleep(0.5)
-    assert not cell.moving()
+    cell.bench.wait(lambda: not cell.moving(), "it rests")
     tip, _ = cell.true_tip()
     assert tip.distance_to(STRIKE) > 0.01, "it went on to its goal"
     cell.call("clear_fault")
@@ -210,7 +212,7 @@ def doctor_in_a_process(file: Path) -> list[dict[str, Any]]:
         [sys.executable, "-m", "tapping_cell", "doctor", "--cell", str(file), "--json"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=150,
     )
     rows: list[dict[str, Any]] = json.loads(ran.stdout)["findings"]
     return rows

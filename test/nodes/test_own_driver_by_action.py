@@ -64,7 +64,6 @@ def test_a_stop_cancels_the_goal_and_brakes(cell: Cell) -> None:
     cell.homed()
     cell.tap(100)
     cell.bench.wait(cell.moving, "it moves")
-    time.sleep(0.15)
     assert cell.call("stop", Trigger.Request()).success
     cell.wait_state(ArmState.STOPPED)
     cell.bench.wait(lambda: not cell.moving(), "it rests")

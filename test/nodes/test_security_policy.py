@@ -26,7 +26,7 @@ from tapping_cell.nodes.clients.goal_client import GoalClient
 FOLDER = shared_folder() / "security"
 SERVED = ("send_goal", "get_result", "cancel_goal")
 SENT = ("feedback", "status")
-DISCOVERY_S = 10.0
+DISCOVERY_S = 60.0
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
     # With image_transport:=compressed.
@@ -194,7 +194,7 @@ def test_a_middleware_without_security_is_refused_in_a_sentence(tmp_path: Path) 
     ):
         command = [sys.executable, "-m", MODULES["tap_planner"], "--ros-args", "--enclave", enclave]
         ended = subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=60, check=False
+            command, env=environment, capture_output=True, text=True, timeout=150, check=False
         )
         assert ended.returncode == 1
         assert "Traceback" not in ended.stderr

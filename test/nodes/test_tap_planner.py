@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from harness import Bench, bench
+from harness import PATIENCE_S, Bench, bench
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -40,13 +40,15 @@ from tapping_cell.se2 import Pose
 START = Pose(-0.05, 0.02, 0.2)
 GOAL = Pose(-0.03, 0.02, 0.25)
 FAST = {
-    "ready_deadline": 2.0,
-    "look_deadline": 1.5,
-    "place_deadline": 1.5,
-    "fire_deadline": 1.0,
-    "withdraw_deadline": 1.5,
-    "silence_limit": 0.5,
+    "ready_deadline": 5.0,
+    "look_deadline": 4.0,
+    "place_deadline": 4.0,
+    "fire_deadline": 4.0,
+    "withdraw_deadline": 4.0,
+    "silence_limit": 4.0,
 }
+"""Quicker than a cell, so that what never comes is soon given up, and slow enough for a busy
+machine: what is played here is due every 30 ms."""
 
 
 @dataclass
@@ -147,7 +149,7 @@ class Actors:
         message.header.frame_id = "table"
         self.goals.publish(message)
 
-    def end(self, patience: float = 20.0) -> PlanState:
+    def end(self, patience: float = PATIENCE_S) -> PlanState:
         final = (PlanState.REACHED, PlanState.FAILED)
         self.bench.wait(lambda: self.plans[-1].state in final, "the goal's end", patience)
         return self.plans[-1]

@@ -125,7 +125,7 @@ def test_stop_from_another_thread_halts_the_arm_and_latches(
     worker.start()
     cell.wait_moving(True)
     assert driver.stop()
-    worker.join(20)
+    worker.join(60)
     assert [fault.reason for fault in caught] == [FaultReason.STOPPED]
     cell.wait_moving(False)
     here = cell.truth()
@@ -154,7 +154,8 @@ def test_stop_waits_for_nobody(plug: Callable[..., PseudoTerminal]) -> None:
         assert driver.stop()
         delays.append(time.monotonic() - before)
         driver.clear_fault()
-    assert statistics.median(delays) < 0.02
+    # A measure of time, with a bound that a slow and busy machine meets; it is 1 ms here.
+    assert statistics.median(delays) < 0.05
 
 
 def test_a_reset_board_must_be_homed_again(plug: Callable[..., PseudoTerminal]) -> None:
@@ -207,11 +208,11 @@ def test_an_alarm_in_mid_move(plug: Callable[..., PseudoTerminal]) -> None:
     driver = cell.ready()
 
     def hit() -> None:
+        cell.wait_moving(True)
         with cell.port.lock:
             cell.emulator.hit_limit(time.monotonic())
 
-    timer = threading.Timer(0.3, hit)
-    timer.start()
+    threading.Thread(target=hit).start()
     with pytest.raises(HardwareFault, match="a limit switch was hit") as caught:
         driver.move_to((1.5, 0.5, -0.1, 1.0), speed=0.2)
     assert caught.value.reason is FaultReason.ALARM

@@ -77,7 +77,7 @@ def test_stop_is_unnumbered_and_acts_at_once(plug: Plug, parser: bool) -> None:
     worker.start()
     cell.wait_moving(True)
     assert driver.stop()
-    worker.join(20)
+    worker.join(60)
     assert [fault.reason for fault in caught] == [FaultReason.STOPPED]
     cell.wait_moving(False)
     here = cell.truth()
@@ -110,11 +110,11 @@ def test_a_restart_during_a_move_is_noticed(plug: Plug) -> None:
     driver = cell.ready()
 
     def restart() -> None:
+        cell.wait_moving(True)
         with cell.port.lock:
             cell.emulator.power_cycle(time.monotonic())
 
-    timer = threading.Timer(0.3, restart)
-    timer.start()
+    threading.Thread(target=restart).start()
     with pytest.raises(HardwareFault) as caught:
         driver.move_to((1.5, 0.5, -0.1, 1.0), speed=0.2)
     assert caught.value.reason is FaultReason.BOARD_RESET

@@ -124,7 +124,7 @@ def test_a_full_line_is_written_in_pieces(terminal: RawTerminal) -> None:
 
     reader = threading.Thread(target=drain)
     reader.start()
-    transport.write(data, timeout=2)
+    transport.write(data, timeout=20)
     reader.join()
     assert bytes(received) == data
 
@@ -158,7 +158,7 @@ def test_stop_goes_out_at_once_and_nothing_after_it(terminal: RawTerminal) -> No
     assert transport.stop(b"!\x18")
     assert os.read(terminal.master, 10) == b"!\x18"
     assert not failures or failures[0].reason is FaultReason.STOPPED
-    worker.join(5)
+    worker.join(60)
     assert [fault.reason for fault in failures] == [FaultReason.STOPPED]
     for call in (lambda: transport.write(b"G1"), lambda: transport.read(0)):
         with pytest.raises(HardwareFault) as caught:

@@ -17,7 +17,7 @@ from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 
 HOME = (0.0, math.pi / 2, 0.0, 0.0)
 NEAR_HOME = (0.05, 1.5, -0.005, 0.1)
-_PATIENCE_S = 20.0
+_PATIENCE_S = 60.0
 
 
 class EmulatedArm:

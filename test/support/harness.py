@@ -12,7 +12,8 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
+"""Long enough for a slow and busy machine: who waits waits for an event, not for a time."""
 
 
 class Bench:
@@ -32,10 +33,14 @@ class Bench:
     def wait(
         self, condition: Callable[[], object], what: str, patience: float = PATIENCE_S
     ) -> None:
-        """Wait until the condition holds; fail with the words otherwise."""
+        """Wait until the condition holds; fail with the words otherwise, and with the last message
+        of every topic that is listened to."""
         deadline = time.monotonic() + patience
         while not condition():
-            assert time.monotonic() < deadline, f"waited {patience:.0f} s in vain: {what}"
+            assert time.monotonic() < deadline, (
+                f"waited {patience:.0f} s in vain: {what}; last received: "
+                f"{ {topic: messages[-1:] for topic, messages in self.received.items()} }"
+            )
             time.sleep(0.01)
 
 

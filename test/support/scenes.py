@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
+from scipy.interpolate import make_interp_spline
 
 from tapping_cell.se2 import inverse, transform_points
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
@@ -55,6 +55,16 @@ def renderer(
     )
 
 
+def between(grid_y: np.ndarray, grid_x: np.ndarray, nodes: np.ndarray, ys, xs) -> np.ndarray:
+    """Cubic splines through ``nodes`` (len(grid_y), len(grid_x), N), at every ys and xs, as arrays
+    (N, len(ys), len(xs)): what RectBivariateSpline gives, as products of matrices."""
+    down, across = (
+        make_interp_spline(grid, np.eye(len(grid)), k=3)(at)
+        for grid, at in ((grid_y, ys), (grid_x, xs))
+    )
+    return down @ np.moveaxis(nodes, -1, 0) @ across.T
+
+
 def area_sampled_marker(
     view: View,
     marker: ObjectMarker,
@@ -84,19 +94,14 @@ def area_sampled_marker(
     # What the plane shows at every sixth pixel, splines between (a lens is smooth).
     grid_x, grid_y = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
     nodes = view.on_plane(np.stack(np.meshgrid(grid_x, grid_y), axis=-1), marker.height)
-    points = np.stack(
-        [RectBivariateSpline(grid_y, grid_x, nodes[..., i])(ys, xs) for i in (0, 1)], axis=-1
-    )
-    local = transform_points(inverse(pose), points)
-    column = np.floor((local[..., 0] + half) / module).astype(int)
-    row = np.floor((half - local[..., 1]) / module).astype(int)
-    count = pattern.shape[0]
-    on = (column >= 0) & (column < count) & (row >= 0) & (row < count)
-    value = np.where(
-        on,
-        np.where(pattern[row.clip(0, count - 1), column.clip(0, count - 1)], white, black),
-        around,
-    )
+    # A turn and a shift of the nodes turn and shift what lies between them.
+    local = between(grid_y, grid_x, transform_points(inverse(pose), nodes), ys, xs)
+    column, row = ((half + sign * part) / module for sign, part in zip((1, -1), local, strict=True))
+    # The grey levels of the modules, and of what surrounds them: one row and column more each way.
+    levels = np.pad(np.where(pattern, white, black), 1, constant_values=around)
+    last = levels.shape[0] - 1
+    column, row = ((np.clip(part + 1.0, 0.0, last)).astype(np.int32) for part in (column, row))
+    value = levels.ravel().take(row * (last + 1) + column)
     mean = value.reshape(y1 - y0, samples, x1 - x0, samples).mean(axis=(1, 3))
     image[y0:y1, x0:x1] = mean
     return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)

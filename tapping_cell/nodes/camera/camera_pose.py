@@ -1,8 +1,10 @@
 """Pose measurement node: receives images and publishes the object's pose with its covariance.
 
 Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are measured in
-turn; the object that ``plan_state`` names is measured in every image. Each measurement is published
-on ``other_objects``, and the latest states of all objects on ``object_states``.
+turn; the object that ``plan_state`` names, and every object that has not been at rest for long, is
+measured in every image. While the planner waits for observations, every object is measured in every
+image. Each measurement is published on ``other_objects``, and the latest states of all objects on
+``object_states``.
 """
 
 from __future__ import annotations
@@ -150,6 +152,7 @@ class CameraPose(CellNode[Parameters]):
         self._unanswered_since = 0.0
         self._goal: Pose | None = None
         self._tapped = ""
+        self._awaited = False
         self._other_states: list[ObjectState] = []
         self._received = time.monotonic()
         self._missed = 0
@@ -216,6 +219,7 @@ class CameraPose(CellNode[Parameters]):
     def _on_plan_state(self, message: PlanState) -> None:
         busy = message.state not in (PlanState.IDLE, PlanState.CANCELED)
         self._tapped = message.object_id if busy else ""
+        self._awaited = message.state == PlanState.LOOKING
         self._goal = from_message(message.goal.pose) if busy else None
 
     def _on_camera_info(self, message: CameraInfo) -> None:
@@ -295,8 +299,10 @@ class CameraPose(CellNode[Parameters]):
             self._refuse(message, ErrorCode.IMAGE_INVALID, str(error))
             return
         tapped = [n for n, file in enumerate(self._other_files) if file.name == self._tapped]
-        due = self._turns.due(stamp, tapped)
-        observation, others = self._tracker.update_several(grey, stamp, due)
+        due = self._turns.due(stamp, range(len(self._other_files)) if self._awaited else tapped)
+        observation, others = self._tracker.update_several(
+            grey, stamp, due, every_frame=self._awaited
+        )
         self._publish(message, observation)
         self._count_late(observation)
         self._publish_camera(message)

@@ -94,14 +94,19 @@ class SequencePlanner:
             return None
         turn = pose.rotation_to(goal)
         around = taps(body, path, turn) - taps(body, pose.distance_to(goal), turn)
-        freed = sum(
-            gap(body.area(pose), other.area(other.goal)) < _margin(other)
+        freed = [
+            other.name
             for other in _open(scene)
-            if other is not body and other.goal is not None
-        )
+            if other is not body
+            and other.goal is not None
+            and gap(body.area(pose), other.area(other.goal)) < _margin(other)
+        ]
         # For equal costs prefer the shortest path, which other objects are least likely to block.
-        cost = around - FREED * freed + path
-        return _Option(cost, Move(body.name, goal, Purpose.TO_GOAL))
+        cost = around - FREED * len(freed) + path
+        reason = "its goal and a path to it are free"
+        if freed:
+            reason += f", and it leaves the goal of {' and '.join(map(repr, freed))}"
+        return _Option(cost, Move(body.name, goal, Purpose.TO_GOAL, reason))
 
     def _keeps_open(self, scene: Scene, move: Move, options: Sequence[_Option]) -> bool:
         """Return whether the other possible moves stay possible after a move."""

@@ -118,6 +118,25 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
     assert peers.check_firing(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(received)) is None
 
 
+@pytest.mark.parametrize("needed", [True, False])
+def test_a_tapper_that_needs_a_camera_waits_for_its_first_image(needed: bool) -> None:
+    """Else a tapper that was restarted while the camera is gone would fire at what it never saw."""
+    peers, here = TapperPeers(PeerLimits(needs_camera=needed)), Pose(0.0, 0.0, 0.0)
+    peers.begin_tap("")
+    arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
+    stamp_of(arm, 1.0, 0.0)
+    peers.on_arm_state(arm, at(1.0))
+    for check in (peers.check_charging, peers.check_firing):
+        reason = check(7, here, here, at(1.0))
+        assert (reason is not None and reason[0] == ErrorCode.CAMERA_SILENT) == needed
+    blind = seen(1.0, 0.0)
+    blind.error_code = ErrorCode.IMAGE_INVALID
+    peers.on_object_state(blind, at(1.0))
+    assert (peers.check_firing(7, here, here, at(1.0)) is not None) == needed
+    peers.on_object_state(seen(1.0, 0.0), at(1.0))
+    assert peers.check_firing(7, here, here, at(1.0)) is None
+
+
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))
 def test_a_tapper_names_the_computer_whose_clock_is_off(who: str, ahead: float) -> None:
     peers = TapperPeers(PeerLimits())

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from scipy.interpolate import RectBivariateSpline
+from scenes import between
 from scipy.ndimage import gaussian_filter
 
 from tapping_cell.se2 import inverse, transform_points
@@ -43,7 +43,7 @@ def brute_force(scene: SceneRenderer, pose: np.ndarray, window: tuple[int, int, 
     ys = (np.arange(y0, y1)[:, None] + offsets).ravel()
     gx, gy = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
     nodes = scene.view.on_plane(np.stack(np.meshgrid(gx, gy), axis=-1), MARKER.height)
-    points = np.stack([RectBivariateSpline(gy, gx, nodes[..., i])(ys, xs) for i in (0, 1)], -1)
+    points = np.moveaxis(between(gy, gx, nodes, ys, xs), 0, -1)
     printed = transform_points(pose, MARKER.offset[:2])
     angle = pose[2] + MARKER.offset[2]
     local = transform_points(inverse([*printed, angle]), points)

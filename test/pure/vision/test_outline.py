@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import CAMERA, POSE, REFERENCES
-from scipy.interpolate import RectBivariateSpline
+from scenes import CAMERA, POSE, REFERENCES, between
 
 from tapping_cell.se2 import inverse, transform_points, wrap_angle
 from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer, SceneSettings
@@ -114,9 +113,7 @@ def brute_force(
     # What the lens does at every sixth pixel, splines between (a lens is smooth).
     grid_x, grid_y = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
     nodes = view.camera.rays(np.stack(np.meshgrid(grid_x, grid_y), axis=-1))
-    rays = np.stack(
-        [RectBivariateSpline(grid_y, grid_x, nodes[..., i])(ys, xs) for i in (0, 1)], axis=-1
-    )
+    rays = np.moveaxis(between(grid_y, grid_x, nodes, ys, xs), 0, -1)
     top, *below = (
         transform_points(inverse(pose), view.rays_on_plane(rays, share * outline.height))
         for share in (1.0, 0.75, 0.5, 0.25, 0.0)
