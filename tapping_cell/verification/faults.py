@@ -420,7 +420,7 @@ def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, f"hold_still late: {description}, for {lasting:.1f} s"
 
 
-def _heard_by_one(rng: np.random.Generator, trial: FaultTarget) -> Made:
+def _received_by_one(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A message is received by one node immediately and by the others late."""
     kind = _pick(rng, ONE_SIDED)
     what, description = MAKERS[kind](rng, trial)
@@ -533,7 +533,7 @@ def _trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, "a joint_trajectory from another node"
 
 
-def _unheard_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
+def _unreported_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The arm follows somebody else's trajectory, of which the planner hears too late, so that it
     commands a tap that the arm refuses."""
     follow, description = _trajectory(rng, trial)
@@ -714,13 +714,13 @@ MAKERS: dict[str, Maker] = {
     "foreign hold": _foreign_hold,
     "foreign flood": _foreign_flood,
     "repeated command": _repeated_command,
-    "heard by one": _heard_by_one,
+    "received by one": _received_by_one,
     "slow answer": _slow_answer,
     "foreign state": _foreign_state,
     "second node": _second_node,
     "second arm": _second_arm,
     "foreign trajectory": _trajectory,
-    "unheard trajectory": _unheard_trajectory,
+    "unreported trajectory": _unreported_trajectory,
     "clock step": _clock_step,
     "serial line": _line,
     "line at a shot": _shot_line,
@@ -748,7 +748,7 @@ AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     "freeze at a shot",
     "freeze",
-    *("slow answer", "heard by one") * 3,
+    *("slow answer", "received by one") * 3,
     *("foreign outcome", "foreign command", "repeated command", "foreign state") * 2,
     *("line at a shot", "cable at a shot", "power at a shot") * 2,
     *("object moved", "foreign withdrawal") * 2,
