@@ -181,7 +181,8 @@ def _check_range(slide: SlideFit) -> None:
 
 
 def _labels(used: Sequence[Used]) -> list[str]:
-    """Return the names of the runs, with the number of the folder if there are several."""
+    """Return the names of the runs, preceded by the number of the folder if there are several
+    folders."""
     folders = list(dict.fromkeys(run_of(entry.trial)[0] for entry in used))
     several = len(folders) > 1
     return [

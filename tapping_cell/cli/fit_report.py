@@ -150,8 +150,8 @@ def _facts(fit: ObjectFit, record: Provenance) -> dict[str, str]:
     facts = {
         "by the paper's criterion": f"friction {fit.paper.friction:.4f}, torque factor "
         f"{fit.paper.torque_factor:.3f}",
-        "friction from trial to trial": f"varies by {100 * slide.friction_scatter:.2f} % (one "
-        "standard deviation, in excess of the measurement error)",
+        "variation of the friction": f"{100 * slide.friction_scatter:.2f} % from trial to trial "
+        "(standard deviation, without the measurement error)",
         f"residual of {record.residual_of}": f"{record.residual:.4f}",
     }
     if math.isfinite(slide.position_rms):

@@ -237,7 +237,7 @@ class _Running:
                     break
                 if start.person != asked and start.person:
                     self._console.print(f"[yellow]started, not ready[/]: {escape(start.person)}")
-                    self._tell_page()
+                    self._print_page()
                 asked = start.person or asked
                 if start.person:
                     deadline = time.monotonic() + self._arguments.wait
@@ -247,9 +247,9 @@ class _Running:
                     )
                 time.sleep(CHECK_PERIOD_S)
         self._console.print("[green]ready[/]: the cell accepts goals")
-        self._tell_page()
+        self._print_page()
 
-    def _tell_page(self) -> None:
+    def _print_page(self) -> None:
         """Print the address of the operator's page once its node has written it to its log."""
         if not self._page_log.exists():
             return

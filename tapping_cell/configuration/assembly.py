@@ -51,12 +51,10 @@ def make_scatter(cell: Cell) -> Scatter:
 
 
 def make_strike_settings(cell: Cell) -> StrikeSettings:
-    """Create the settings for the striker's shape, heights and speeds."""
-    arm, tapper, curve = cell.arm, cell.file.tapper, cell.file.tapper.curve()
+    """Create the settings for the striker's shape and speeds."""
+    tapper, curve = cell.file.tapper, cell.file.tapper.curve()
     return StrikeSettings(
         standoff=tapper.standoff,
-        strike_height=arm.strike_height,
-        travel_height=arm.travel_height,
         tool_radius=tapper.tool_radius,
         tool_start=tapper.tool_start,
         tool_length=tapper.tool_length,

@@ -344,8 +344,8 @@ class MarlinDialect:
         outcome = self._await(number + 1, patience, deadline, frames)
         if outcome is None or outcome == number + 2:
             return True
-        # The number of this query is used up, whether it arrived or is still on the line, because
-        # another line with this number would be dropped as a duplicate.
+        # The query may still be on its way. Its number must not be used again, because the
+        # controller drops a second line with the same number.
         return outcome == number + 1
 
     def _next(self, until: float) -> marlin.Frame | None:

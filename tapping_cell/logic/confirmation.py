@@ -1,8 +1,8 @@
-"""How long a person's confirmation of a planned tap holds.
+"""Validity of a person's confirmation of a planned tap.
 
 If a confirmed tap is not fired because a message or image came too late, the tap is planned again.
-The confirmation holds for the new plan if it describes the same tap; otherwise a person is asked
-again and told what differs.
+The confirmation is valid for the new plan if the tap is the same; otherwise a new confirmation is
+requested, with the differences.
 """
 
 from __future__ import annotations

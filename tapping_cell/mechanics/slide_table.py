@@ -50,8 +50,9 @@ class SlideTable:
             _hermite(v, s) for v, s in zip(solution.values, solution.slopes, strict=True)
         )
         self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
-        # The inverse looks up p from the ratio of the smaller travel to the larger, which increases
-        # with p: rim to centre if the slide is mostly translation, else centre to rim.
+        # The inverse finds p from the ratio of the smaller travel (_minor) to the larger (_major),
+        # which increases with p. The larger travel is x if the slide is mostly translation, and
+        # otherwise theta.
         translating = np.arange(2 * PIECES)[:, None] < PIECES
         self._minor = np.ascontiguousarray(np.where(translating, theta, x).T)
         self._major = np.ascontiguousarray(np.where(translating, x, theta).T)

@@ -27,7 +27,6 @@ from tapping_cell.planning.strike import (
     StrikePlan,
     StrikeSettings,
     StrikeSpace,
-    Waypoint,
     reach_everywhere,
 )
 from tapping_cell.planning.workspace import CircleArea, KeepOut, PolygonArea, Workspace
@@ -59,7 +58,6 @@ __all__ = [
     "StrikeSpace",
     "Taps",
     "UnknownPlannerError",
-    "Waypoint",
     "Workspace",
     "cautious",
     "check_goal",

@@ -268,8 +268,5 @@ class FixedStrikeSpace:
             ),
             strike_pose=mount,
             striker_speed=math.sqrt(distance / reach),
-            elbow=0,
-            approach=(),
-            retreat=(),
             tapper=tapper.name,
         )

@@ -127,7 +127,8 @@ def _inside_circle(left: Array, axes: Array, deviation: Array, radius: float) ->
     if np.all(deviation[:, 1] <= deviation[:, 0] * (1.0 + 1e-9)):
         nodes = _ROUND_NODES
         centre = np.stack([np.zeros(len(left)), np.hypot(left[:, 0], left[:, 1])], axis=-1)
-    # Integrate over the relevant part of the diameter, in an angle for which the ends are smooth.
+    # Integrate over the relevant part of the diameter. The integration variable is an angle,
+    # because the integrand is then smooth at the ends.
     first, width = centre[:, :1], deviation[:, :1]
     low = np.maximum(first - _REACH * width, -radius)
     high = np.maximum(np.minimum(first + _REACH * width, radius), low)

@@ -27,7 +27,7 @@ BoolArray = NDArray[np.bool_]
 
 ArmReach = Callable[[Array], BoolArray]
 """Function that returns which tip poses, (..., 3) in `table`, the arm can reach: (...,) or, with
-one column per elbow side, (..., sides). A strike uses one side for all of its waypoints."""
+one column per elbow side, (..., sides)."""
 
 OUTLINE_POINTS = 72
 PATH_POINTS = 12
@@ -43,7 +43,6 @@ class StrikeSettings:
     """The striker's shape and the margins of a strike, lengths in m, speeds in m/s.
 
     standoff: distance from the tip at rest to the contact, along the line of travel.
-    strike_height, travel_height: height of the tip above the table when striking and travelling.
     tool_radius, tool_start, tool_length: half width of the bar behind the tip, and the distances
         from the centre of the tip to its start and its end.
     clearance: minimum gap between the tool at rest and the object.
@@ -53,8 +52,6 @@ class StrikeSettings:
     """
 
     standoff: float = 0.015
-    strike_height: float = 0.006
-    travel_height: float = 0.040
     tool_radius: float = 0.009
     tool_start: float = 0.010
     tool_length: float = 0.120
@@ -67,8 +64,6 @@ class StrikeSettings:
         """Refuse values out of range (PlanningError names the value and the range)."""
         for name, low, high in (
             ("standoff", 0.001, 0.2),
-            ("strike_height", 0.0, 0.2),
-            ("travel_height", self.strike_height, 0.5),
             ("tool_radius", 0.0005, 0.1),
             ("tool_start", 0.0, 0.2),
             ("tool_length", self.tool_start, 1.0),
@@ -85,31 +80,18 @@ class StrikeSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Waypoint:
-    """A pose of the tip's centre: strike pose in `table` and height above the table in m."""
-
-    pose: Pose
-    height: float
-
-
-@dataclass(frozen=True, slots=True)
 class StrikePlan:
-    """Contact, striker speed and arm waypoints of one tap.
+    """Contact, strike pose and striker speed of one tap.
 
     contact_angle: polar angle of the contact on the outline, in the object's frame, rad.
     contact_pose: tip at the moment of contact; strike_pose: tip at rest, ``standoff`` before it.
-    striker_speed: m/s. elbow: index of the arm's elbow side that reaches every waypoint.
-    approach: waypoints that end at the strike pose; retreat: waypoints after the tap.
-    tapper: name of the tapper that strikes; empty if the cell has only one.
+    striker_speed: m/s. tapper: name of the tapper that strikes; empty if the cell has only one.
     """
 
     contact_angle: float
     contact_pose: Pose
     strike_pose: Pose
     striker_speed: float
-    elbow: int
-    approach: tuple[Waypoint, ...]
-    retreat: tuple[Waypoint, ...]
     tapper: str = ""
 
     @property
@@ -306,15 +288,9 @@ class StrikeSpace:
 
     def plan_at(self, contact_angle: float, contact_pose: Array, speed: float) -> StrikePlan:
         """Return the strike for a tip pose (3,) at the contact. Check ``tool_fits`` first."""
-        rest = self.rest_pose(contact_pose)
-        pose = Pose(*rest.tolist())
-        above = Waypoint(pose, self.settings.travel_height)
         return StrikePlan(
             contact_angle=contact_angle,
             contact_pose=Pose(*np.asarray(contact_pose, dtype=float).tolist()),
-            strike_pose=pose,
+            strike_pose=Pose(*self.rest_pose(contact_pose).tolist()),
             striker_speed=speed,
-            elbow=int(np.argmax(self.elbows(rest))),
-            approach=(above, Waypoint(pose, self.settings.strike_height)),
-            retreat=(above,),
         )

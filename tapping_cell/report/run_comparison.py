@@ -198,7 +198,8 @@ def _charts(runs: Sequence[Run]) -> str:
     for run in runs:
         goal = run.goal
         if goal is None or run.start is None or not run.taps:
-            continue  # nothing was moved; a distant refused goal would only compress the scale
+            # Without a tap there is no curve, and a distant goal would only compress the scale.
+            continue
         poses = [run.start, *(tap.measured for tap in run.taps)]
         colour = colours[run.planner]
         distances.append((run.name, [1000 * pose.distance_to(goal) for pose in poses], colour))

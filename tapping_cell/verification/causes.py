@@ -30,7 +30,7 @@ LASTING_S = {
     "duplicates": 8.0,
     "foreign command": 30.0,
     "foreign trajectory": 10.0,
-    "unheard trajectory": 10.0,
+    "unreported trajectory": 10.0,
     "second node": 20.0,
     "second arm": 6.0,
     "clock step": 40.0,
@@ -62,7 +62,7 @@ FREEZES = frozenset(
     }
 )
 ENDS = frozenset({"kill", "restart"})
-LINKS = frozenset({"slow topic", "slow answer", "heard by one", "duplicates"})
+LINKS = frozenset({"slow topic", "slow answer", "received by one", "duplicates"})
 FOREIGN = frozenset(
     {
         "replay",
@@ -107,10 +107,10 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.ARM_FIRMWARE_UNKNOWN: ARM_LINE | ARM_POWER | ARM_ENDS,
     ErrorCode.ARM_ALARM: ARM_LINE | ARM_POWER | FREEZES,
     ErrorCode.ARM_REPLY_GARBLED: ARM_LINE,
-    ErrorCode.ARM_TIMEOUT: DELAYS | POWER | {"foreign trajectory", "unheard trajectory"},
+    ErrorCode.ARM_TIMEOUT: DELAYS | POWER | {"foreign trajectory", "unreported trajectory"},
     ErrorCode.ARM_POSITION_MISMATCH: ARM_LINE | ARM_POWER | FREEZES,
     ErrorCode.ARM_SILENT: FREEZES | ENDS | LINKS,
-    ErrorCode.ARM_BUSY: DELAYS | FOREIGN | {"foreign trajectory", "unheard trajectory"},
+    ErrorCode.ARM_BUSY: DELAYS | FOREIGN | {"foreign trajectory", "unreported trajectory"},
     ErrorCode.ARM_COMMAND_EXPIRED: DELAYS | FOREIGN | {"clock step"},
     ErrorCode.TAPPER_NOT_CONNECTED: TAPPER_LINE | TAPPER_POWER | TAPPER_ENDS | {"second node"},
     ErrorCode.TAPPER_FIRMWARE_UNKNOWN: TAPPER_LINE | TAPPER_POWER | TAPPER_ENDS,

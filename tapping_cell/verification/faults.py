@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,10 +23,8 @@ from tapping_cell.messages import (
 from tapping_cell.messages import Pose as Pose3
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
+from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.host import PlannedFreeze
-
-if TYPE_CHECKING:
-    from tapping_cell.verification.trial import Trial
 
 SPAN_S = 16.0
 """Time after a goal is sent over which its faults are spread."""
@@ -104,14 +101,14 @@ class Fault:
 
     kind: str
     time: float
-    strike: Callable[[Trial], None]
+    strike: Callable[[FaultTarget], None]
     description: str = ""
     moment: Moment | None = None
 
 
 def draw_faults(
     rng: np.random.Generator,
-    trial: Trial,
+    trial: FaultTarget,
     mix: Mix = ALL,
     at_the_shot: bool = False,
 ) -> list[Fault]:
@@ -143,10 +140,6 @@ def draw_faults(
     return sorted(faults, key=lambda fault: fault.time)
 
 
-Made = tuple[Callable[["Trial"], None], str]
-Maker = Callable[[np.random.Generator, "Trial"], Made]
-
-
 def draw_duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
     """Draw a log-uniform duration between the two limits, s."""
     return float(math.exp(rng.uniform(math.log(shortest), math.log(longest))))
@@ -159,60 +152,60 @@ def _pick(rng: np.random.Generator, names: tuple[str, ...]) -> str:
 NODES = ("tap_planner", "scara_arm", "tapper_trigger")
 
 
-def _freeze(rng: np.random.Generator, trial: Trial) -> Made:
+def _freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, duration = _pick(rng, (*trial.nodes, "camera_pose")), draw_duration(rng, 0.001, 5.0)
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
 
 
-def _freeze_at_shot(rng: np.random.Generator, trial: Trial) -> Made:
+def _freeze_at_shot(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Freeze a node for about as long as the arm promises to stand still."""
     node = _pick(rng, ("tapper_trigger", "tapper_trigger", trial.arm_node, "tap_planner"))
     duration = float(rng.uniform(0.02, 0.6))
     return lambda t: t.freeze(node, duration), f"{node} frozen for {duration:.3f} s"
 
 
-def _freeze_before_write(rng: np.random.Generator, trial: Trial) -> Made:
+def _freeze_before_write(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node = _pick(rng, ("tapper_trigger", "tapper_trigger", trial.arm_node))
     writes, duration = int(rng.integers(0, 60)), draw_duration(rng, 0.005, 3.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.processes[node].freeze_before_write = PlannedFreeze(writes, duration)
 
     return strike, f"{node} frozen for {duration:.3f} s before its write number {writes}"
 
 
-def _freeze_at_write(rng: np.random.Generator, trial: Trial) -> Made:
+def _freeze_at_write(rng: np.random.Generator, trial: FaultTarget) -> Made:
     writes, duration = int(rng.integers(0, 4)), draw_duration(rng, 0.02, 3.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.processes["tapper_trigger"].freeze_before_write = PlannedFreeze(writes, duration)
 
     return strike, f"tapper_trigger frozen for {duration:.3f} s before its write number {writes}"
 
 
-def _freeze_after_check(rng: np.random.Generator, trial: Trial) -> Made:
+def _freeze_after_check(rng: np.random.Generator, trial: FaultTarget) -> Made:
     duration = draw_duration(rng, 0.005, 3.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.processes["tapper_trigger"].freeze_after_check = duration
 
     return strike, f"tapper_trigger frozen for {duration:.3f} s after its last check"
 
 
-def _kill(rng: np.random.Generator, trial: Trial) -> Made:
+def _kill(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, away = _pick(rng, (*trial.nodes, "camera_pose")), draw_duration(rng, 0.2, 25.0)
     return lambda t: t.kill(node, away), f"{node} killed, back after {away:.1f} s"
 
 
-def _restart(rng: np.random.Generator, trial: Trial) -> Made:
+def _restart(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, away = _pick(rng, trial.nodes), draw_duration(rng, 0.2, 5.0)
     return lambda t: t.shut_down(node, away), f"{node} ended in order, back after {away:.1f} s"
 
 
-def _deactivate(rng: np.random.Generator, trial: Trial) -> Made:
+def _deactivate(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, away = _pick(rng, trial.nodes), draw_duration(rng, 0.05, 5.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.processes[node].lifecycle(Deactivated())
         t.scheduler.after(away, lambda: t.processes[node].lifecycle(Activated()))
 
@@ -231,33 +224,33 @@ LINKS = {
 """Subscribers of each topic; for a service, both directions."""
 
 
-def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
+def _slow_topic(rng: np.random.Generator, trial: FaultTarget) -> Made:
     topic = _pick(rng, tuple(LINKS))
     towards = _pick(rng, LINKS[topic])
     delay, lasting = draw_duration(rng, 0.01, 2.0), draw_duration(rng, 0.2, 6.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.network.faults.slow[topic, towards] = delay
         t.scheduler.after(lasting, lambda: t.network.end_delay(topic, towards))
 
     return strike, f"{topic} to {towards} late by {delay:.2f} s for {lasting:.1f} s"
 
 
-def _duplicates(rng: np.random.Generator, trial: Trial) -> Made:
+def _duplicates(rng: np.random.Generator, trial: FaultTarget) -> Made:
     lasting = draw_duration(rng, 0.5, 8.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.network.faults.duplicates = 0.3
         t.scheduler.after(lasting, lambda: setattr(t.network.faults, "duplicates", 0.0))
 
     return strike, f"a third of all messages delivered twice for {lasting:.1f} s"
 
 
-def _replay(rng: np.random.Generator, trial: Trial) -> Made:
+def _replay(rng: np.random.Generator, trial: FaultTarget) -> Made:
     topic = _pick(rng, ("tap_command", "arm_state", "tapper_state", "plan_state"))
     back = int(rng.integers(1, 20))
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         kept = t.network.history.get(topic)
         if kept:
             t.network.publish("somebody_else", topic, kept[max(len(kept) - back, 0)])
@@ -265,11 +258,11 @@ def _replay(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"an old message repeated on {topic}"
 
 
-def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
+def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
     withdraw = bool(rng.random() < 0.6)
     how = int(rng.integers(3))
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
         number = (0, last, last + 1)[how]
         command = TapCommand(
@@ -291,11 +284,11 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"a foreign {name} with id {('0', 'of the present tap', 'of the next tap')[how]}"
 
 
-def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
+def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another node reports that the shot is over, by topic or by service."""
     fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
         if by_service:
             request = HoldStill.Request(tap_id=last, duration=0.0, key=1)
@@ -311,14 +304,14 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
     )
 
 
-def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
+def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another node has the arm hold still for a tap, ends that promise early, reports that the tap
     is over, and withdraws it; only the arm receives this withdrawal immediately."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends = rng.random() < 0.7
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         number = max(max(t.checker.commands, default=0) - back, 0)
         for after, asked in ((0.0, duration), (later, 0.0)):
             request = HoldStill.Request(tap_id=number, duration=asked, key=7)
@@ -329,7 +322,7 @@ def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
             t.scheduler.after(late, partial(t.network.end_delay, *link))
             t.scheduler.after(1.5 * later, partial(leave, t, number))
 
-    def leave(t: Trial, number: int) -> None:
+    def leave(t: FaultTarget, number: int) -> None:
         forged = TapperState(state=TapperState.SAFE, tap_id=number)
         forged.outcome = TapperState.NOT_FIRED
         forged.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
@@ -342,16 +335,16 @@ def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
     )
 
 
-def _foreign_withdrawal(rng: np.random.Generator, trial: Trial) -> Made:
+def _foreign_withdrawal(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another node withdraws the tap under way."""
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         _send_withdrawal(t, max(t.checker.commands, default=0))
 
     return strike, "a foreign WITHDRAW of the present tap"
 
 
-def _send_withdrawal(trial: Trial, tap_id: int) -> None:
+def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
     """Publish a withdrawal of a tap by a node that is not part of the cell."""
     command = TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id)
     command.header.frame_id = "table"
@@ -359,7 +352,7 @@ def _send_withdrawal(trial: Trial, tap_id: int) -> None:
     trial.network.publish("somebody_else", "tap_command", command)
 
 
-def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
+def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another node publishes one state or command a hundred times a second, and may have the arm
     leave at the end, of which the tapper hears late."""
     name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
@@ -367,20 +360,20 @@ def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
     number, withdraws = 1 + round(FLOOD_HZ * draw_duration(rng, 0.02, 0.5)), rng.random() < 0.7
     late = float(rng.uniform(0.03, 0.6))
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
         for step in range(number):
             t.scheduler.after(step / FLOOD_HZ, partial(send, t, last))
         if withdraws:
             t.scheduler.after((number - 0.5) / FLOOD_HZ, partial(leave, t, last))
 
-    def leave(t: Trial, last: int) -> None:
+    def leave(t: FaultTarget, last: int) -> None:
         for topic in ("tap_command", "arm_state"):
             t.network.faults.slow[topic, "tapper_trigger"] = late
             t.scheduler.after(late, partial(t.network.end_delay, topic, "tapper_trigger"))
         _send_withdrawal(t, last)
 
-    def send(t: Trial, last: int) -> None:
+    def send(t: FaultTarget, last: int) -> None:
         message: TapperState | ArmState | PlanState | TapCommand
         if name == "tapper_state":
             message = TapperState(state=TapperState.SAFE, tap_id=last, outcome=outcome)
@@ -401,10 +394,10 @@ def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"somebody else publishes {name} {number} times at 100 Hz{leaves}"
 
 
-def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
+def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The last TAP arrives again unchanged, from a recording or because of the network."""
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
         if last:
             t.network.publish("somebody_else", "tap_command", t.checker.commands[last])
@@ -412,14 +405,14 @@ def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, "the last TAP once more"
 
 
-def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
+def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Delay ``hold_still`` so that the answer arrives close to the tapper's timeout."""
     delays = {("hold_still", way): float(rng.uniform(0.0, 0.2)) for way in ("request", "answer")}
     if rng.random() < 0.5:
         delays.pop(("hold_still", _pick(rng, ("request", "answer"))))
     lasting = draw_duration(rng, 0.2, 6.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.network.faults.slow.update(delays)
         for link in delays:
             t.scheduler.after(lasting, partial(t.network.end_delay, *link))
@@ -428,7 +421,7 @@ def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"hold_still late: {description}, for {lasting:.1f} s"
 
 
-def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
+def _received_by_one(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A message is received by one node immediately and by the others late."""
     kind = _pick(rng, ONE_SIDED)
     what, description = MAKERS[kind](rng, trial)
@@ -445,7 +438,7 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
         # The first node's own messages are late, too.
         links += [("arm_state", "tapper_trigger"), ("plan_state", "tapper_trigger")]
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         for link in links:
             t.network.faults.slow[link] = late
             t.scheduler.after(late, partial(t.network.end_delay, *link))
@@ -456,7 +449,7 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"{description}; received {late:.3f} s late by all nodes except {first}{echo}"
 
 
-def _motors_off(rng: np.random.Generator, trial: Trial) -> Made:
+def _motors_off(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The motors of a board lose their power and therefore their position."""
     if rng.random() < 0.5:
         return lambda t: t.turn_arm_motors_off(), "the arm's motors lose their power"
@@ -466,18 +459,18 @@ def _motors_off(rng: np.random.Generator, trial: Trial) -> Made:
     )
 
 
-def _shot_power(rng: np.random.Generator, trial: Trial) -> Made:
+def _shot_power(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.interrupt_tapper_power(), "the tapper's board loses power for a moment"
 
 
-def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
+def _shot_cable(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The tapper's cable fails: bytes are lost or late for some time, or the port disappears."""
     kinds = (FaultKind.DROP, FaultKind.STALL, FaultKind.HANG_UP, FaultKind.DELAY, FaultKind.DELAY)
     kind = kinds[int(rng.integers(len(kinds)))]
     direction = list(Direction)[int(rng.integers(2))]
     length, lasting = int(rng.integers(30, 2000)), draw_duration(rng, 0.02, 1.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         layer = t.physical.tapper_line.layer
         layer.add(LineFault(kind, direction, layer.count(direction), length, lasting))
 
@@ -486,11 +479,11 @@ def _shot_cable(rng: np.random.Generator, trial: Trial) -> Made:
     )
 
 
-def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
+def _foreign_state(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another node publishes that the arm is in position, or that the planner waits for a shot."""
     of_arm = bool(rng.random() < 0.5)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
         node = "scara_arm" if of_arm else "tap_planner"
         message: ArmState | PlanState = (
@@ -509,12 +502,12 @@ def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"a foreign {'arm_state: in position' if of_arm else 'plan_state: firing'}"
 
 
-def _second_arm(rng: np.random.Generator, trial: Trial) -> Made:
+def _second_arm(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The arm of another cell in the same ROS domain offers the same services. It is in position,
     as far as it knows, and grants every request."""
     lasting = draw_duration(rng, 0.2, 6.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         def grant(request: HoldStill.Request, answer: Callable[[HoldStill.Response], None]) -> None:
             answer(HoldStill.Response(granted=True, duration=request.duration))
 
@@ -524,15 +517,15 @@ def _second_arm(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"the arm of another cell offers hold_still for {lasting:.1f} s"
 
 
-def _second_node(rng: np.random.Generator, trial: Trial) -> Made:
+def _second_node(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, lasting = _pick(rng, trial.nodes), draw_duration(rng, 1.0, 20.0)
     return lambda t: t.start_second(node, lasting), f"a second {node} for {lasting:.1f} s"
 
 
-def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
+def _trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
     joints = [float(v) for v in rng.uniform((-0.5, 0.5, -0.05, -1.0), (1.0, 1.8, 0.0, 1.0))]
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         point = JointTrajectoryPoint(positions=joints)
         message = JointTrajectory(joint_names=list(t.joint_names), points=[point])
         point.time_from_start.sec = 3
@@ -541,13 +534,13 @@ def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, "a joint_trajectory from another node"
 
 
-def _unheard_trajectory(rng: np.random.Generator, trial: Trial) -> Made:
+def _unreported_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The arm follows somebody else's trajectory, of which the planner hears too late, so that it
     commands a tap that the arm refuses."""
     follow, description = _trajectory(rng, trial)
     late, lasting = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.5, 1.0))
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.network.faults.slow["arm_state", "tap_planner"] = late
         t.scheduler.after(lasting, partial(t.network.end_delay, "arm_state", "tap_planner"))
         follow(t)
@@ -555,18 +548,18 @@ def _unheard_trajectory(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"{description}, of which the planner hears {late:.2f} s late"
 
 
-def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
+def _clock_step(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node = _pick(rng, (*trial.nodes, "camera_pose"))
     step = float(rng.choice((-1.0, 1.0))) * draw_duration(rng, 0.01, 3600.0)
 
     lasting = draw_duration(rng, 0.1, 30.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.clocks[node].offset += step
         t.disturbed_until = max(t.disturbed_until, t.scheduler.now + lasting)
         t.scheduler.after(lasting, back(t))
 
-    def back(t: Trial) -> Callable[[], None]:
+    def back(t: FaultTarget) -> Callable[[], None]:
         def set_back() -> None:
             t.clocks[node].offset -= step
 
@@ -577,12 +570,12 @@ def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
     )
 
 
-def _line(rng: np.random.Generator, trial: Trial) -> Made:
+def _line(rng: np.random.Generator, trial: FaultTarget) -> Made:
     name = _pick(rng, ("arm", "tapper"))
     direction = list(Direction)[int(rng.integers(2))]
     drawn = random_fault(rng, direction, 0, 3000 if name == "arm" else 1500)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.note_kind(f"serial line of the {name}")
         layer = (t.physical.arm_line if name == "arm" else t.physical.tapper_line).layer
         layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
@@ -591,24 +584,24 @@ def _line(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"{name} line: {drawn.kind.value}{reset} after {drawn.byte} bytes"
 
 
-def _shot_line(rng: np.random.Generator, trial: Trial) -> Made:
+def _shot_line(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The tapper's line fails during a shot, which takes about 100 bytes in each direction."""
     direction = list(Direction)[int(rng.integers(2))]
     drawn = random_fault(rng, direction, 0, 120)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         layer = t.physical.tapper_line.layer
         layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
 
     return strike, f"tapper line: {drawn.kind.value} after {drawn.byte} bytes of the shot"
 
 
-def _power(rng: np.random.Generator, trial: Trial) -> Made:
+def _power(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A board loses its power for a moment; if it is unplugged, its port disappears as well."""
     name, way = _pick(rng, ("arm", "tapper")), Direction.TO_HOST
     unplugged, lasting = name == "arm" and bool(rng.random() < 0.5), draw_duration(rng, 0.3, 3.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.note_kind(f"loss of power of the {name}")
         if name == "tapper":
             t.interrupt_tapper_power()
@@ -626,13 +619,13 @@ def _power(rng: np.random.Generator, trial: Trial) -> Made:
     )
 
 
-def _camera(rng: np.random.Generator, trial: Trial) -> Made:
+def _camera(rng: np.random.Generator, trial: FaultTarget) -> Made:
     which = _pick(rng, ("lost", "late", "repeated", "hidden", "wrong"))
     lasting = draw_duration(rng, 0.05, 6.0)
     late_by = draw_duration(rng, 0.02, 1.5)
     off = Pose(float(rng.normal(0, 0.02)), float(rng.normal(0, 0.02)), float(rng.normal(0, 0.3)))
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         faults, until = t.camera.faults, t.scheduler.now + lasting
         if which == "lost":
             faults.lost_until = until
@@ -649,11 +642,11 @@ def _camera(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"frames {which} for {lasting:.2f} s"
 
 
-def _bump(rng: np.random.Generator, trial: Trial) -> Made:
+def _bump(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return _by_hand(rng, 0.015)
 
 
-def _turn(rng: np.random.Generator, trial: Trial) -> Made:
+def _turn(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return _by_hand(rng, 0.0)
 
 
@@ -667,37 +660,37 @@ def _by_hand(rng: np.random.Generator, way: float) -> Made:
     )
 
 
-def _emergency_stop(rng: np.random.Generator, trial: Trial) -> Made:
+def _emergency_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
     lasting = draw_duration(rng, 0.2, 5.0)
     return lambda t: t.press_emergency_stop(lasting), f"emergency stop held for {lasting:.1f} s"
 
 
-def _service_stop(rng: np.random.Generator, trial: Trial) -> Made:
+def _service_stop(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node = _pick(rng, (trial.arm_node, "tapper_trigger"))
     return lambda t: t.call_stop(node), f"service stop of {node}"
 
 
-def _interlock(rng: np.random.Generator, trial: Trial) -> Made:
+def _interlock(rng: np.random.Generator, trial: FaultTarget) -> Made:
     lasting = draw_duration(rng, 0.05, 4.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         t.physical.set_interlock(False)
         t.scheduler.after(lasting, lambda: t.physical.set_interlock(True))
 
     return strike, f"guard open for {lasting:.2f} s"
 
 
-def _cancel(rng: np.random.Generator, trial: Trial) -> Made:
+def _cancel(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return lambda t: t.cancel_goal(), "the goal is cancelled"
 
 
-def _second_client(rng: np.random.Generator, trial: Trial) -> Made:
+def _second_client(rng: np.random.Generator, trial: FaultTarget) -> Made:
     goal = trial.draw_goal(rng)
     return lambda t: t.send_goal(goal, foreign=True), "a second client sends another goal"
 
 
-def _disk_full(rng: np.random.Generator, trial: Trial) -> Made:
-    def strike(t: Trial) -> None:
+def _disk_full(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    def strike(t: FaultTarget) -> None:
         t.processes["tap_planner"].disk.full = True
         t.scheduler.after(20.0, lambda: setattr(t.processes["tap_planner"].disk, "full", False))
 
@@ -722,13 +715,13 @@ MAKERS: dict[str, Maker] = {
     "foreign hold": _foreign_hold,
     "foreign flood": _foreign_flood,
     "repeated command": _repeated_command,
-    "heard by one": _heard_by_one,
+    "received by one": _received_by_one,
     "slow answer": _slow_answer,
     "foreign state": _foreign_state,
     "second node": _second_node,
     "second arm": _second_arm,
     "foreign trajectory": _trajectory,
-    "unheard trajectory": _unheard_trajectory,
+    "unreported trajectory": _unreported_trajectory,
     "clock step": _clock_step,
     "serial line": _line,
     "line at a shot": _shot_line,
@@ -756,7 +749,7 @@ AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     "freeze at a shot",
     "freeze",
-    *("slow answer", "heard by one") * 3,
+    *("slow answer", "received by one") * 3,
     *("foreign outcome", "foreign command", "repeated command", "foreign state") * 2,
     *("line at a shot", "cable at a shot", "power at a shot") * 2,
     *("object moved", "foreign withdrawal") * 2,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,41 +12,38 @@ from tapping_cell.messages import ErrorCode, PlanState, TapCommand, TapperState
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, random_fault
 from tapping_cell.verification.causes import CAMERA, ENDS, FOREIGN, FREEZES, LINES, POWER
+from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.faults import (
     CHECKED,
     MAKERS,
     RELEASED,
-    Made,
-    Maker,
     draw_duration,
     moment_name,
 )
 from tapping_cell.verification.fixed_cell import PhysicalFixedCell
 from tapping_cell.verification.host import PlannedFreeze
 
-if TYPE_CHECKING:
-    from tapping_cell.verification.trial import Trial
 
 OUT_S = 2.0
 """Time for which a striker that was pulled off in a freeze stays out."""
 
 
-def _cell_of(trial: Trial) -> PhysicalFixedCell:
+def _cell_of(trial: FaultTarget) -> PhysicalFixedCell:
     assert isinstance(trial.physical, PhysicalFixedCell)
     return trial.physical
 
 
-def _any_tapper(rng: np.random.Generator, trial: Trial) -> str:
+def _any_tapper(rng: np.random.Generator, trial: FaultTarget) -> str:
     names = trial.cell.tapper_names
     return names[int(rng.integers(len(names)))]
 
 
-def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
+def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another program commands another tapper, with the next id."""
     name, ahead = _any_tapper(rng, trial), int(rng.integers(0, 2))
     valid = float(rng.uniform(1.0, 10.0))
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
         if not last:
             return
@@ -71,11 +67,11 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"a foreign TAP of '{name}' with the {('same', 'next')[ahead]} id"
 
 
-def _stays_out(rng: np.random.Generator, trial: Trial) -> Made:
+def _stays_out(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A striker is pulled off its mount, or does not return to it."""
     name, lasting = _any_tapper(rng, trial), draw_duration(rng, 0.02, 5.0)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         cell = _cell_of(t)
         cell.keep_out(name, True)
         t.scheduler.after(lasting, lambda: cell.keep_out(name, False))
@@ -83,13 +79,13 @@ def _stays_out(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"the striker of '{name}' stays out for {lasting:.2f} s"
 
 
-def _out_in_a_freeze(rng: np.random.Generator, trial: Trial) -> Made:
+def _out_in_a_freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A striker is pulled off its mount while the tapper's process is frozen during a shot."""
     name, job = _any_tapper(rng, trial), ("charge", "fire")[int(rng.integers(2))]
     writes, frozen = int(rng.integers(0, 4)), float(rng.uniform(0.2, 0.45))
     later = float(rng.uniform(0.0, 0.3)) * frozen
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         cell = _cell_of(t)
 
         def begin() -> None:
@@ -108,11 +104,11 @@ def _out_in_a_freeze(rng: np.random.Generator, trial: Trial) -> Made:
     )
 
 
-def _blocked(rng: np.random.Generator, trial: Trial) -> Made:
+def _blocked(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A striker does not leave its mount when it is released."""
     name, lasting = _any_tapper(rng, trial), float(rng.uniform(1.0, 8.0))
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         cell = _cell_of(t)
         cell.block(name, True)
         t.scheduler.after(lasting, lambda: cell.block(name, False))
@@ -120,12 +116,12 @@ def _blocked(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"the striker of '{name}' is blocked for {lasting:.1f} s"
 
 
-def _board_line(rng: np.random.Generator, trial: Trial) -> Made:
+def _board_line(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The line of one board fails at a random byte."""
     share, direction = float(rng.random()), list(Direction)[int(rng.integers(2))]
     drawn = random_fault(rng, direction, 0, 1500)
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         lines = _cell_of(t).lines
         layer = lines[int(share * len(lines))].layer
         layer.add(replace(drawn, byte=layer.count(direction) + drawn.byte))
@@ -134,11 +130,11 @@ def _board_line(rng: np.random.Generator, trial: Trial) -> Made:
     return strike, f"line of a board: {drawn.kind.value}{reset} after {drawn.byte} bytes"
 
 
-def _board_power(rng: np.random.Generator, trial: Trial) -> Made:
+def _board_power(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """One board loses its power for a moment."""
     share = float(rng.random())
 
-    def strike(t: Trial) -> None:
+    def strike(t: FaultTarget) -> None:
         cell = _cell_of(t)
         number = int(share * len(cell.boards))
         t.tapper_power_lost_at = t.scheduler.now

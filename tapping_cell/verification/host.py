@@ -198,7 +198,7 @@ class Process:
         for line in program.lines:
             line.before_write = self._before_write
 
-    # Life of the process
+    # Life cycle of the process
 
     @property
     def starts(self) -> int:
@@ -376,7 +376,7 @@ class Process:
 
     def _queue(self, job: Job) -> None:
         if self._worker is None:
-            # Without a device a job only computes, which takes no time here.
+            # A job without a device only computes, which takes no simulated time.
             life = self._life
             self._scheduler.after(0.0, lambda: self._compute(job, life))
             return

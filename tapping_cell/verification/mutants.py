@@ -55,7 +55,7 @@ MUTANTS: tuple[Mutant, ...] = (
         '        self._run("fire", partial(tapper_jobs.fire, shot=shot, '
         "check=self.check_firing))\n",
         "S1",
-        kinds=("foreign withdrawal", "heard by one", "freeze at a shot"),
+        kinds=("foreign withdrawal", "received by one", "freeze at a shot"),
     ),
     Mutant(
         "counts the promise from its answer",
@@ -71,7 +71,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "if response is not None and not response.granted:",
         "if False:",
         "S1",
-        kinds=("foreign outcome", "foreign withdrawal", "heard by one"),
+        kinds=("foreign outcome", "foreign withdrawal", "received by one"),
     ),
     Mutant(
         "tells an unknown outcome as not fired",
@@ -198,7 +198,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "        self._promise_end = max(self._promise_end, end)\n",
         "",
         "S1",
-        kinds=("foreign withdrawal", "cancel", "heard by one"),
+        kinds=("foreign withdrawal", "cancel", "received by one"),
     ),
     Mutant(
         "promises while it moves",
@@ -212,7 +212,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.tapper",
         "self._release_arm(permit.RELEASED_S + struck.flight)",
         "self._release_arm(permit.RELEASED_S)",
-        kinds=("foreign withdrawal", "cancel", "heard by one"),
+        kinds=("foreign withdrawal", "cancel", "received by one"),
     ),
     Mutant(
         "moves for a withdrawal of no tap",
@@ -279,7 +279,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "not_before = self._free_at(now)",
         "not_before = 0.0",
         "S1",
-        kinds=("foreign withdrawal", "cancel", "heard by one"),
+        kinds=("foreign withdrawal", "cancel", "received by one"),
     ),
     Mutant(
         "lets anybody end the arm's promise",
@@ -309,7 +309,7 @@ MUTANTS: tuple[Mutant, ...] = (
             "if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):",
             "if False:",
         ),
-        kinds=("foreign withdrawal", "heard by one", "cancel"),
+        kinds=("foreign withdrawal", "received by one", "cancel"),
     ),
     Mutant(
         "believes anybody that the striker is discharged",
@@ -362,7 +362,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.planner",
         "        elif self._late(now):\n            self._fail(code, sentence",
         "        elif False:\n            self._fail(code, sentence",
-        kinds=("unheard trajectory",),
+        kinds=("unreported trajectory",),
     ),
     Mutant(
         "decides on an object that still slides",

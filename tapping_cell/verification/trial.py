@@ -46,6 +46,7 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
 from tapping_cell.verification.causes import COVERED, SHORT_TIME_LIMIT, explains, longest_effect
+from tapping_cell.verification.fault_target import Maker
 from tapping_cell.verification.faults import (
     ALL,
     ARM_ASKED,
@@ -58,7 +59,6 @@ from tapping_cell.verification.faults import (
     OF_A_SHOT,
     RELEASED,
     Fault,
-    Maker,
     Mix,
     Moment,
     draw_faults,
@@ -222,7 +222,7 @@ class Trial:
         truth = load(TruthFile, shared_folder() / "truth" / "default.yaml")
         self.physical = self._make_physical(truth, seed)
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
-        self.joint_names = Joints._fields
+        self.joint_names: tuple[str, ...] = Joints._fields
         self.arm_covers = self._covers()
         self.short_time_limit = bool(self.rng.random() < SHARE_OF_SHORT_LIMITS)
         """Whether goals have a short time limit, which ends some of them without any fault."""

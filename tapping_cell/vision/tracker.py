@@ -147,7 +147,8 @@ class PoseTracker:
         return [n for n, seen in self._seen.items() if seen.visible and seen.frames_fused < enough]
 
     def _overdue(self, number: int, stamp: float) -> bool:
-        """Return whether another object that was found must be measured in a measured frame."""
+        """Return whether it is time to measure another object again; an object that was not found
+        is not due."""
         age = stamp - self._others_measured_at.get(number, -math.inf)
         return self._others[number].found and age >= self.settings.others_period
 

@@ -122,8 +122,8 @@ class Cell:
         for _ in range(TRIES):
             self.tap()
             self.wait(self.over, "an ordinary tap")
-            told = [s.outcome for s in self.tapper_states if s.tap_id == self.tap_id]
-            if TapperState.FIRED in told:
+            outcomes = [s.outcome for s in self.tapper_states if s.tap_id == self.tap_id]
+            if TapperState.FIRED in outcomes:
                 return
             self.end()
         raise AssertionError(f"none of {TRIES} taps was fired: {self.tapper_states[-1].error_msg}")

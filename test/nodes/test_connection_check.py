@@ -106,7 +106,7 @@ def test_the_planner_tells_what_cannot_reach_it_and_costs_no_events(ros: None) -
         probe = rclpy.create_node("probe", context=context)
         endpoints = [make(probe) for make, _ in CASES]
         for endpoint in endpoints:
-            wait(lambda topic=endpoint.topic_name: _knows(planner, topic))
+            wait(lambda topic=endpoint.topic_name: _has_endpoint(planner, topic))
         sentences = list(ConnectionCheck(planner).new_mismatches())
         probe.destroy_node()
     planner.cleanup()
@@ -114,7 +114,7 @@ def test_the_planner_tells_what_cannot_reach_it_and_costs_no_events(ros: None) -
     assert set(sentences) == {sentence for _, sentence in CASES if sentence}
 
 
-def _knows(node: Node, topic: str) -> bool:
+def _has_endpoint(node: Node, topic: str) -> bool:
     """Whether ``node`` has discovered the probe's endpoint."""
     infos = (
         *node.get_publishers_info_by_topic(topic),

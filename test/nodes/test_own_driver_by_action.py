@@ -16,10 +16,10 @@ from harness import bench
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState
 from test_own_driver import NAMES, STRIKE, Cell, own_driver_cell
+from trajectory_controller import ControllerSettings, TrajectoryController
 
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
-from tapping_cell.simulation.trajectory_controller import ControllerSettings, TrajectoryController
 
 pytest.importorskip("control_msgs", reason="control_msgs is not installed")
 pytestmark = pytest.mark.alone

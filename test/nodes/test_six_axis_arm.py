@@ -16,6 +16,7 @@ from rclpy.duration import Duration
 from ros_controller import RosController
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState, TapCommand
+from trajectory_controller import ControllerSettings, TrajectoryController
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.chain_link import upright
@@ -23,7 +24,6 @@ from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 from tapping_cell.se2 import Pose
-from tapping_cell.simulation.trajectory_controller import ControllerSettings, TrajectoryController
 
 pytestmark = pytest.mark.alone
 """Joint states at 50 Hz must not wait for a processor."""

@@ -13,10 +13,10 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
 from ros_controller import RosController
+from trajectory_controller import TrajectoryController
 
 from tapping_cell.hardware.joint_trajectory import TrajectoryPoint
 from tapping_cell.hardware.trajectory_link import GoalState
-from tapping_cell.simulation.trajectory_controller import TrajectoryController
 
 POLL_S = 0.01
 

@@ -8,10 +8,10 @@ import time
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from trajectory_controller import TrajectoryController
 from trajectory_msgs.msg import JointTrajectory
 
 from tapping_cell.hardware.joint_trajectory import TrajectoryPoint
-from tapping_cell.simulation.trajectory_controller import TrajectoryController
 
 STATE_RATE = 50.0
 OTHER_JOINT = "gripper"

@@ -222,7 +222,7 @@ def _find(
     for path in track(images, "looking for the target", console=console, disable=hidden):
         image = read_grey(path)
         if image is None:
-            continue  # deleted since it was listed
+            continue  # the file was deleted after it had been listed
         found = find_target(image, target, path.name)
         if isinstance(found, str):
             unseen.append(Rejected(path.name, found))

@@ -214,9 +214,9 @@ def _ends(objects: list[ObjectProgress]) -> tuple[ObjectEnd, ...]:
     )
 
 
-def _tap(number: int, record: TapRecord, told: str) -> ArrangedTap:
-    """Return a tap for the report. ``told``: the reasons that the planner gave before the tap: why
-    this object, then why this tap."""
+def _tap(number: int, record: TapRecord, description: str) -> ArrangedTap:
+    """Return a tap for the report. ``description``: the reasons that the planner published before
+    the tap: first for the choice of the object, then for the choice of the tap."""
     measured = from_message(record.measured_pose.pose)
     why_tap = record.reason or "asked again because"
     return ArrangedTap(
@@ -228,6 +228,6 @@ def _tap(number: int, record: TapRecord, told: str) -> ArrangedTap:
         strike=from_message(record.strike_pose),
         striker_speed=record.striker_speed,
         outcome=word(OUTCOMES, record.outcome),
-        purpose=told.partition(f"; {why_tap}")[0],
+        purpose=description.partition(f"; {why_tap}")[0],
         reason=record.reason,
     )

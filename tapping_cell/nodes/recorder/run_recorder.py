@@ -268,7 +268,8 @@ class RunRecorder(CellNode[Parameters]):
         time."""
         if self._worker is not None:
             self._conclude(pictures=False)
-            # Closing discards queued jobs, and a node that is being stopped is killed after 5 s.
+            # Wait for the queued jobs, because closing discards them, but not for long, because a
+            # node that is being stopped is killed after 5 s.
             written = threading.Event()
             self._worker.submit(written.set)
             written.wait(END_PATIENCE_S)

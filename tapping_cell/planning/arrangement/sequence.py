@@ -225,7 +225,7 @@ class SequencePlanner:
         if not any(gap(area, blocked.area(blocked.goal)) < _margin(blocked) for area in areas):
             path = self._maps.path(blocked, areas, poses[blocked.name], blocked.goal)
             return math.isfinite(path) and self._maps.fits(blocked, areas, blocked.goal)
-        # Other objects occupy the goal as well; moving this object at least clears its own part.
+        # Other objects occupy the goal as well. The move helps if this object occupies part of it.
         before = gap(body.area(scene.poses[body.name]), blocked.area(blocked.goal))
         return before < _margin(blocked)
 

@@ -8,12 +8,12 @@ from collections.abc import Callable
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from virtual_output_link import OutputDevice, VirtualOutputLink
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.output_tapper import OutputTapperDriver, OutputTapperSettings
 from tapping_cell.hardware.tapper import FireOutcome, FireResult
 from tapping_cell.hardware.tapper_protocol import State
-from tapping_cell.simulation.virtual_output_link import OutputDevice, VirtualOutputLink
 
 SETTINGS = OutputTapperSettings((1e-4, 1e-2, 4e-2), (0.004, 0.02, 0.036), latency=0.02)
 

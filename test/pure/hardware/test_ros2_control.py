@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from trajectory_controller import ControllerSettings, TrajectoryController
+from virtual_trajectory_link import VirtualTrajectoryLink
 
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
@@ -18,8 +20,6 @@ from tapping_cell.hardware.joint_trajectory import brake_point, straight_points
 from tapping_cell.hardware.motion import move_duration
 from tapping_cell.hardware.ros2_control_dialect import Ros2ControlDialect, Ros2ControlSettings
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
-from tapping_cell.simulation.trajectory_controller import ControllerSettings, TrajectoryController
-from tapping_cell.simulation.virtual_trajectory_link import VirtualTrajectoryLink
 
 NAMES = ("j1", "j2", "z", "j4")
 START = (0.3, 1.2, -0.030, 0.0)

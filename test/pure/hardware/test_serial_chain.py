@@ -17,6 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from trajectory_controller import ControllerSettings, TrajectoryController
+from virtual_trajectory_link import VirtualTrajectoryLink
 
 from tapping_cell.configuration.arm_assembly import joint_accelerations, make_arm_driver
 from tapping_cell.configuration.cell import ArmSection, load_cell
@@ -27,8 +29,6 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.motion import strike_path, withdraw_path
 from tapping_cell.hardware.scara import Joints, TipPose
 from tapping_cell.hardware.serial_chain import SerialChain
-from tapping_cell.simulation.trajectory_controller import ControllerSettings, TrajectoryController
-from tapping_cell.simulation.virtual_trajectory_link import VirtualTrajectoryLink
 
 CELL = load_cell(Path(__file__).parents[3] / "examples" / "six_axis_cell" / "cell.yaml")
 _CHAIN = CELL.arm.chain()

@@ -76,7 +76,7 @@ class Table(VirtualNode):
         self.hidden: set[str] = set()
         self.seldom: set[str] = set()
         """Objects that the camera looks at every 1.2 s only."""
-        self.looked: dict[str, ObjectState] = {}
+        self.measured: dict[str, ObjectState] = {}
         self.look_began = -math.inf
         self.withdrawals: list[int] = []
         self.tap: TapCommand | None = None
@@ -123,8 +123,8 @@ class Table(VirtualNode):
         due = self.scheduler.now >= self.look_began + 1.2
         self.look_began = self.scheduler.now if due else self.look_began
         for name in self.names:
-            if name in self.seldom and not due and name in self.looked:
-                states.append(self.looked[name])
+            if name in self.seldom and not due and name in self.measured:
+                states.append(self.measured[name])
                 continue
             state = ObjectState(
                 visible=name not in self.hidden, at_rest=True, frames_fused=40, object_id=name
@@ -133,7 +133,7 @@ class Table(VirtualNode):
             state.pose.pose = to_message(self.poses[name])
             state.pose.covariance = COVARIANCE.reshape(-1).tolist()
             states.append(state)
-            self.looked[name] = state
+            self.measured[name] = state
         self.publish("object_state", states[0])
         self.publish("object_states", ObjectStates(objects=states))
         idle = self.arm_state == ArmState.IDLE

@@ -122,8 +122,8 @@ def test_the_verb_report_writes_the_page_again(
 ) -> None:
     folder = write(run, tmp_path / "runs" / "run")
     assert main(["report", str(folder), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["arrangements"] == [str(folder / "report.html")] and told["runs"] == []
+    result = json.loads(capsys.readouterr().out)
+    assert result["arrangements"] == [str(folder / "report.html")] and result["runs"] == []
     assert (folder / "report.html").read_text() == page(run)
     assert main(["report", str(folder), "--output", str(tmp_path / "other")]) == 0
     assert (tmp_path / "other" / "report.html").exists()

@@ -58,16 +58,16 @@ def test_the_parked_arm_covers_nothing_that_the_camera_needs() -> None:
         assert not seen[row - 20 : row + 20, column - 20 : column + 20].any()
 
 
-def test_a_covered_object_is_not_believed_and_found_again() -> None:
+def test_a_covered_object_is_not_accepted_and_found_again() -> None:
     tracker = PoseTracker(CELL.camera, CELL.references, CELL.object.seen())
     park, over = np.array(CELL.file.arm.park), reaching()
-    believed = []
+    accepted = []
     for k in range(60):
         share = min(k / 20.0, 1.0, (60 - k) / 20.0)
         image = NOISY.render(TRUE, occluders=solids(park + share * (over - park)))
         seen = tracker.update(image, k / 30.0)
-        believed.append(seen.covariance is not None)
+        accepted.append(seen.covariance is not None)
         if seen.covariance is not None:
             assert math.dist(seen.pose[:2], TRUE[:2]) < 3e-4
-    assert believed[2] and believed[-1]
-    assert not any(believed[22:38])
+    assert accepted[2] and accepted[-1]
+    assert not any(accepted[22:38])

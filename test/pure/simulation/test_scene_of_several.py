@@ -14,7 +14,7 @@ from tapping_cell.configuration.objects import load_object
 from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
-from tapping_cell.vision import PoseTracker, TrackerSettings, Turns, marker_ids
+from tapping_cell.vision import PoseTracker, RoundRobin, TrackerSettings, marker_ids
 
 CELL = load_cell()
 SQUARE = load_object(shared_folder() / "objects" / "aluminium_square.yaml")
@@ -139,16 +139,16 @@ def test_an_object_at_rest_is_known_to_rest_however_rare_its_turn(rate: float, t
     seen = [CELL.object.seen(), SQUARE.seen()]
     settings = TrackerSettings(other_ids=marker_ids(seen))
     tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
-    turns = Turns(turn)  # only object 0 of these is on the table
-    told, since = [], set()
+    turns = RoundRobin(turn)  # only object 0 of these is on the table
+    settled, since = [], set()
     for frame in range(round(12 + 4 * rate)):
         stamp = 1.0 + frame / rate
         due = [number for number in turns.due(stamp) if number == 0]
         _, others = tracker.update_several(renderer.render(POSES), stamp, due)
         if frame >= 10 and 0 in others:
-            told.append(others[0].at_rest and others[0].frames_fused >= 5)
+            settled.append(others[0].at_rest and others[0].frames_fused >= 5)
             since.add(others[0].at_rest_since)
-    assert told and all(told) and len(since) == 1
+    assert settled and all(settled) and len(since) == 1
 
 
 def test_every_frame_is_measured_while_somebody_waits_for_a_longer_observation() -> None:

@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from trajectory_controller import TrajectoryController, stamps
+
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.joint_trajectory import Course, TrajectoryPoint
 from tapping_cell.hardware.trajectory_link import (
@@ -14,7 +16,6 @@ from tapping_cell.hardware.trajectory_link import (
     Progress,
     braking_point,
 )
-from tapping_cell.simulation.trajectory_controller import TrajectoryController, stamps
 
 KEPT = 1.0
 

@@ -1,0 +1,100 @@
+"""Interface of a trial on which faults act."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+import numpy as np
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.se2 import Pose
+from tapping_cell.verification.camera import Camera
+from tapping_cell.verification.host import HostClock, Process
+from tapping_cell.verification.invariants import InvariantChecker
+from tapping_cell.verification.network import Network
+from tapping_cell.verification.physical_cell import PhysicalCell
+from tapping_cell.verification.scheduler import Scheduler
+
+
+class FaultTarget(Protocol):
+    """A trial: its simulated parts, the kinds of faults that apply to its cell, and the actions of
+    people and programs that a fault can cause. Times in s of the run."""
+
+    nodes: tuple[str, ...]
+    arm_node: str
+    makers: Mapping[str, Maker]
+    at_a_shot: tuple[str, ...]
+    of_a_shot: tuple[str, ...]
+    moments: tuple[str, ...]
+    cell: Cell
+    scheduler: Scheduler
+    network: Network
+    clocks: dict[str, HostClock]
+    processes: dict[str, Process]
+    camera: Camera
+    joint_names: tuple[str, ...]
+    disturbed_until: float
+    tapper_power_lost_at: float
+
+    @property
+    def physical(self) -> PhysicalCell:
+        """Simulated objects, devices and their lines."""
+
+    @property
+    def checker(self) -> InvariantChecker:
+        """Checker of the invariants."""
+
+    def note_kind(self, kind: str) -> None:
+        """Record that a fault of this kind strikes now."""
+
+    def draw_goal(self, rng: np.random.Generator) -> Pose:
+        """Draw a goal in the central area of the table."""
+
+    def send_goal(self, goal: Pose, foreign: bool = False) -> None:
+        """Send an action goal to the planner if its process is alive."""
+
+    def cancel_goal(self) -> None:
+        """Cancel the action goal."""
+
+    def freeze(self, node: str, duration: float) -> None:
+        """Freeze a process."""
+
+    def kill(self, node: str, away: float) -> None:
+        """Kill a process; it restarts after ``away`` s."""
+
+    def shut_down(self, node: str, away: float) -> None:
+        """Shut a process down; it restarts after ``away`` s."""
+
+    def start_second(self, node: str, lasting: float) -> None:
+        """Start a second instance of a node, as by mistake, and kill it after ``lasting`` s."""
+
+    def hide_object(self, duration: float) -> None:
+        """Hide the object, as by a hand, for ``duration`` s."""
+
+    def move_object(self, shift: Pose, duration: float = 0.0) -> None:
+        """Move the object by hand, within the central area of the table; ``duration`` in s."""
+
+    def press_emergency_stop(self, duration: float) -> None:
+        """Hold the emergency stop of the panel for ``duration`` s."""
+
+    def interrupt_tapper_power(self) -> None:
+        """Interrupt the power of the tapper's board, which also loses its latched stop."""
+
+    def interrupt_arm_power(self) -> None:
+        """Interrupt the power of the arm's board, which loses its position."""
+
+    def turn_arm_motors_off(self) -> None:
+        """Switch the arm's motors off, as by a sleep command, so that the quill sinks."""
+
+    def turn_tapper_motor_off(self, duration: float) -> None:
+        """Switch the tapper's motor off for ``duration`` s, so that its steps have no effect."""
+
+    def call_stop(self, node: str) -> None:
+        """Call a node's service ``stop``."""
+
+
+Made = tuple[Callable[[FaultTarget], None], str]
+"""Function that injects one fault, and the fault's description."""
+Maker = Callable[[np.random.Generator, FaultTarget], Made]
+"""Function that draws one fault of a kind."""
