@@ -23,7 +23,6 @@ from tapping_cell.verification.faults import (
 from tapping_cell.verification.fixed_cell import PhysicalFixedCell
 from tapping_cell.verification.host import PlannedFreeze
 
-
 OUT_S = 2.0
 """Time for which a striker that was pulled off in a freeze stays out."""
 
