@@ -384,6 +384,7 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
                 await page.say({"do": "cancel"})
                 assert "no goal of an action" in (await page.answer("cancel"))["text"]
                 await page.say({"do": "goal", "x": 50, "y": 0, "angle": 10})
+                assert (await page.answer("goal"))["text"] == "goal sent"
                 await page.state(lambda s: s["plan"]["busy"])
                 await page.say({"do": "cancel"})
                 assert (await page.answer("cancel"))["ok"]
