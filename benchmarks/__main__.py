@@ -15,15 +15,16 @@ import os
 import platform
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from datetime import date
 from pathlib import Path
 from types import ModuleType
 
 # A section is a module with ``measure() -> dict`` (printed by --json) and
 # ``lines(report) -> list[str]`` (the report as text). A module with a ``DEFAULT_COUNT`` has
-# ``measure(count)`` with the number of experiments, scenes, frames or seconds. A module with
-# ``partial_reports(count)`` yields a report after each part, so that --write keeps the parts.
+# ``measure(count)`` with the number of experiments, scenes, frames or seconds. A module may have
+# ``partial_reports(count)`` in place of ``measure``: it yields a report after each part, so that
+# --write keeps the completed parts.
 SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
 # Long sections, which run only if they are named.
@@ -106,26 +107,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reports = {}
     for name in chosen.section or SECTIONS:
         section = importlib.import_module(f"benchmarks.{name.replace('-', '_')}")
-        if hasattr(section, "partial_reports"):
-            for reports[name] in section.partial_reports(chosen.count or section.DEFAULT_COUNT):
-                if chosen.write:
-                    write_section(RESULTS, name, chosen.count, _text(section, reports[name]))
-        elif hasattr(section, "DEFAULT_COUNT"):
-            reports[name] = section.measure(chosen.count or section.DEFAULT_COUNT)
-        else:
-            reports[name] = section.measure()
-        text = _text(section, reports[name])
+        text = ""
+        for reports[name] in _reports(section, chosen.count):
+            text = "\n".join(f"    {line}" for line in section.lines(reports[name]))
+            if chosen.write:
+                write_section(RESULTS, name, chosen.count, text)
         if not chosen.json:
             print(f"{name}:\n{text}", flush=True)
-        if chosen.write:
-            write_section(RESULTS, name, chosen.count, text)
     if chosen.json:
         print(json.dumps(reports))
     return 0
 
 
-def _text(section: ModuleType, report: object) -> str:
-    return "\n".join(f"    {line}" for line in section.lines(report))
+def _reports(section: ModuleType, count: int | None) -> Iterator[object]:
+    """Measure a section and yield its reports; the last one is complete."""
+    if hasattr(section, "partial_reports"):
+        yield from section.partial_reports(count or section.DEFAULT_COUNT)
+    elif hasattr(section, "DEFAULT_COUNT"):
+        yield section.measure(count or section.DEFAULT_COUNT)
+    else:
+        yield section.measure()
 
 
 def write_section(file: Path, name: str, count: int | None, text: str) -> None:

@@ -102,11 +102,6 @@ def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
         yield {"rows": list(rows)}
 
 
-def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return a row per group, each over its share of ``count`` scenes."""
-    return list(partial_reports(count))[-1]
-
-
 def _state_of_planner() -> str:
     """Return a hash of the source code that the result of a scene depends on."""
     state = hashlib.sha256()

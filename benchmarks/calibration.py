@@ -142,7 +142,12 @@ def draw(shape: str, seed: int) -> tuple[ObjectFile, TruthFile, dict[str, float]
         if shape == "polygon"
         else ShapeSection(shape, radius=size)
     )
-    told = {"friction": 0.17, "torque_factor": 3.64, "restitution": 0.86, "contact_friction": 0.20}
+    assumed = {
+        "friction": 0.17,
+        "torque_factor": 3.64,
+        "restitution": 0.86,
+        "contact_friction": 0.20,
+    }
     true = {
         "friction": float(random.uniform(0.10, 0.30)),
         "torque_factor": float(math.exp(random.uniform(0.0, math.log(4.0)))),
@@ -155,17 +160,17 @@ def draw(shape: str, seed: int) -> tuple[ObjectFile, TruthFile, dict[str, float]
         mass=float(random.uniform(0.1, 0.3)),
         height=0.012,
         marker=MarkerSection("APRILTAG_36h11", 1, 0.04),
-        **told,
+        **assumed,
     )
     truth = TruthFile(
         (0.0, 0.0, 0.0),
         support=SupportTruth(
-            friction_factor=true["friction"] / told["friction"],
-            torque_factor_ratio=true["torque_factor"] / told["torque_factor"],
+            friction_factor=true["friction"] / assumed["friction"],
+            torque_factor_ratio=true["torque_factor"] / assumed["torque_factor"],
         ),
         impact=ImpactTruth(
-            true["restitution"] / told["restitution"],
-            true["contact_friction"] / told["contact_friction"],
+            true["restitution"] / assumed["restitution"],
+            true["contact_friction"] / assumed["contact_friction"],
             float(random.uniform(0.95, 1.05)),
         ),
         scatter=_SCATTER,

@@ -39,7 +39,7 @@ _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
     """Return the mean taps with the configured and the fitted object for each ground truth."""
-    told = load_object(shared_folder() / "objects" / "aluminium_disk.yaml")
+    initial = load_object(shared_folder() / "objects" / "aluminium_disk.yaml")
     report = []
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
         truth = TruthFile(
@@ -49,17 +49,17 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
             scatter=ScatterTruth(0.05, 0.15, math.radians(1.0)),
         )
         header = ExperimentFile(1, "", "simulated", striker=_STRIKER, camera_rate_hz=30.0)
-        taps = simulated_trials(told, _STRIKER.striker(), truth, Design(), seed)
-        fit = fit_object([Experiment(Path(), header, tuple(taps), ())], told)
+        taps = simulated_trials(initial, _STRIKER.striker(), truth, Design(), seed)
+        fit = fit_object([Experiment(Path(), header, tuple(taps), ())], initial)
         fitted = fitted_object(fit, fit_record(fit, ()))
         true = replace(
-            told,
-            friction=friction * told.friction,
-            torque_factor=torque * told.torque_factor,
-            restitution=min(1.0, restitution * told.restitution),
-            contact_friction=contact * told.contact_friction,
+            initial,
+            friction=friction * initial.friction,
+            torque_factor=torque * initial.torque_factor,
+            restitution=min(1.0, restitution * initial.restitution),
+            contact_friction=contact * initial.contact_friction,
         )
-        old, new = (_mean_taps(believed, true, trials) for believed in (told, fitted))
+        old, new = (_mean_taps(assumed, true, trials) for assumed in (initial, fitted))
         report.append(
             {
                 "truth": (friction, torque, restitution, contact),
@@ -72,13 +72,13 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
     return report
 
 
-def _mean_taps(believed: ObjectFile, true: ObjectFile, trials: int) -> float:
+def _mean_taps(assumed: ObjectFile, true: ObjectFile, trials: int) -> float:
     """Mean taps over trials of the paper's task; an unfinished trial counts as the maximum."""
     striker = _STRIKER.striker()
     scatter = Scatter(0.05, 0.15, math.radians(1.0))
-    settings = replace(PlannerSettings.for_tap(believed.tap(striker)), scatter=scatter)
+    settings = replace(PlannerSettings.for_tap(assumed.tap(striker)), scatter=scatter)
     world = PhysicsWorld(
-        model=replace(believed.tap(striker), smallest_distance=0.0),
+        model=replace(assumed.tap(striker), smallest_distance=0.0),
         truth=true.tap(striker),
         scatter=scatter,
     )

@@ -59,7 +59,7 @@ class Tap:
     in_position: float = math.nan
     charging: float = math.nan
     charged: float = math.nan
-    told: float = math.nan
+    reported: float = math.nan
     free: float = math.nan
     observed: float = math.nan
     at_rest: float = math.nan
@@ -73,11 +73,11 @@ class Tap:
             "lower": self.at_pose - self.above,
             "settle": self.in_position - self.at_pose,
             "charge": ready - self.in_position,
-            "fire": self.told - ready,
-            "withdraw": self.free - self.told,
+            "fire": self.reported - ready,
+            "withdraw": self.free - self.reported,
             "camera": self.observed - self.free,
             "planning": self.done - self.observed,
-            "slide": self.at_rest - self.told,
+            "slide": self.at_rest - self.reported,
             "charging": self.charged - self.charging,
         }
 
@@ -153,14 +153,14 @@ class Stopwatch:
             tap.charging = stamp
         if message.state in (TapperState.CHARGED, TapperState.FIRING) and math.isnan(tap.charged):
             tap.charged = stamp
-        if message.outcome == TapperState.FIRED and math.isnan(tap.told):
-            tap.told = stamp
+        if message.outcome == TapperState.FIRED and math.isnan(tap.reported):
+            tap.reported = stamp
 
     def _object_state(self, tap: Tap, message: Any, stamp: float) -> None:
-        fired = not math.isnan(tap.told)
+        fired = not math.isnan(tap.reported)
         if fired and message.at_rest and math.isnan(tap.at_rest):
             since = _seconds(message.at_rest_since)
-            if since > tap.told:
+            if since > tap.reported:
                 tap.at_rest = since
 
 

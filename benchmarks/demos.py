@@ -35,7 +35,7 @@ from tapping_cell.simulation.world import World
 DEFAULT_COUNT = 60
 MOVES = ((10.0, 0.0, 10.0), (40.0, -25.0, 30.0), (-35.0, 30.0, -25.0), (70.0, 10.0, 15.0))
 """Goals relative to the object's pose, used in turn: mm, mm and degrees."""
-_LOOK = (1.5e-5, 1.5e-5, 3e-4)
+_MEASUREMENT_STD = (1.5e-5, 1.5e-5, 3e-4)
 """Standard deviations of a stationary observation: m, m, rad."""
 
 
@@ -54,8 +54,8 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
         fitted = replace(configured, object=_fitted(configured, truth, seed))
         new = _demos(fitted, configured.object, truth, count)
         # After `calibrate tapper` the striker's speed matches its curve.
-        as_told = replace(truth, impact=replace(truth.impact, striker_speed_factor=1.0))
-        both = _demos(fitted, configured.object, as_told, count)
+        nominal = replace(truth, impact=replace(truth.impact, striker_speed_factor=1.0))
+        both = _demos(fitted, configured.object, nominal, count)
         saved = np.array(old) - np.array(new)
         rows.append(
             {
@@ -103,9 +103,9 @@ def _fitted(cell: Cell, truth: TruthFile, seed: int) -> ObjectFile:
     return fitted_object(fit, fit_record(fit, ()))
 
 
-def _demos(cell: Cell, told: ObjectFile, truth: TruthFile, count: int) -> list[int]:
-    """Return the number of taps of each demo of a cell with its object file. ``told``: object file
-    to which the ground truth is relative. A demo that fails counts as the maximum number."""
+def _demos(cell: Cell, assumed: ObjectFile, truth: TruthFile, count: int) -> list[int]:
+    """Return the number of taps of each demo of a cell with its object file. ``assumed``: object
+    file to which the ground truth is relative. A demo that fails counts as the maximum number."""
     goal = cell.file.goal
     tolerance = (goal.position_tolerance, goal.angle_tolerance)
     planner = make_planner(goal.planner, assembly.make_planner_settings(cell, tolerance))
@@ -113,7 +113,7 @@ def _demos(cell: Cell, told: ObjectFile, truth: TruthFile, count: int) -> list[i
     free = FreeSpace(space)
     taps = []
     for seed in range(1, count + 1):
-        world = World(told, cell.file.tapper.striker(), cell.file.tapper.stroke, truth, seed)
+        world = World(assumed, cell.file.tapper.striker(), cell.file.tapper.stroke, truth, seed)
         start = Pose(*truth.object_start)
         world.place(start)
         dx, dy, turn = MOVES[seed % len(MOVES)]
@@ -123,35 +123,35 @@ def _demos(cell: Cell, told: ObjectFile, truth: TruthFile, count: int) -> list[i
             float(wrap_angle(start.theta + math.radians(turn))),
         )
         session = PositioningSession(wanted, planner, space, free, most_taps=goal.max_taps)
-        done = _position(cell, told, world, session, truth.arm, np.random.default_rng([seed, 7]))
+        done = _position(cell, assumed, world, session, truth.arm, np.random.default_rng([seed, 7]))
         taps.append(session.taps if done else goal.max_taps)
     return taps
 
 
 def _position(
     cell: Cell,
-    told: ObjectFile,
+    assumed: ObjectFile,
     world: World,
     session: PositioningSession,
     arm: ArmTruth,
     random: np.random.Generator,
 ) -> bool:
     """Tap until the session is done or refuses, and return whether it is done."""
-    covariance = np.diag(np.square(_LOOK))
+    covariance = np.diag(np.square(_MEASUREMENT_STD))
 
-    def look() -> np.ndarray:
+    def measure() -> np.ndarray:
         here = world.pose
-        return np.array([here.x, here.y, here.theta]) + _LOOK * random.standard_normal(3)
+        return np.array([here.x, here.y, here.theta]) + _MEASUREMENT_STD * random.standard_normal(3)
 
     now = 0.0
     world.advance(now)
-    seen = look()
+    seen = measure()
     decision = session.decide(seen, covariance)
     while isinstance(decision, Strike):
         tip = _true_tip(cell, decision.plan.strike_pose, arm, random)
-        world.strike(tip, told.height / 2, decision.plan.striker_speed, now)
+        world.strike(tip, assumed.height / 2, decision.plan.striker_speed, now)
         now = world.settle()
-        before, seen = seen, look()
+        before, seen = seen, measure()
         session.observe(decision, before, seen, covariance)
         decision = session.decide(seen, covariance)
     return isinstance(decision, Done)

@@ -31,7 +31,7 @@ STOPS = 100
 PATIENCE_S = 20.0
 
 
-class Listening:
+class StopTimer:
     """An emulated board that records the time of a received stop byte."""
 
     def __init__(self, board: DeviceEmulator) -> None:
@@ -106,12 +106,12 @@ def _stops(
     person: Callable[[], None],
     parameters: dict[str, object],
 ) -> dict[str, float]:
-    listening = Listening(board)
+    device = StopTimer(board)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "port"
         given = {name: {"port": path, **parameters}}
         with (
-            PseudoTerminal(listening, path) as terminal,
+            PseudoTerminal(device, path) as terminal,
             Graph((name,), given, Path(folder) / "logs") as graph,
             GoalClient("stop_bench") as client,
         ):
@@ -120,17 +120,17 @@ def _stops(
             times: list[float] = []
             for _ in range(STOPS):
                 _wait(lambda: ready(client) and clear.service_is_ready(), graph)
-                listening.stopped_at = 0.0
+                device.stopped_at = 0.0
                 began = time.monotonic()
                 publisher.publish(Bool(data=True))
-                _wait(lambda: listening.stopped_at > 0, graph)
-                times.append(listening.stopped_at - began)
+                _wait(lambda: device.stopped_at > 0, graph)
+                times.append(device.stopped_at - began)
                 _wait(lambda: not ready(client), graph)
                 with terminal.lock:
                     person()
                 clear.call_async(Trigger.Request())
             graph.stop()
-            bare = [_bare(path, listening) for _ in range(STOPS)]
+            bare = [_bare(path, device) for _ in range(STOPS)]
     return {
         "stops": STOPS,
         "median": float(np.median(times)),
@@ -140,15 +140,15 @@ def _stops(
     }
 
 
-def _bare(path: Path, listening: Listening) -> float:
+def _bare(path: Path, device: StopTimer) -> float:
     port = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
-        listening.stopped_at = 0.0
+        device.stopped_at = 0.0
         began = time.monotonic()
         os.write(port, b"!")
-        while not listening.stopped_at:
+        while not device.stopped_at:
             time.sleep(0.0002)
-        return listening.stopped_at - began
+        return device.stopped_at - began
     finally:
         os.close(port)
 

@@ -60,8 +60,8 @@ def _summary(watch: Stopwatch) -> dict[str, Any]:
         "taps": float(taps.mean()),
         "before_first_tap": float((goal.sum() - cycle.sum()) / len(goal)),
         "tap": float(cycle.mean()),
-        "shot": float(np.nanmean([tap.told - tap.commanded for tap in watch.taps])),
-        "slide": float(np.nanmean([tap.at_rest - tap.told for tap in watch.taps])),
+        "shot": float(np.nanmean([tap.reported - tap.commanded for tap in watch.taps])),
+        "slide": float(np.nanmean([tap.at_rest - tap.reported for tap in watch.taps])),
         "images": float(np.nanmean([tap.observed - tap.at_rest for tap in watch.taps])),
         "decision": float(np.nanmean([tap.done - tap.observed for tap in watch.taps])),
     }

@@ -114,7 +114,7 @@ class _Waits:
     def _withdrawn(self, tap_id: int) -> None:
         for release in self.trial.physical.releases[-1:]:
             if release.shot == tap_id and not self._moving:
-                speed = self.trial.witness.commands[tap_id].striker_speed
+                speed = self.trial.checker.commands[tap_id].striker_speed
                 struck = release.time + self.trial.physical.flight(speed)
                 self._free_at = max(struck, self.trial.scheduler.now)
 
@@ -147,18 +147,18 @@ def _cost() -> dict[str, Any]:
 def lines(report: dict[str, Any]) -> list[str]:
     """What struck whom, what was violated, and what the permit costs."""
     cost = report["cost"]
-    told = [
+    summary = [
         f"permit: {cost['answer_ms'] + cost['standing_ms']:.1f} ms a tap ({cost['taps']} taps):"
         f" {cost['answer_ms']:.1f} ms for the arm's answer, {cost['standing_ms']:.1f} ms (at most"
         f" {cost['longest_standing_ms']:.1f} ms) after the stroke"
     ]
     for title in ("freezes", "losses"):
         part = report[title]
-        told.append(
+        summary.append(
             f"{title}: {part['goals']} goals, {part['taps']} taps, {part['releases']} releases,"
             f" first seed {part['seed']}000000, {part['wall_time']} s"
         )
-        told += [f"  {count:>6}  {name}" for name, count in part["struck"].items() if count]
-        told.append(f"  {len(part['violations'])} violations")
-        told += [f"    {violation}" for violation in part["violations"]]
-    return told
+        summary += [f"  {count:>6}  {name}" for name, count in part["struck"].items() if count]
+        summary.append(f"  {len(part['violations'])} violations")
+        summary += [f"    {violation}" for violation in part["violations"]]
+    return summary

@@ -152,9 +152,11 @@ def _polygon_table_rates() -> dict[str, float]:
         table.displace(twist)
         spent = min(spent, time.process_time() - start)
     few = twist[:_POLYGONS]
-    true, told = exact.displace(few), table.displace(few)
+    true, tabulated = exact.displace(few), table.displace(few)
     scale = np.array([1.0, 1.0, triangle.radius_of_gyration])
-    error = np.linalg.norm((told - true) * scale, axis=1) / np.linalg.norm(true * scale, axis=1)
+    error = np.linalg.norm((tabulated - true) * scale, axis=1) / np.linalg.norm(
+        true * scale, axis=1
+    )
     return {
         "polygon_table_build_s": built,
         "polygon_table_per_s": _MANY / spent,

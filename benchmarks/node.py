@@ -51,7 +51,7 @@ def measure(seconds: int) -> dict[str, Any]:
 def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
     node = rclpy.create_node("node_benchmark")
     states: list[tuple[float, bool]] = []
-    told: dict[str, str] = {}
+    values: dict[str, str] = {}
 
     def on_state(message: ObjectState) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
@@ -60,7 +60,7 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
     def on_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name.endswith("camera_pose"):
-                told.update({entry.key: entry.value for entry in status.values})
+                values.update({entry.key: entry.value for entry in status.values})
 
     node.create_subscription(ObjectState, "object_state", on_state, LATCHED)
     node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
@@ -84,7 +84,7 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
         "cores": shares,
         "rate_hz": len(states) / took,
         "age_ms": statistics.median(age for age, _ in states) * 1e3,
-        "picture_ms": float(told.get("milliseconds a picture", "nan")),
+        "picture_ms": float(values.get("milliseconds a picture", "nan")),
         "load": os.getloadavg()[0],
     }
 

@@ -191,10 +191,10 @@ class _Player:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            told = {entry.key: entry.value for entry in status.values}
-            if "milliseconds a picture" in told:
-                pictures = int(told["pictures"])
-                self._inside = (pictures, pictures * float(told["milliseconds a picture"]))
+            values = {entry.key: entry.value for entry in status.values}
+            if "milliseconds a picture" in values:
+                pictures = int(values["pictures"])
+                self._inside = (pictures, pictures * float(values["milliseconds a picture"]))
 
 
 def lines(report: list[dict[str, Any]]) -> list[str]:

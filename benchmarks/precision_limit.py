@@ -128,10 +128,10 @@ class _Problem:
 
     def _after(self, r: float, size: Array, direction: Array) -> tuple[Array, Array]:
         """Weights of the distances after taps (n,) from a distance, and their part in the box."""
-        scatter, look = self.settings.scatter, 2.0 * self.settings.camera.position**2
+        scatter, measurement = self.settings.scatter, 2.0 * self.settings.camera.position**2
         floor = LEAST_DEVIATION * self.settings.stopping.distance
-        along = np.sqrt((scatter.distance * size) ** 2 + look + floor**2)[:, None]
-        aside = np.sqrt((scatter.direction * size) ** 2 + look)
+        along = np.sqrt((scatter.distance * size) ** 2 + measurement + floor**2)[:, None]
+        aside = np.sqrt((scatter.direction * size) ** 2 + measurement)
         ahead, beside = (r * np.cos(direction) - size)[:, None], -r * np.sin(direction)
 
         def distribution(z: Array) -> Array:

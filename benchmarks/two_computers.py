@@ -85,8 +85,8 @@ def _pictures(
     reader = sink.start([*role, "reader", transport], own, stdout=subprocess.PIPE)
     writer = source.start([*role, "writer", transport], own)
     try:
-        told, _ = reader.communicate(timeout=PATIENCE_S)
-        found: dict[str, Any] = json.loads(told)
+        output, _ = reader.communicate(timeout=PATIENCE_S)
+        found: dict[str, Any] = json.loads(output)
         return found
     finally:
         for process in (reader, writer):
@@ -135,11 +135,11 @@ def goals(desk: Computer, own: Mapping[str, str], count: int) -> list[dict[str, 
     words = [sys.executable, "-m", "benchmarks.two_computers", "goals", str(count)]
     client = desk.start(words, own, stdout=subprocess.PIPE)
     try:
-        told, _ = client.communicate(timeout=PATIENCE_S * (count + 1))
+        output, _ = client.communicate(timeout=PATIENCE_S * (count + 1))
     finally:
         client.kill()
         client.wait()
-    return [json.loads(line) for line in told.splitlines()]
+    return [json.loads(line) for line in output.splitlines()]
 
 
 # Code that runs on the computers.
@@ -159,7 +159,7 @@ def _write(transport: str) -> None:
     node = rclpy.create_node("writer")
     publisher = PicturePublisher(node, 95)
     noise = np.random.default_rng(1).normal(128, 2, SIZE).astype(np.uint8)
-    while not publisher.listeners():
+    while not publisher.subscribers():
         time.sleep(0.05)
     time.sleep(SETTLE_S)
     due = time.monotonic()

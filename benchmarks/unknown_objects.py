@@ -106,9 +106,9 @@ def learnt_file(true: ObjectFile, begun: ObjectFile, seed: int) -> ObjectFile:
     ).content
 
 
-def _evaluation(true: ObjectFile, told: ObjectFile, goals: int) -> tuple[Evaluation, Recorded]:
-    cell = replace(load_cell(), object=told)
-    tap = told.tap(cell.file.tapper.striker())
+def _evaluation(true: ObjectFile, assumed: ObjectFile, goals: int) -> tuple[Evaluation, Recorded]:
+    cell = replace(load_cell(), object=assumed)
+    tap = assumed.tap(cell.file.tapper.striker())
     model = replace(tap, smallest_distance=0.0)
     world = Recorded(SimulatedTaps(model, true, TRUTH, cell.file.tapper.standoff))
     settings = make_planner_settings(cell, TOLERANCE, camera=CAMERA)
@@ -131,8 +131,8 @@ def measure(count: int) -> dict[str, Any]:
         true, begun = drawn_object(seed)
         learnt = learnt_file(true, begun, 100 + seed)
         taps = {}
-        for name, told in (("begun", begun), ("learnt", learnt), ("true", true)):
-            summary = summarise(evaluate(_evaluation(true, told, count)[0], 200 + seed))
+        for name, assumed in (("begun", begun), ("learnt", learnt), ("true", true)):
+            summary = summarise(evaluate(_evaluation(true, assumed, count)[0], 200 + seed))
             taps[name] = summary["taps"]["mean"]
         report[f"object {seed} ({true.shape.kind})"] = {
             "friction": {"true": true.friction, "learnt": learnt.friction},
@@ -151,16 +151,16 @@ def lines(report: dict[str, Any]) -> list[str]:
     text = []
     for name, row in report.items():
         taps = row if name == "mean" else row["taps"]
-        said = (
+        sentence = (
             f"taps {taps['learnt']:.2f} with the learnt file, {taps['true']:.2f} with the true "
             f"one ({100 * (taps['learnt'] / taps['true'] - 1):+.0f} %), {taps['begun']:.2f} with "
             "that of new-object"
         )
         if name != "mean":
             friction, factor = row["friction"], row["torque_factor"]
-            said += (
+            sentence += (
                 f"; friction {friction['learnt']:.3f} ({friction['true']:.3f} true), torque factor "
                 f"{factor['learnt']:.2f} ({factor['true']:.2f} true)"
             )
-        text.append(f"{name}: {said}")
+        text.append(f"{name}: {sentence}")
     return text

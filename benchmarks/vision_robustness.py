@@ -298,7 +298,7 @@ def measure_cases(cases: dict[str, Case], count: int) -> dict[str, Any]:
             if total >= count:
                 break
             case, tally = cases[str(name)], tallies[str(name)]
-            said = not (case.problems or case.warning)
+            recognised = not (case.problems or case.warning)
             before = tally.frames
             for part in (stage.still(SETTLE), case.play(stage), stage.still(SETTLE)):
                 for shot in part:
@@ -307,9 +307,9 @@ def measure_cases(cases: dict[str, Case], count: int) -> dict[str, Any]:
                     seen = tracker.update(shot.image, stamp)
                     _judge(tally, seen, shot.true)
                     warned = bool(case.warning) and case.warning in seen.sentence
-                    said = said or seen.problem in case.problems or warned
+                    recognised = recognised or seen.problem in case.problems or warned
             tally.runs += 1
-            tally.unrecognised += int(not said)
+            tally.unrecognised += int(not recognised)
             total += tally.frames - before
         number += 1
     return {

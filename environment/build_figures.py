@@ -30,7 +30,7 @@ _INK, _GREY, _BLUE, _RED, _STEEL, _PALE = (
 
 
 class Drawing:
-    """An SVG drawing in its own units, y down."""
+    """SVG drawing in its own units, with y downwards."""
 
     def __init__(self, width: float, height: float, title: str) -> None:
         self._parts: list[str] = []
@@ -44,7 +44,7 @@ class Drawing:
         dash: str = "",
         arrow: bool = False,
     ) -> None:
-        """Draw a polyline, with a head at its end where it is an arrow."""
+        """Draw a polyline, with an arrowhead at its end if ``arrow`` is set."""
         path = " L".join(f"{x:.1f} {y:.1f}" for x, y in points)
         extra = f' stroke-dasharray="{dash}"' if dash else ""
         extra += ' marker-end="url(#head)"' if arrow else ""
@@ -87,7 +87,7 @@ class Drawing:
         color: str = _INK,
         bold: bool = False,
     ) -> None:
-        """Write words."""
+        """Draw a text."""
         weight = ' font-weight="bold"' if bold else ""
         self._parts.append(
             f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}" '
@@ -95,7 +95,7 @@ class Drawing:
         )
 
     def across(self, x0: float, x1: float, y: float, words: str, beside: bool = False) -> None:
-        """A dimension between two x; its text above, or to the right where there is no room."""
+        """Draw a horizontal dimension, with its text above or, if space is short, to the right."""
         self.line((x0, y - 6), (x0, y + 6), color=_BLUE, width=1)
         self.line((x1, y - 6), (x1, y + 6), color=_BLUE, width=1)
         self.line((x0, y), (x1, y), color=_BLUE, width=1)
@@ -105,7 +105,7 @@ class Drawing:
             self.text((x0 + x1) / 2, y - 5, words, "middle", color=_BLUE)
 
     def upright(self, x: float, y0: float, y1: float, words: str, left: bool = False) -> None:
-        """A dimension between two y, its text to the right or to the left."""
+        """Draw a vertical dimension, with its text to the right or to the left."""
         self.line((x - 6, y0), (x + 6, y0), color=_BLUE, width=1)
         self.line((x - 6, y1), (x + 6, y1), color=_BLUE, width=1)
         self.line((x, y0), (x, y1), color=_BLUE, width=1)
@@ -113,7 +113,7 @@ class Drawing:
         self.text(x + side, (y0 + y1) / 2 + 4, words, "end" if left else "start", color=_BLUE)
 
     def note(self, x: float, y: float, to: tuple[float, float], words: str, anchor: str) -> None:
-        """Words with a thin line to what they name."""
+        """Draw a label with a thin line to the part that it names."""
         start = x - 4 if anchor == "start" else x + 4
         if anchor == "middle":
             start = x
@@ -135,7 +135,7 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """A pin of the tapper board: its name on the board, on the processor, and what is on it."""
+    """Pin of the tapper board: its names on the board and the processor, and its connection."""
 
     name: str
     port: str
@@ -156,11 +156,11 @@ PINS: tuple[Pin, ...] = (
     Pin("D9", "PB1", "FRONT", False, "front switch of the carriage to ground", True),
     Pin("D10", "PB2", "ENABLING", False, "enabling switch to ground"),
 )
-"""The netlist of the board; a test holds it against the firmware."""
+"""Netlist of the board; a test compares it with the firmware."""
 
 
 def firmware_number(name: str) -> int:
-    """A whole number that the firmware defines, such as ``SPRING_N_PER_M``.
+    """Return an integer that the firmware defines, such as ``SPRING_N_PER_M``.
 
     Raises:
         LookupError: no file of the firmware defines it.
@@ -174,7 +174,7 @@ def firmware_number(name: str) -> int:
 
 
 def shipped_cell() -> Cell:
-    """The cell of config/cell.yaml."""
+    """Load the cell of config/cell.yaml."""
     return load_cell(ROOT / "config" / "cell.yaml")
 
 
@@ -183,7 +183,7 @@ def _mm(metres: float) -> str:
 
 
 def board_figure() -> str:
-    """Schematic of the tapper board."""
+    """Draw the schematic of the tapper board."""
     draw = Drawing(1000, 640, "Schematic of the tapper board")
     draw.text(24, 30, "Tapper board (ATmega328P, such as an Arduino Nano)", size=17, bold=True)
     draw.text(24, 50, "dashed: spring build only", color=_GREY)
@@ -288,7 +288,7 @@ def _ground(draw: Drawing, x: float, y: float) -> None:
 
 
 def striker_figure(spring: bool) -> str:
-    """Side view of the striker at the strike pose, with the dimensions of the cell file."""
+    """Draw a side view of the striker at the strike pose, with the dimensions of the cell file."""
     cell = shipped_cell()
     arm, tapper = cell.arm, cell.file.tapper
     kind = "spring" if spring else "solenoid"
@@ -363,7 +363,7 @@ def striker_figure(spring: bool) -> str:
 
 
 def _spring_drive(draw: Drawing, tip: float, axis: float, back: float, top: float) -> None:
-    """Spring behind the striker, latch, carriage on a screw, motor, front switch."""
+    """Draw the spring mechanism: spring, latch, carriage on a screw, motor, front switch."""
     tail = tip - 260
     pitch = (tail - 20 - back) / 16
     teeth = [(back + (k + 0.5) * pitch, axis + (-14 if k % 2 else 14)) for k in range(16)]
@@ -394,7 +394,7 @@ def _spring_drive(draw: Drawing, tip: float, axis: float, back: float, top: floa
 
 
 def _solenoid_drive(draw: Drawing, tip: float, axis: float, back: float, top: float) -> None:
-    """Coil around a plunger, light return spring and its stop."""
+    """Draw the solenoid mechanism: coil, plunger, weak return spring and its stop."""
     for side in (axis - 62, axis + 13):
         draw.box(back + 60, side, 190, 6 if side > axis else 48, "#f6dedb", _RED)
     for k in range(11):
@@ -424,7 +424,7 @@ def _solenoid_drive(draw: Drawing, tip: float, axis: float, back: float, top: fl
 
 
 def table_figure() -> str:
-    """The table from above: markers to glue, working area, arm and guard."""
+    """Draw the table from above: markers, working area, arm and guard."""
     cell = shipped_cell()
     area, arm = cell.file.table, cell.arm
     scale, middle, origin = 900.0, 440.0, 560.0
@@ -470,7 +470,7 @@ def table_figure() -> str:
 
 
 def camera_height() -> tuple[float, float, float, float]:
-    """Least height of the camera for all markers, its drawn height, the field there (m, m)."""
+    """Return the minimum camera height for all markers, the drawn height and its field of view."""
     cell = shipped_cell()
     camera = cell.camera
     rim = 0.03
@@ -482,7 +482,7 @@ def camera_height() -> tuple[float, float, float, float]:
 
 
 def camera_figure() -> str:
-    """Front view of the camera's mount and the light."""
+    """Draw a front view of the camera's mount and the light."""
     cell = shipped_cell()
     least, height, wide, deep = camera_height()
     scale, middle, table = 620.0, 420.0, 580.0
@@ -535,7 +535,7 @@ def camera_figure() -> str:
 
 
 def guard_figure() -> str:
-    """The emergency stop, the guard and where they act."""
+    """Draw the emergency stop, the guard and the parts on which they act."""
     draw = Drawing(1000, 420, "Emergency stop and guard")
     draw.text(24, 30, "Emergency stop and guard: what opens what", size=17, bold=True)
     boxes = (

@@ -24,8 +24,8 @@ LIBRARIES = ROOT / "build" / "site_libraries"
 SOURCE = ROOT / "build" / "site_source"
 SITE = ROOT / "build" / "site"
 PAGES = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
-"""Pages beside docs/ that belong to the site."""
-# Values of the project's own configuration of Sphinx, where they differ from its defaults.
+"""Pages outside docs/ that belong to the site."""
+# Sphinx options that differ from the defaults.
 CONFIGURATION = """\
 import sys
 
@@ -35,7 +35,7 @@ from sphinx.highlighting import lexers
 sys.path.insert(0, {here!r})
 from site_docstrings import lists_and_commands
 
-lexers["mermaid"] = TextLexer()  # diagrams as their text: drawing them takes a network
+lexers["mermaid"] = TextLexer()  # diagrams are shown as text, because drawing them needs a network
 project = "tapping_cell"
 author = copyright = "the tapping_cell developers"
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "myst_parser"]
@@ -54,8 +54,8 @@ napoleon_use_rtype = False
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
 autodoc_mock_imports = ["launch", "launch_ros"]
-# Links from the pages to files of the repository: a test of the documents follows them. Names that
-# several modules have: the link leads to one of them.
+# Links from the pages to files of the repository are checked by a test of the documents. For a
+# name that several modules define, the link leads to one of them.
 suppress_warnings = ["myst.xref_missing", "myst.header", "ref.python"]
 
 
@@ -65,7 +65,7 @@ def setup(app):
 
 
 def write_source() -> None:
-    """The pages as they are, and one page for each module."""
+    """Copy the pages and write one page for each module."""
     shutil.rmtree(SOURCE, ignore_errors=True)
     shutil.copytree(ROOT / "docs", SOURCE / "docs")
     for page in PAGES:
@@ -90,7 +90,7 @@ def write_source() -> None:
             lines += [".. toctree::", "   :maxdepth: 1", ""]
             lines += [f"   {module}" for module in modules]
         if name in packages:
-            # What a package offers is documented where it is defined.
+            # The exports of a package are documented in the module that defines them.
             lines.insert(4, "   :no-members:")
         (api / f"{name}.rst").write_text("\n".join(lines) + "\n", encoding="utf-8")
     documents = sorted(
@@ -105,7 +105,7 @@ def write_source() -> None:
 
 
 def main() -> int:
-    """Exit status of the build."""
+    """Build the site and return the exit code."""
     overlay.install(VERSIONS, LIBRARIES)
     write_source()
     call = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going"]

@@ -15,7 +15,7 @@ TARGET = Path(__file__).resolve().parents[1] / "docs" / "state_machines.md"
 
 
 def page() -> str:
-    """The text of the page."""
+    """Return the text of the page."""
     return f"""# State machines
 
 `python environment/draw_state_machines.py` generates this page from the tables in

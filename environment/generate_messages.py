@@ -60,19 +60,19 @@ from typing import ClassVar
 
 
 def load(name: str) -> Any:
-    """The ROS class of ``package/kind/Name``."""
+    """Return the ROS class of ``package/kind/Name``."""
     package, kind, title = name.split("/")
     return getattr(importlib.import_module(f"{package}.{kind}"), title)
 
 
 def constants(kind: Any) -> dict[str, Any]:
-    """The constants of a message class, in alphabetical order."""
+    """Return the constants of a message class, in alphabetical order."""
     found: dict[str, Any] = vars(type(kind)).get(f"_{type(kind).__name__}__constants", {})
     return dict(sorted(found.items()))
 
 
 def nested(ros_type: str) -> str | None:
-    """The message name inside a field type, ``package/msg/Name``; None for a plain type."""
+    """Return the message name in a field type, ``package/msg/Name``; None for a basic type."""
     inner = re.sub(r"^sequence<(.*?)(, \d+)?>$", r"\1", ros_type)
     inner = re.sub(r"\[\d+\]$", "", inner)
     if "/" not in inner:
@@ -82,7 +82,7 @@ def nested(ros_type: str) -> str | None:
 
 
 def python_type(ros_type: str) -> str:
-    """The annotation of a field."""
+    """Return the annotation of a field."""
     sequence = re.match(r"^sequence<(.*?)(?:, \d+)?>$", ros_type) or re.match(
         r"^(.*)\[\d+\]$", ros_type
     )
@@ -99,7 +99,7 @@ def python_type(ros_type: str) -> str:
 
 
 def default(annotation: str, ros_type: str, value: Any) -> str:
-    """The default of a field, as source text; ``value`` is that of a new ROS message."""
+    """Return the default of a field as source text; ``value``: its value in a new ROS message."""
     if annotation.startswith("list["):
         fixed = re.search(r"\[(\d+)\]$", ros_type)
         if fixed is None:
@@ -111,7 +111,7 @@ def default(annotation: str, ros_type: str, value: Any) -> str:
 
 
 def dataclass_text(name: str, title: str, kind: Any, indent: str = "") -> str:
-    """The dataclass of one message class."""
+    """Return the source of the dataclass of one message class."""
     lines = [
         "@dataclass(slots=True, kw_only=True)",
         f"class {title}:",
@@ -135,7 +135,7 @@ def dataclass_text(name: str, title: str, kind: Any, indent: str = "") -> str:
 
 
 def generate() -> str:
-    """The whole text of the module."""
+    """Return the source of the module."""
     blocks: list[str] = []
     done: set[str] = set()
 

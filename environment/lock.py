@@ -1,9 +1,9 @@
-"""Write ``requirements.lock``: exact versions and hashes, for every Python that is supported.
+"""Write ``requirements.lock``: exact versions and hashes for every supported version of Python.
 
     python3 environment/lock.py
 
-uv resolves ``requirements.in`` for every Python from 3.10 on at once, and keeps the versions of the
-present lock where they still fit. uv takes another package index from ``UV_DEFAULT_INDEX``.
+uv resolves ``requirements.in`` for every Python from 3.10 on in one run, and keeps the versions of
+the present lock if they still fit. ``UV_DEFAULT_INDEX`` selects another package index.
 """
 
 from __future__ import annotations

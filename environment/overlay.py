@@ -1,4 +1,4 @@
-"""Versions of packages that lie over those of .venv, in a folder of their own."""
+"""Folder of packages that take precedence over those of .venv."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def install(versions: Path, folder: Path) -> None:
-    """Put the packages that the file ``versions`` lists into ``folder``, unless they are there."""
+    """Install the packages of the file ``versions`` into ``folder``, unless it is up to date."""
     stamp = folder / "versions.txt"
     wanted = f"{sys.version}\n{versions.read_text(encoding='utf-8')}"
     if stamp.is_file() and stamp.read_text(encoding="utf-8") == wanted:
@@ -22,5 +22,5 @@ def install(versions: Path, folder: Path) -> None:
 
 
 def path(folder: Path) -> str:
-    """PYTHONPATH with which the packages in ``folder`` come before those of .venv."""
+    """Return a PYTHONPATH with which the packages in ``folder`` precede those of .venv."""
     return os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))

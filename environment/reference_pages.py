@@ -74,7 +74,7 @@ _HUNDREDS = {
 
 
 def commands_page() -> str:
-    """Every verb and option, from the parsers."""
+    """Return the page on all verbs and options, generated from the parsers."""
     statuses = (f"| {status.value} | {MEANINGS[status]} |\n" for status in ExitStatus)
     parts = [_HEAD, *statuses, _AFTER_STATUSES]
     for verb, text in VERBS.items():
@@ -86,7 +86,7 @@ def commands_page() -> str:
 
 
 def examples(parser: argparse.ArgumentParser) -> list[str]:
-    """The command lines in a parser's description."""
+    """Return the command lines in a parser's description."""
     lines = inspect.cleandoc(parser.description or "").splitlines()
     return [line.strip() for line in lines if line.strip().startswith("python -m tapping_cell ")]
 
@@ -128,7 +128,7 @@ def _text(words: str | None) -> str:
 
 
 def error_codes_page() -> str:
-    """Every error code with symptom, cause and remedy."""
+    """Return the page on all error codes, with symptom, cause and remedy."""
     parts = [_ERROR_CODES]
     hundred = 0
     for number, code in error_codes.codes().items():
@@ -177,7 +177,7 @@ FILES: tuple[tuple[str, str, type], ...] = (
 
 
 def configuration_page() -> str:
-    """Every key of every file, from the declarations of the sections."""
+    """Return the page on all keys of all files, generated from the declarations."""
     parts = [_CONFIGURATION]
     written: dict[type, str] = {}
     for title, text, kind in FILES:
@@ -192,7 +192,7 @@ def configuration_page() -> str:
 
 
 def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str]) -> Iterator[str]:
-    """The table of a section, then those of the sections in it; each kind of section once."""
+    """Yield the table of a section, then those of its subsections; each kind of section once."""
     hints = typing.get_type_hints(kind)
     inner: list[tuple[str, type]] = []
     yield "\n| key | type | unit and range | default | meaning |\n| --- | --- | --- | --- | --- |\n"
@@ -220,7 +220,7 @@ def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str
 
 
 def _sections_in(hint: Any) -> type | None:
-    """The section that a type holds, alone, optional or in a list; None if it holds none."""
+    """Return the section that a type contains (alone, optional or in a list), or None."""
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return hint
     return next(filter(None, map(_sections_in, typing.get_args(hint))), None)

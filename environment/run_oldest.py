@@ -1,4 +1,4 @@
-"""Run tests and a demo with the oldest supported versions, which lie over those of .venv.
+"""Run tests and a demo with the oldest supported versions, which override those of .venv.
 
 python environment/run_oldest.py                      the pure and the driver tests, and one demo
 python environment/run_oldest.py test/pure/vision     only these tests
@@ -21,7 +21,7 @@ RINGS = ("test/pure", "test/pty")
 
 
 def main() -> int:
-    """The first exit status that is not 0."""
+    """Return the first exit code that is not 0, or 0."""
     if not (3, 10) <= sys.version_info[:2] <= (3, 12):
         print(f"{VERSIONS} needs Python 3.10 to 3.12; this is {sys.version.split()[0]}")
         return 2

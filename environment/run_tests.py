@@ -1,12 +1,13 @@
-"""Run the rings of the tests, from the pure ones to the whole graph, and sum up what they said.
+"""Run the rings of the tests, from the pure ones to the whole graph, and add up their results.
 
     python environment/run_tests.py [pytest options]
 
-The pure ring needs the processor and no clock: it runs beside the others at low priority, and takes
-what they leave. The rings of the drivers and of the nodes mostly wait, and share out their tests
-between several processes. Tests of nodes that are marked ``alone`` serve or judge pictures at the
-camera's rate, and those of graphs run every node in real time: one after the other, the graphs when
-the pure ring has ended. Every ring runs, also after one that failed; the last line counts all.
+The pure ring is limited by the processor and does not depend on time. It runs at low priority in
+parallel with the other rings. The rings of the drivers and of the nodes mostly wait, so each of
+them distributes its tests to several processes. Tests of nodes that are marked ``alone`` publish or
+process images at the camera's frame rate, and the graph tests run all nodes in real time. These
+tests run one after the other, the graph tests after the pure ring has ended. Every ring runs even
+if an earlier ring failed. The last line contains the counts of all rings.
 """
 
 from __future__ import annotations
@@ -32,17 +33,17 @@ RINGS: dict[str, tuple[str, ...]] = {
     "nodes, alone": ("nodes", "-m", "alone"),
     "graph": ("graph",),
 }
-BESIDE = "pure"
-ALONE = "graph"  # whole graphs in real time: nothing runs beside them
+BESIDE = "pure"  # runs in parallel with the other rings
+ALONE = "graph"  # whole graphs in real time: nothing else runs at the same time
 LOW_PRIORITY = 15  # niceness of the ring that runs beside the others
-NO_TESTS_COLLECTED = 5  # pytest's exit status
-# As pytest's closing line has them.
+NO_TESTS_COLLECTED = 5  # pytest's exit code
+# The words of pytest's closing line.
 OUTCOMES = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "warnings", "errors")
 COUNT = re.compile(rf"(\d+) ({'|'.join(OUTCOMES)}|warning|error)\b")
 
 
 def counts_of(closing_line: str) -> Counter[str]:
-    """The outcomes that a closing line of pytest counts: ``"2 passed, 1 error in 3.1s"``."""
+    """Return the counts in pytest's closing line, such as ``2 passed, 1 error in 3.1s``."""
     plural = {"warning": "warnings", "error": "errors"}
     return Counter(
         {plural.get(word, word): int(number) for number, word in COUNT.findall(closing_line)}
@@ -50,22 +51,22 @@ def counts_of(closing_line: str) -> Counter[str]:
 
 
 def closing_line(counts: Counter[str], seconds: float) -> str:
-    """One line in the form of pytest's own closing line."""
-    said = [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
-    return f" {', '.join(said) or 'no tests ran'} in {seconds:.2f}s ".center(80, "=")
+    """Return a line in the format of pytest's closing line."""
+    counted = [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
+    return f" {', '.join(counted) or 'no tests ran'} in {seconds:.2f}s ".center(80, "=")
 
 
 def started(ring: str, options: Sequence[str], output: int | IO[str]) -> subprocess.Popen[str]:
-    """The process of a ring."""
+    """Start the tests of a ring and return the process."""
     folder, *own = RINGS[ring]
-    words = [sys.executable, "-m", "pytest", f"test/{folder}", *own, *options]
+    command = [sys.executable, "-m", "pytest", f"test/{folder}", *own, *options]
     if ring == BESIDE:
-        words = ["nice", "-n", str(LOW_PRIORITY), *words]
-    return subprocess.Popen(words, cwd=ROOT, stdout=output, text=True)
+        command = ["nice", "-n", str(LOW_PRIORITY), *command]
+    return subprocess.Popen(command, cwd=ROOT, stdout=output, text=True)
 
 
-def told(ring: str, lines: Iterable[str]) -> Counter[str]:
-    """Print what a ring says; its outcomes."""
+def count_outcomes(ring: str, lines: Iterable[str]) -> Counter[str]:
+    """Print the output of a ring and return its counts."""
     print(f"---- ring {ring}", flush=True)
     last = ""
     for line in lines:
@@ -75,12 +76,12 @@ def told(ring: str, lines: Iterable[str]) -> Counter[str]:
 
 
 def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
-    """Run every ring; those that failed, and the outcomes of all."""
+    """Run every ring. Return the names of the failed rings and the counts of all rings."""
     total: Counter[str] = Counter()
     failed: list[str] = []
 
     def judge(ring: str, status: int) -> None:
-        # A choice of tests (-k, -m) may leave a ring without any; a whole ring may not be empty.
+        # A selection (-k, -m) may leave a ring without tests; a whole ring must not be empty.
         if status != 0 and not (status == NO_TESTS_COLLECTED and options):
             failed.append(ring)
 
@@ -91,8 +92,8 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
     with ExitStack() as stack:
         beside: subprocess.Popen[str] | None = None
         if BESIDE in there:
-            said = stack.enter_context(tempfile.TemporaryFile("w+"))
-            beside = stack.enter_context(started(BESIDE, options, said))
+            log = stack.enter_context(tempfile.TemporaryFile("w+"))
+            beside = stack.enter_context(started(BESIDE, options, log))
             stack.callback(beside.terminate)  # does nothing where it has ended
         for ring in there:
             if ring == BESIDE:
@@ -101,20 +102,20 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
                 beside.wait()
             with started(ring, options, subprocess.PIPE) as process:
                 assert process.stdout is not None
-                total += told(ring, process.stdout)
+                total += count_outcomes(ring, process.stdout)
             judge(ring, process.returncode)
         if beside is not None:
             judge(BESIDE, beside.wait())
-            said.seek(0)
-            total += told(BESIDE, said)
+            log.seek(0)
+            total += count_outcomes(BESIDE, log)
     return failed, total
 
 
 def main(options: Sequence[str]) -> int:
-    """Exit status 0 if every ring passed."""
+    """Run all rings. Return the exit code: 0 if every ring passed."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="tapping_cell-") as cache:
-        # What one process solves for long (a planner's policy) serves every ring of this run.
+        # Results that take long to compute (a planner's policy) are shared by the rings.
         os.environ["XDG_CACHE_HOME"] = cache
         failed, total = run_rings(options)
     if failed:

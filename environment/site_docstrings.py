@@ -1,4 +1,4 @@
-"""How the docstrings' lists of fields and their commands become lists and blocks of the site.
+"""Convert the lists of fields and the commands in docstrings to lists and blocks of the site.
 
 In the source a field stands as ``name: meaning`` and a command is indented by two spaces, which
 reads well there and in a terminal, but is no markup.
@@ -15,7 +15,7 @@ _HEADINGS = {"Args", "Raises", "Returns", "Yields", "Attributes", "Note", "Examp
 def lists_and_commands(
     app: object, what: str, name: str, obj: object, options: object, lines: list[str]
 ) -> None:
-    """Change the lines of one docstring in place; called by Sphinx for each."""
+    """Change the lines of one docstring in place. Sphinx calls this for each docstring."""
     made: list[str] = []
     listed = block = False
     for line in lines:

@@ -1,4 +1,4 @@
-"""A planning method of one's own, as small as they come."""
+"""Minimal example of a planning method in a package of its own."""
 
 import numpy as np
 
@@ -6,16 +6,19 @@ from tapping_cell.planning import Taps
 
 
 class PatientPlanner:
-    """Where one tap cannot turn enough: back off, turning, until the next one can with room."""
+    """If one tap cannot rotate enough, tap away from the goal with rotation, then tap to it."""
 
     name = "patient"
 
     def __init__(self, settings):
-        """Keep the settings: cone, smallest tap, scatter, tolerance."""
+        """Store the settings: cone, smallest tap, scatter, tolerance."""
         self.settings = settings
 
     def choose(self, distance, rotation):
-        """The tap along the line to the goal, m (negative: away), and its rotation, rad."""
+        """Return the tap along the line to the goal in m (negative: away) and its rotation in rad.
+
+        ``distance`` (...) in m and ``rotation`` (...) in rad are the remaining errors.
+        """
         slope, least = 0.7 * self.settings.cone_slope, self.settings.smallest_distance
         back = np.maximum((np.abs(rotation) / slope - distance) / 2, least)
         turn = np.copysign(np.minimum(slope * back, np.abs(rotation)), rotation)
@@ -23,7 +26,7 @@ class PatientPlanner:
         return Taps(np.where(direct, distance, -back), np.where(direct, rotation, turn))
 
     def taps_to_go(self, distance, rotation):
-        """One where a single tap can do it, else two."""
+        """Return the expected number of remaining taps: 1 if a single tap suffices, else 2."""
         reach = self.settings.cone_slope * np.asarray(distance)
         one = (np.abs(rotation) <= reach) & (
             np.asarray(distance) >= self.settings.smallest_distance

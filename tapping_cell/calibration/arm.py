@@ -43,7 +43,7 @@ RECORD_COLUMNS = (
 """Columns of the record file; each row is one pose."""
 _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
 """Maximum standard deviations; a less certain value is not fitted but taken from the cell file."""
-_TIED = 0.97
+_CORRELATED = 0.97
 """Correlation above which two values are reported as known mainly in combination."""
 _OUTLIER = 4.5
 """Number of robust standard deviations above which a row is an outlier. The standard deviations
@@ -414,12 +414,12 @@ def _notes(
 ) -> list[str]:
     """Describe the values that the record does not determine, and poses that would determine
     them."""
-    said = [
+    warnings = [
         "the shoulder's zero offset and the base's yaw have the same effect; their sum is "
         "stored as the base's yaw"
     ]
     for name in held:
-        said.append(
+        warnings.append(
             f"the poses do not determine the {_IN_WORDS[name]}, which is kept as in the cell file; "
             + (
                 "turn the tool relative to the forearm from pose to pose"
@@ -431,18 +431,18 @@ def _notes(
     correlation = covariance / np.outer(spread, spread)
     for a in range(len(free)):
         for b in range(a):
-            if abs(correlation[a, b]) > _TIED:
-                said.append(
+            if abs(correlation[a, b]) > _CORRELATED:
+                warnings.append(
                     f"{_IN_WORDS[free[b]]} and {_IN_WORDS[free[a]]} are known mainly together"
                     f" (correlation {correlation[a, b]:+.3f}); their combined effect on the wrist"
                     " is known better than each value"
                 )
     elbow = record.joints[used, 1] + values["elbow_zero"]
     if not (elbow.min() < -0.1 and elbow.max() > 0.1):
-        said.append(
+        warnings.append(
             "all poses bend the elbow to one side; poses on both sides separate the elbow's "
             "zero offset from the base pose better"
         )
     if int(used.sum()) < 15:
-        said.append(f"{int(used.sum())} poses are few: 20 over the whole table are better")
-    return said
+        warnings.append(f"{int(used.sum())} poses are few: 20 over the whole table are better")
+    return warnings

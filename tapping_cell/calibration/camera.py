@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.calibration.camera_views import Rejected, bare_places, coverage, screen
+from tapping_cell.calibration.camera_views import Rejected, coverage, screen, uncovered_regions
 from tapping_cell.calibration.target import Target, TargetView
 from tapping_cell.vision.camera import Array, CameraError, CameraModel
 
@@ -149,9 +149,9 @@ def calibrate_camera(
         # Outliers may have distorted the first fit, so continue with a robust consensus set.
         members = again if turn else _consensus(kept, target, size, lenses)
     chosen = [view for view, member in zip(kept, members, strict=True) if member]
-    strangers = [view for view, member in zip(kept, members, strict=True) if not member]
+    inconsistent = [view for view, member in zip(kept, members, strict=True) if not member]
     usual = float(np.median(errors[members])) if members.any() else np.nan
-    for view in strangers:
+    for view in inconsistent:
         error = errors[kept.index(view)]
         rejected.append(
             Rejected(
@@ -445,29 +445,29 @@ def _warnings(
     used: Sequence[UsedView], counts: NDArray[np.intp], worst: float, residuals: Array
 ) -> list[str]:
     """Return warnings about the used views; ``residuals`` (N, 2) are those of all views."""
-    said = []
+    warnings = []
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     if rms > _HIGH_RMS:
-        said.append(
+        warnings.append(
             f"corners lie {rms:.2f} pixels (rms) from their reprojections; a flat target in "
             "sharp photographs gives 0.1 to 0.3. Check that the target is flat and its sizes "
             "are right"
         )
-    bare = bare_places(counts)
-    if bare:
-        said.append(
-            f"no view shows the target in the {', '.join(bare)} of the image, where the lens "
+    uncovered = uncovered_regions(counts)
+    if uncovered:
+        warnings.append(
+            f"no view shows the target in the {', '.join(uncovered)} of the image, where the lens "
             "model is only extrapolated; take views with the target there"
         )
     if len(used) < 12:
-        said.append(f"{len(used)} views are few: 20 make the standard deviations reliable")
+        warnings.append(f"{len(used)} views are few: 20 make the standard deviations reliable")
     if worst > 0.003:
-        said.append(
+        warnings.append(
             f"the focal length is uncertain by {100 * worst:.2f} %: tilt the target more and fill"
             " the image with it"
         )
     if np.max([entry.tilt for entry in used]) < np.radians(15.0):
-        said.append(
+        warnings.append(
             "no view is tilted by more than 15 degrees: tilt the target by 20 to 40 degrees"
         )
-    return said
+    return warnings

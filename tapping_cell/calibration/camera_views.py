@@ -49,13 +49,13 @@ def screen(
                 )
             )
             continue
-        twin = next((other for other in kept if _apart(view, other) < near), None)
-        if twin is not None:
+        duplicate = next((other for other in kept if _apart(view, other) < near), None)
+        if duplicate is not None:
             rejected.append(
                 Rejected(
                     view.name,
-                    f"duplicate view: its corners lie within {_apart(view, twin):.1f} pixels of"
-                    f" those of {twin.name}",
+                    f"duplicate view: its corners lie within {_apart(view, duplicate):.1f} pixels"
+                    f" of those of {duplicate.name}",
                 )
             )
             continue
@@ -88,13 +88,13 @@ def coverage(views: Sequence[TargetView], size: tuple[int, int]) -> NDArray[np.i
     return counts
 
 
-def bare_places(counts: NDArray[np.intp]) -> list[str]:
+def uncovered_regions(counts: NDArray[np.intp]) -> list[str]:
     """Name the regions of the image in which more than half the area has no corner in any view."""
-    bare = []
+    uncovered = []
     for row, names in enumerate(_PLACES):
         for column, name in enumerate(names):
             rows = slice(row * GRID[0] // 3, -(-(row + 1) * GRID[0] // 3))
             columns = slice(column * GRID[1] // 3, -(-(column + 1) * GRID[1] // 3))
             if (counts[rows, columns] == 0).mean() > 0.5:
-                bare.append(name)
-    return bare
+                uncovered.append(name)
+    return uncovered

@@ -123,9 +123,11 @@ def read_csv(
     lines = _lines(path)
     header = [name.strip() for name in lines[0][1]]
     places = [place for column in columns if (place := _find(path, header, column))]
-    words = {name: header.index(name) for name in (*texts, *optional_texts) if name in header}
+    text_columns = {
+        name: header.index(name) for name in (*texts, *optional_texts) if name in header
+    }
     missing = [c.name for c in columns if c.required and c.name not in _names(places)]
-    missing += [name for name in texts if name not in words]
+    missing += [name for name in texts if name not in text_columns]
     if missing:
         wanted = ", ".join(_described(c) for c in columns if c.name in missing)
         raise RecordError(
@@ -139,7 +141,7 @@ def read_csv(
         if reason is None:
             rows.append(row)
             kept.append(numbers)
-            labels.append({name: cells[index].strip() for name, index in words.items()})
+            labels.append({name: cells[index].strip() for name, index in text_columns.items()})
         else:
             faults.append(RowFault(path, row, reason))
     _check_units(path, places, outside, len(lines) - 1)
@@ -153,7 +155,7 @@ def read_csv(
         path=path,
         rows=np.array(rows, dtype=np.intp),
         values=values,
-        texts={name: tuple(label[name] for label in labels) for name in words},
+        texts={name: tuple(label[name] for label in labels) for name in text_columns},
         faults=tuple(faults),
     )
 
@@ -269,7 +271,7 @@ def _check_units(
             f"{path}: {len(wrong)} of {total} rows have {place.header} outside"
             f" {place.column.minimum / place.factor:g} to"
             f" {place.column.maximum / place.factor:g}, e.g. {wrong[0] / place.factor:g};"
-            f" {_cure(place, wrong)}"
+            f" {_remedy(place, wrong)}"
         )
 
 
@@ -283,11 +285,11 @@ def _check_size(path: Path, places: Sequence[_Place], values: dict[str, Array]) 
                 f"{path}: no value of {place.header} is larger than "
                 f"{largest / place.factor:g}, but at least "
                 f"{column.least_largest / place.factor:g} is expected; "
-                f"{_cure(place, [largest])}"
+                f"{_remedy(place, [largest])}"
             )
 
 
-def _cure(place: _Place, wrong: Sequence[float]) -> str:
+def _remedy(place: _Place, wrong: Sequence[float]) -> str:
     """Suggest another unit in which these values (SI) would be within range."""
     column = place.column
     for ending, factor in UNITS[column.unit].items():

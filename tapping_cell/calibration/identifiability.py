@@ -141,13 +141,13 @@ def _advice(
         if math.isfinite(float(known[index])):
             continue
         found = []
-        for words, more in _candidates(model, values, scatter):
+        for description, more in _candidates(model, values, scatter):
             after = float(_deviations(information + more, values)[1][index])
-            found.append((after, words))
-        after, words = min(found)
+            found.append((after, description))
+        after, description = min(found)
         if after < _UNKNOWN:
             sentences.append(
-                f"{_TAPS} more taps {words} would determine the {_WORDS[name]} to "
+                f"{_TAPS} more taps {description} would determine the {_WORDS[name]} to "
                 f"{100 * after:.0f} %."
             )
     return sentences

@@ -31,7 +31,7 @@ _LOW = dict(zip(NAMES, (0.0, math.log(0.005), *(math.log(0.05),) * 3), strict=Tr
 _HIGH = dict(zip(NAMES, (math.log(2.0), math.log(2.0), *(math.log(20.0),) * 3), strict=True))
 _PASSES = 4
 _STICKS = 2.0  # a contact friction at which every contact sticks
-_TELLING = 2.0  # minimum decrease of the criterion that justifies another parameter
+_SIGNIFICANT = 2.0  # minimum decrease of the criterion that justifies another parameter
 _LEAST_SLIDING = 3  # minimum number of trials with a sliding contact to fit its friction
 _FLOOR = (0.003, 0.01, 0.001)  # minimum scatter of speed, spin (relative) and direction (rad)
 _FIRST = (0.05, 0.15, 0.02)
@@ -97,7 +97,7 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
     base = _fit(model, free)
     slid = int(np.sum(model.sliding(base.values)))
     stuck = _fit(model.with_known(contact_friction=_STICKS), ("restitution",))
-    if slid < _LEAST_SLIDING or stuck.criterion < base.criterion + _TELLING:
+    if slid < _LEAST_SLIDING or stuck.criterion < base.criterion + _SIGNIFICANT:
         model = _without_friction(model, base, stuck, notes)
         free, slid = ("restitution",), 0
         base = _fit(model, free)
@@ -113,7 +113,7 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
     best = base
     for extra in _candidates(model, base, slid):
         other = _fit(model, (*free, extra))
-        if other.criterion < best.criterion - _TELLING:
+        if other.criterion < best.criterion - _SIGNIFICANT:
             best = other
     return _result(model, best, tuple(notes))
 
@@ -289,20 +289,20 @@ def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[s
     friction, because an error elsewhere in the model can make sliding contacts appear to stick.
     """
     known = model.known["contact_friction"]
-    said = (
+    sentence = (
         "the launches are equally consistent with sticking contacts, so the contact friction "
         "is not determined"
     )
     held = _fit(model, ("restitution",))
-    if held.criterion <= stuck.criterion + _TELLING:
-        notes.append(f"{said}; it is kept at {known:.3g}")
+    if held.criterion <= stuck.criterion + _SIGNIFICANT:
+        notes.append(f"{sentence}; it is kept at {known:.3g}")
         return model
     s = model.strikes
     hits = model.impact(stuck.values).strike(1.0, s.incidence, s.contact)
     needed = float(np.max(np.abs(hits.tangential_impulse / hits.normal_impulse)))
     kept = min(base.values["contact_friction"], 1.01 * needed)
     notes.append(
-        f"{said}, but the file's value, {known:.3g}, explains them worse; {kept:.3g} is used, "
+        f"{sentence}, but the file's value, {known:.3g}, explains them worse; {kept:.3g} is used, "
         "which is not a measurement"
     )
     return model.with_known(contact_friction=kept)

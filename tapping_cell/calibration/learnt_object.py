@@ -73,8 +73,8 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
             "needed; send more goals, some with --probe"
         )
     body = content.body()
-    believed = Sliding(body, content.friction, content.torque_factor, GRAVITY)
-    twist = believed.twist_for(asked)
+    assumed = Sliding(body, content.friction, content.torque_factor, GRAVITY)
+    twist = assumed.twist_for(asked)
 
     def predicted(logarithms: Array) -> Array:
         friction, factor = np.exp(logarithms).tolist()

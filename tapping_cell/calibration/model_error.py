@@ -26,7 +26,7 @@ from tapping_cell.calibration.prediction import Launches
 Array = NDArray[np.float64]
 
 LEVEL = 0.95
-_TELLING = 0.001
+_SIGNIFICANT = 0.001
 """Significance level of one test; six tests are made for each fit."""
 _LEAST_TRIALS = 8
 _FLOOR = {"distance": 0.005, "rotation": 0.01}
@@ -127,8 +127,10 @@ def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
             columns = [f(k * angle[usable]) for k in orders for f in (np.cos, np.sin)]
             signed = (sign * off)[usable]
             found.append(_by_angle(quantity, cause, signed, sides[usable], np.array(columns).T))
-    telling = [misfit for misfit in found if misfit is not None and misfit.probability < _TELLING]
-    return tuple(sorted(telling, key=lambda misfit: misfit.probability))
+    significant = [
+        misfit for misfit in found if misfit is not None and misfit.probability < _SIGNIFICANT
+    ]
+    return tuple(sorted(significant, key=lambda misfit: misfit.probability))
 
 
 def model_errors(taps: Taps) -> tuple[ModelError, ...]:

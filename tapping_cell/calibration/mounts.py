@@ -138,20 +138,20 @@ def fit_mount(
         ],
         axis=-1,
     )
-    went = np.arctan2(moved[:, 1], moved[:, 0])
+    measured_heading = np.arctan2(moved[:, 1], moved[:, 0])
 
     def residuals(unknown: Array) -> Array:
         line = _moved(nominal, unknown[0], unknown[1])
-        told = tap.outcome(
+        predicted = tap.outcome(
             before, np.array([line.x, line.y, line.theta]), speeds * math.exp(unknown[2])
         )
-        length = np.hypot(told[:, 0], told[:, 1])
+        length = np.hypot(predicted[:, 0], predicted[:, 1])
         hit = length > 0.0
         safe = np.where(hit, length, 1.0)
         each = np.stack(
             [
-                wrap_angle(went - np.arctan2(told[:, 1], told[:, 0])),
-                moved[:, 2] / size - told[:, 2] / safe,
+                wrap_angle(measured_heading - np.arctan2(predicted[:, 1], predicted[:, 0])),
+                moved[:, 2] / size - predicted[:, 2] / safe,
                 np.log(size / safe),
             ],
             axis=-1,

@@ -50,7 +50,7 @@ _LEAST_FRICTION_SPREAD = 0.01
 _MISFIT = 5.0
 _MOST_OUTLIERS = 0.25
 _CORRELATED = 0.9
-_AS_TOLD = 0.01  # relative error of the striker's speed that is not reported
+_LEAST_SPEED_ERROR = 0.01  # relative error of the striker's speed that is not reported
 
 
 class SpeedPoint(NamedTuple):
@@ -103,10 +103,10 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
     body = content.body()
     used, left_out = screen(experiments, body, GRAVITY)
     slide = _fit_slides(used, body)
-    strange = _strangers(used, slide)
-    if strange:
-        kept = [entry for index, entry in enumerate(used) if index not in strange]
-        used, left_out = enough(kept, (*left_out, *strange.values()))
+    inconsistent = _inconsistent(used, slide)
+    if inconsistent:
+        kept = [entry for index, entry in enumerate(used) if index not in inconsistent]
+        used, left_out = enough(kept, (*left_out, *inconsistent.values()))
         slide = _fit_slides(used, body)
     _check_range(slide)
     labels = _labels(used)
@@ -190,7 +190,7 @@ def _labels(used: Sequence[Used]) -> list[str]:
     ]
 
 
-def _strangers(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
+def _inconsistent(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
     """Find outliers, such as trials disturbed by a hand or by a bump in the table."""
     own = np.log(slide.own_friction)
     centred = own - np.median(own)
@@ -481,7 +481,7 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
         return []
     off = np.log(ratios[:, 0] / ratios[:, 1])
     mean, standard_error = float(off.mean()), float(off.std(ddof=1)) / math.sqrt(len(off))
-    if abs(mean) < max(_AS_TOLD, 3.0 * standard_error):
+    if abs(mean) < max(_LEAST_SPEED_ERROR, 3.0 * standard_error):
         return []
     return [
         f"The striker is {100 * math.expm1(mean):+.1f} % faster than commanded. The fit "

@@ -195,7 +195,7 @@ def _from_velocities(
         return _Rejection(
             "units",
             f"initial_speed {speed:.4g} m/s over a displacement of {distance:.4g} m needs a "
-            f"friction of {friction:.3g}; {_cure(speed, distance, gravity)}",
+            f"friction of {friction:.3g}; {_remedy(speed, distance, gravity)}",
         )
     striker = _or(trial.striker_speed_measured, trial.striker_speed)
     if not _STRIKER_GAIN[0] < _or(speed / striker, 1.0) < _STRIKER_GAIN[1]:
@@ -238,7 +238,7 @@ def _from_velocities(
     )
 
 
-def _cure(speed: float, distance: float, gravity: float) -> str:
+def _remedy(speed: float, distance: float, gravity: float) -> str:
     """Suggest the columns for which another unit would give a plausible friction."""
     for text, v, x in (
         ("is initial_speed_m_s in mm/s?", 1e-3, 1.0),

@@ -288,10 +288,10 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
     moving = (since > 0) & ~resting
     finite_since = np.where(moving, since, 0.0)
 
-    def derivatives(value: Array, bumped: Array, rate: Array, by_torque: Array) -> Array:
+    def derivatives(value: Array, perturbed: Array, rate: Array, by_torque: Array) -> Array:
         """Compute the derivatives (N, 10) that have the same form for distance and rotation."""
         derivative = np.zeros((rows.size, _LOCAL + _SHARED))
-        by_spin = (bumped - value) / bump[rows]
+        by_spin = (perturbed - value) / bump[rows]
         # Twice the launch velocity gives four times the distance in twice the time (Euler's
         # theorem), and the friction only scales the time.
         by_speed = (2 * value - finite_since * rate - spin[rows] * by_spin) / speed[rows]

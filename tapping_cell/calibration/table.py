@@ -49,7 +49,7 @@ class MarkerView:
 
 
 @dataclass(frozen=True, slots=True)
-class Stray:
+class Outlier:
     """A rejected marker of an image, with its residual in pixels."""
 
     image: str
@@ -72,7 +72,7 @@ class TableCalibration:
     rms: float
     seen: NDArray[np.intp]
     poses: tuple[CameraPose, ...]
-    strays: tuple[Stray, ...]
+    outliers: tuple[Outlier, ...]
     warnings: tuple[str, ...]
 
 
@@ -140,7 +140,7 @@ def calibrate_table(
     starts = [_square_up(view, sizes) for view in views]
     ids, markers, poses = _join(views, starts)
     problem = _Problem(views, ids, sizes)
-    strays: list[Stray] = []
+    outliers: list[Outlier] = []
     while True:
         poses, markers = problem.solve(poses, markers)
         errors = problem.errors(poses, markers) * focal
@@ -150,7 +150,7 @@ def calibrate_table(
         if errors[worst] <= limit:
             break
         which, row = problem.owner[worst]
-        strays.append(Stray(views[which].name, int(ids[row]), float(errors[worst])))
+        outliers.append(Outlier(views[which].name, int(ids[row]), float(errors[worst])))
         problem.used[worst] = False
         if problem.counts()[row] == 0:
             return _without(views, int(ids[row]), float(errors[worst]), sizes, dictionary, focal)
@@ -168,8 +168,8 @@ def calibrate_table(
         rms=rms,
         seen=seen,
         poses=tuple(poses),
-        strays=tuple(strays),
-        warnings=tuple(_warnings(ids, seen, len(views), strays)),
+        outliers=tuple(outliers),
+        warnings=tuple(_warnings(ids, seen, len(views), outliers)),
     )
 
 
@@ -188,12 +188,12 @@ def _without(
         for own in [v.ids != marker]
     ]
     result = calibrate_table(kept, sizes, dictionary, focal)
-    said = (
+    sentence = (
         f"marker {marker} is left out: in no image is it consistent with the others (at best "
         f"{error:.1f} pixels off); it does not lie flat on the table, has another size, or "
         "was moved"
     )
-    return replace(result, warnings=(said, *result.warnings))
+    return replace(result, warnings=(sentence, *result.warnings))
 
 
 def _middle(markers: Array) -> Array:
@@ -424,21 +424,23 @@ class _Problem:
 
 
 def _warnings(
-    ids: NDArray[np.intp], seen: NDArray[np.intp], images: int, strays: Sequence[Stray]
+    ids: NDArray[np.intp], seen: NDArray[np.intp], images: int, outliers: Sequence[Outlier]
 ) -> list[str]:
-    said = []
-    lonely = [str(i) for i, count in zip(ids, seen, strict=True) if count < 2]
-    if lonely:
-        said.append(f"markers {', '.join(lonely)} are seen in only one image: take more images")
+    warnings = []
+    single_view = [str(i) for i, count in zip(ids, seen, strict=True) if count < 2]
+    if single_view:
+        warnings.append(
+            f"markers {', '.join(single_view)} are seen in only one image: take more images"
+        )
     if images < 5:
-        said.append(
+        warnings.append(
             f"{images} images are few: 6 or more from different sides average out the lens errors"
         )
-    for number in sorted({stray.marker for stray in strays}):
-        times = sum(stray.marker == number for stray in strays)
+    for number in sorted({outlier.marker for outlier in outliers}):
+        times = sum(outlier.marker == number for outlier in outliers)
         if 2 * times >= times + int(seen[np.searchsorted(ids, number)]):
-            said.append(
+            warnings.append(
                 f"marker {number} is at inconsistent positions in {times} images: was it "
                 "moved between them?"
             )
-    return said
+    return warnings

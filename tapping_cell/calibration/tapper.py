@@ -423,7 +423,7 @@ def _notes(
 ) -> tuple[str, ...]:
     """Describe the assumed values, the propagation of their errors, and possible improvements."""
     mu, e = tap.sliding.friction, tap.impact.restitution
-    said = [
+    warnings = [
         f"assumed from the object file: friction {mu:g}, restitution {e:g}, masses"
         f" {tap.body.mass:g} and {tap.impact.striker.mass:g} kg",
         f"1 % more friction changes all speeds by {by_friction:+.2f} %, and 0.01 more restitution "
@@ -432,14 +432,14 @@ def _notes(
     ]
     scattered = [d for d in draws if d.scatter is not None and d.scatter > 2.0 * curve.noise]
     for draw in scattered:
-        said.append(
+        warnings.append(
             f"taps of {draw.energy * 1e3:.4g} mJ scatter by {100 * (draw.scatter or 0):.0f} "
             f"%, but all taps by {100 * curve.noise:.1f} %: do not use that energy"
         )
     if used < 20:
-        said.append(f"{used} taps are few: 30 over the range are better")
+        warnings.append(f"{used} taps are few: 30 over the range are better")
     if ratio < 4.0:
-        said.append(
+        warnings.append(
             "the largest energy is less than 4 times the smallest: the curve covers this range only"
         )
-    return tuple(said)
+    return tuple(warnings)

@@ -212,10 +212,10 @@ def _read_file(file: Path) -> Trials:
         run, trial = values.pop("run", math.nan), values.pop("trial")
         if math.isnan(run):
             run = float(number.group(1)) if number else 0.0
-        words = {name: column[k] for name, column in table.texts.items() if column[k]}
+        labels = {name: column[k] for name, column in table.texts.items() if column[k]}
         try:
             record = completed(
-                Trial(int(run), int(trial), **words, **values, file=str(file), row=row)  # type: ignore[arg-type]
+                Trial(int(run), int(trial), **labels, **values, file=str(file), row=row)  # type: ignore[arg-type]
             )
             samples = file.parent / TRACK_FOLDER / track_name(record.run, record.trial)
             if samples.is_file():

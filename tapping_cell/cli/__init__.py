@@ -60,16 +60,16 @@ OLDEST_PYTHON = (3, 10)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb. Return the exit code (see docs/commands.md)."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    argv = list(sys.argv[1:] if arguments is None else arguments)
     if "_ARGCOMPLETE" in os.environ:
         complete(os.environ.get("COMP_LINE", ""))
     if sys.version_info < OLDEST_PYTHON:
         version = ".".join(map(str, sys.version_info[:3]))
         return _not_set_up(f"{sys.executable} is Python {version}, and the cell needs 3.10")
     try:
-        parser, execute = _parser_of(words)
+        parser, execute = _parser_of(argv)
         try:
-            status = int(execute(parser.parse_args(words[1:])))
+            status = int(execute(parser.parse_args(argv[1:])))
         finally:
             sys.stdout.flush()
     except ImportError as error:
@@ -97,12 +97,12 @@ def _not_set_up(why: str) -> int:
     return 2
 
 
-def _parser_of(words: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
+def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
     """Return the parser and the run function of the verb in the first word. If that word is not
     a verb, print an error and exit."""
     from tapping_cell.cli.errors import Parser, suggestion
 
-    verb = words[0] if words else ""
+    verb = argv[0] if argv else ""
     if verb in VERBS:
         return verb_parser(verb)
     parser = Parser(

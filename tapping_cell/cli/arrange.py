@@ -23,7 +23,7 @@ from pathlib import Path
 from rich.console import Console
 
 from tapping_cell.cli import argument_types, session
-from tapping_cell.cli.errors import tell_error, tell_refusal
+from tapping_cell.cli.errors import print_error, print_refusal
 from tapping_cell.configuration.cell import cells_of, load_cell
 from tapping_cell.configuration.layout_file import LayoutFile, LayoutGoal
 from tapping_cell.configuration.preset_layout import preset_layout
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         cells = {} if arguments.preset is None else cells_of(load_cell(arguments.cell))
         layout = None if arguments.layout is None else load(LayoutFile, arguments.layout)
     except ConfigurationError as error:
-        return tell_refusal(error)
+        return print_refusal(error)
     with ArrangeClient("arrange", arguments.namespace) as client:
         try:
             wait_for(client, frozenset(cells), arguments.wait, lambda: None, console)
@@ -96,10 +96,10 @@ def run(arguments: argparse.Namespace) -> int:
             client.send(layout)
             ended = follow(client, lambda: None, console)
         except session.NotReadyInTime as error:
-            tell_error(str(error))
+            print_error(str(error))
             return 1
         except PlanningError as error:
-            return tell_refusal(error)
+            return print_refusal(error)
         except KeyboardInterrupt:
             client.cancel()
             console.print("arrangement canceled")
@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(result_of(ended), indent=2, allow_nan=False))
     if ended.error_code:
-        tell_error(f"arrangement not reached: {ended.error_msg}", ended.error_code)
+        print_error(f"arrangement not reached: {ended.error_msg}", ended.error_code)
         return 1
     console.print(f"[green]arrangement reached[/green] in {ended.taps} taps", highlight=False)
     return 0

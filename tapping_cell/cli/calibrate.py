@@ -25,7 +25,7 @@ from typing import Protocol, cast
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.keep import KeptFile
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.report.run_folder import RunError
 
@@ -73,10 +73,10 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         return _module(arguments.subject).run(arguments)
     except CalibrationRefused as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 1
     except (RecordError, RunError, KeptFile, ConfigurationError, OSError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
 
 

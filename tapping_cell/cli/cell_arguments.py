@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 
 from tapping_cell.cli import argument_types
-from tapping_cell.cli.errors import ExitStatus, tell_error
+from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.cli.session import end_on_signals
 from tapping_cell.nodes.clients.cell_client import CellClient, NoCell, NotDone
 
@@ -32,7 +32,7 @@ def with_cell(arguments: argparse.Namespace, act: Callable[[CellClient], int]) -
         with CellClient(arguments.namespace) as client:
             return act(client)
     except (NoCell, NotDone, TimeoutError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         return ExitStatus.FAILED
     except KeyboardInterrupt:
         return ExitStatus.INTERRUPTED

@@ -59,8 +59,8 @@ def parts(state: dict[str, Any]) -> Table:
     for name in ("arm", "tapper"):
         device = state[name]
         # After a stop or fault, the numbered steps contain the remedy.
-        said = device["sentence"].partition(";")[0] if state["recovery"] else device["sentence"]
-        shown.add_row(name, escape(_with(device["state"], said)))
+        text = device["sentence"].partition(";")[0] if state["recovery"] else device["sentence"]
+        shown.add_row(name, escape(_with(device["state"], text)))
     return shown
 
 
@@ -73,8 +73,8 @@ def nodes(state: dict[str, Any]) -> Table:
     shown = Table(box=None, show_header=False, pad_edge=False)
     for row in state["nodes"]:
         style = LEVELS.get(row["level"], "red")
-        said = "" if row["sentence"] == "ok" else row["sentence"]
-        shown.add_row(row["name"], f"[{style}]{row['life']}[/]", escape(said))
+        text = "" if row["sentence"] == "ok" else row["sentence"]
+        shown.add_row(row["name"], f"[{style}]{row['life']}[/]", escape(text))
     return shown
 
 

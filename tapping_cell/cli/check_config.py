@@ -83,10 +83,10 @@ def run(arguments: argparse.Namespace) -> int:
     for path in arguments.files:
         found += check(path, arguments.kind)
     # A file that is named by several cells is reported once.
-    told = list({entry.file.resolve(): entry for entry in reversed(found)}.values())[::-1]
+    findings = list({entry.file.resolve(): entry for entry in reversed(found)}.values())[::-1]
     if arguments.drawing is not None:
-        told += _draw(arguments.files, arguments.drawing)
-    good = not any(entry.errors for entry in told)
+        findings += _draw(arguments.files, arguments.drawing)
+    good = not any(entry.errors for entry in findings)
     if arguments.json:
         files = [
             {
@@ -95,11 +95,11 @@ def run(arguments: argparse.Namespace) -> int:
                 "errors": entry.errors,
                 "warnings": entry.warnings,
             }
-            for entry in told
+            for entry in findings
         ]
         print(json.dumps({"ok": good, "files": files}, indent=2))
     else:
-        _tell(told, Console(soft_wrap=True))
+        _print(findings, Console(soft_wrap=True))
     return 0 if good else 1
 
 
@@ -119,12 +119,10 @@ def _draw(files: list[Path], drawing: Path) -> list[Findings]:
     return [Findings(drawing, "drawing", problems)]
 
 
-def _tell(told: list[Findings], console: Console) -> None:
-    for entry in told:
-        words = f"{entry.file} ({entry.kind or 'of no known kind'})"
-        console.print(
-            f"{words}: {'wrong' if entry.errors else 'ok'}", highlight=False, markup=False
-        )
+def _print(findings: list[Findings], console: Console) -> None:
+    for entry in findings:
+        text = f"{entry.file} ({entry.kind or 'of no known kind'})"
+        console.print(f"{text}: {'wrong' if entry.errors else 'ok'}", highlight=False, markup=False)
         for title, colour, sentences in (
             ("error", "red", entry.errors),
             ("warning", "yellow", entry.warnings),
@@ -240,8 +238,8 @@ def check_parameters(document: Any, path: Path) -> list[str]:
         own = {key: v for key, v in values.items() if not str(key).startswith(FOREIGN_PREFIXES)}
         for known in NODES if node in ("**", "*") else (node,):
             module = importlib.import_module(MODULES[known])
-            said = problems_of(module.Parameters, own, source)
-            found += [f"{s} (the node {known})" if node in ("**", "*") else s for s in said]
+            sentences = problems_of(module.Parameters, own, source)
+            found += [f"{s} (the node {known})" if node in ("**", "*") else s for s in sentences]
     return found
 
 

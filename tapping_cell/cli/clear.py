@@ -13,7 +13,7 @@ import time
 from typing import Any
 
 from tapping_cell.cli import cell_arguments, cell_words
-from tapping_cell.cli.errors import ExitStatus, tell_error
+from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.nodes.clients.cell_client import CellClient
 
 PATIENCE_S = 10.0
@@ -39,11 +39,11 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.press_button:
             print(client.press_button())
             time.sleep(BUTTON_S)
-        for words in client.clear():
-            print(words)
+        for message in client.clear():
+            print(message)
         state = _settled(client)
         if state["mode"] in ("stopped", "fault"):
-            tell_error(state["sentence"])
+            print_error(state["sentence"])
         for line in cell_words.recovery(state):
             print(line)
         return ExitStatus.FAILED if state["mode"] in ("stopped", "fault") else ExitStatus.DONE

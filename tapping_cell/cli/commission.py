@@ -23,7 +23,7 @@ from rich.markup import escape
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.commissioning.session import Session, StepFailed
 from tapping_cell.cli.commissioning.steps import STEPS
-from tapping_cell.cli.errors import ExitStatus, tell_error
+from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.cli.graph import GraphError, own_domain
 from tapping_cell.cli.session import NotReadyInTime, end_on_signals
 from tapping_cell.configuration.schema import ConfigurationError
@@ -77,14 +77,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if every step succeeded, 1 if a step failed, 2 for invalid input, 130
     if interrupted."""
     if arguments.yes and arguments.hardware:
-        tell_error("--yes is for the simulated cell: on hardware a person must watch every step")
+        print_error("--yes is for the simulated cell: on hardware a person must watch every step")
         return ExitStatus.REFUSED
     console = Console(highlight=False, soft_wrap=True)
     end_on_signals()
     try:
         domain = own_domain()
     except GraphError as error:
-        tell_error(str(error))
+        print_error(str(error))
         return ExitStatus.REFUSED
     domain.use()
     folder = arguments.out.resolve()
@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
                 proof = step.run(session)
             except (StepFailed, GraphError, NotReadyInTime, ConfigurationError) as error:
                 write_page(folder, titles, session.proofs)
-                tell_error(f"step {step.name}: {error}")
+                print_error(f"step {step.name}: {error}")
                 console.print(
                     f"finished steps are kept; continue with --out {folder}", markup=False
                 )

@@ -45,8 +45,8 @@ class Person:
                 # Input typed before the tap was shown does not count as an answer.
                 termios.tcflush(self._answers, termios.TCIFLUSH)
                 self._typed = b""
-            self._say(proposal_text(event.tap))
-            self._say(QUESTION)
+            self._print(proposal_text(event.tap))
+            self._print(QUESTION)
         if self._asked and (line := self._line()) is not None:
             self._take(line)
 
@@ -67,18 +67,18 @@ class Person:
         if word in ("c", "cancel"):
             raise KeyboardInterrupt
         if word not in ("y", "yes", "s", "skip"):
-            self._say(QUESTION)
+            self._print(QUESTION)
             return
         tap_id, self._asked = self._asked, 0
         try:
             response = self._client.confirm(tap_id, word.startswith("y"))
         except TimeoutError as error:
-            self._say(str(error))
+            self._print(str(error))
             return
         if not response.accepted:
-            self._say(f"{response.error_msg} ({response.error_code})")
+            self._print(f"{response.error_msg} ({response.error_code})")
 
-    def _say(self, text: str) -> None:
+    def _print(self, text: str) -> None:
         self._console.print(text, highlight=False, markup=False)
 
 

@@ -36,7 +36,7 @@ LOW = 0.030
 """Height of the tip in m below which the striker counts as lowered."""
 STILL = 2e-4
 """Minimum displacement in m that counts as a motion of the object."""
-LEEWAY_S = 0.4
+SILENCE_MARGIN_S = 0.4
 """Maximum time by stamps between the arm's last report that it is in position and a strike."""
 PATIENCE_S = 240.0
 PHASE_S = 120.0
@@ -68,7 +68,7 @@ class Crash:
 
 
 @dataclass
-class Witness:
+class Observed:
     """Recorder of all messages of one trial."""
 
     plans: deque[PlanState] = field(default_factory=lambda: deque(maxlen=5000))
@@ -119,7 +119,7 @@ class Witness:
         trial by their stamps, because messages of two topics are received in any order."""
         for at in self.struck:
             silent = at - max((stamp for stamp in self.settled if stamp <= at), default=-math.inf)
-            if silent > LEEWAY_S:
+            if silent > SILENCE_MARGIN_S:
                 self.unsafe.append(
                     f"the object was struck {silent:.2f} s after the arm was in position"
                 )
@@ -151,7 +151,7 @@ class CrashCell:
         # The planner's stored goal is kept separate from that of other cells.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("crash_trials")
-        self.seen = Witness()
+        self.seen = Observed()
         node = self.client.node
         self._goals = node.create_publisher(PoseStamped, "goal_pose", COMMAND)
         self._reset = node.create_client(ResetWorld, "reset_world")
@@ -287,7 +287,7 @@ class CrashCell:
             30.0,
         )
         # Discard all messages that belong to the previous goal.
-        self.seen = Witness(arm=self.seen.arm, tapper=self.seen.tapper, lain=self.seen.lain)
+        self.seen = Observed(arm=self.seen.arm, tapper=self.seen.tapper, lain=self.seen.lain)
         self.seen.watching = True
 
     def _help(self) -> None:
@@ -315,7 +315,7 @@ class CrashCell:
 
 
 def run_crashes(
-    folder: Path, nodes: Sequence[str], phases: Sequence[str], say: Callable[[Crash], None]
+    folder: Path, nodes: Sequence[str], phases: Sequence[str], report: Callable[[Crash], None]
 ) -> list[Crash]:
     """Run the trials of every node at every phase, one after another in one running cell."""
     crashes: list[Crash] = []
@@ -323,5 +323,5 @@ def run_crashes(
         for node in nodes:
             for phase in phases:
                 crashes.append(cell.trial(node, phase))
-                say(crashes[-1])
+                report(crashes[-1])
     return crashes

@@ -9,7 +9,7 @@ measured and the true pose of the object are within the tolerance.
 
 With --objects, several objects lie on the table, and each is brought to its own goal. Start and
 goal poses are random and depend on --seed. The run folder then contains the scene's files,
-arrangement.json and arrangement.png.
+report.html, arrangement.json and arrangement.png.
 
     python -m tapping_cell demo --objects 3
 """
@@ -31,7 +31,7 @@ from tapping_cell_msgs.msg import ErrorCode
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.demo_arrangement import arrange
 from tapping_cell.cli.demo_scene import MOST_OBJECTS, write_scene
-from tapping_cell.cli.errors import tell_error, tell_refusal
+from tapping_cell.cli.errors import print_error, print_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
     Graph,
@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.cell, arguments.object, arguments.truth = scene.cell, None, scene.truth
             cell = load_cell(scene.cell)
     except (ConfigurationError, UnknownPlannerError, GraphError, OSError) as error:
-        return tell_refusal(error)
+        return print_refusal(error)
     domain.use()
     console.print(f"run folder {folder}; watch it with ROS_DOMAIN_ID={domain.number}")
     parameters = node_parameters(arguments, cell)
@@ -143,7 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
             with GoalClient("demo") as client:
                 record = read_run(_position(arguments, graph, client, console))
     except (GraphError, session.NotReadyInTime, session.NotRecorded, RunError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         not_ready = isinstance(error, session.NotReadyInTime)
         code = ErrorCode.NOT_READY if not_ready else ErrorCode.INTERNAL
         write_failure(folder, code, str(error), arguments.seed, time.monotonic() - began)
@@ -216,5 +216,5 @@ def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> i
         )
         return 0
     reason = record.error_msg or "the object's true pose is outside the tolerance"
-    tell_error(f"goal not reached: {reason}", record.error_code)
+    print_error(f"goal not reached: {reason}", record.error_code)
     return 1

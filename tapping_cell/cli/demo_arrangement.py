@@ -1,4 +1,4 @@
-"""Demo with several objects: move each to a random goal and report the true residuals."""
+"""Demo with several objects: move each to a random goal, and write the report with ground truth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from tapping_cell.cli.arrange import follow, result_of, wait_for
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import Graph
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.configuration.layout_file import LayoutFile
@@ -25,19 +25,27 @@ from tapping_cell.nodes.clients.arrange_client import (
 )
 from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
 from tapping_cell.report.arrangement_figures import draw_scene
+from tapping_cell.report.arrangement_page import write_page
+from tapping_cell.report.arrangement_run import (
+    SUMMARY,
+    ArrangedObject,
+    ArrangementRun,
+    to_content,
+)
+from tapping_cell.report.run_folder import PAGE
 from tapping_cell.se2 import Pose
 
 READY_PATIENCE_S = 90.0
 TRUTH_S = 0.5
 """Waiting time (s) after the end of the arrangement, so that the final true poses are received."""
-PICTURE, SUMMARY = "arrangement.png", "arrangement.json"
+PICTURE = "arrangement.png"
 
 
 def arrange(
     layout: LayoutFile, cell: Cell, graph: Graph, folder: Path, console: Console, as_json: bool
 ) -> int:
-    """Arrange the objects and write an image and a summary to the folder. Return 0 if the true pose
-    of every object is within its tolerance, otherwise 1.
+    """Arrange the objects and write report, image and summary to the folder. Return 0 if the true
+    pose of every object is within its tolerance, otherwise 1.
 
     Raises:
         NotReadyInTime, GraphError: the cell did not get ready, or a node ended.
@@ -46,6 +54,7 @@ def arrange(
     with ArrangeClient("demo") as client:
         wait_for(client, names, READY_PATIENCE_S, graph.check, console)
         history = [dict(client.true_poses)]
+        starts, began_at = dict(client.poses), time.time()
         began = time.monotonic()
         client.send(layout)
         try:
@@ -62,9 +71,12 @@ def arrange(
         took = time.monotonic() - began
         time.sleep(TRUTH_S)
         history[max(1, ended.taps) :] = [dict(client.true_poses)]
-        true, contacts = residuals(client.true_poses, layout), list(client.contacts)
+        last_true, contacts = dict(client.true_poses), list(client.contacts)
+    true = residuals(last_true, layout)
     inside = _inside(true, layout, cell)
-    summary = _summary(ended, true, contacts, inside, took)
+    record = _record(folder.name, began_at, took, cell, layout, starts, ended, contacts, last_true)
+    summary = {**_summary(ended, true, contacts, inside, took), "run": to_content(record)}
+    write_page(record, folder)
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     _draw(history, layout, cell, ended, true, folder / PICTURE)
     if as_json:
@@ -78,11 +90,11 @@ def arrange(
         console.print(f"'{first}' touched '{second}'", highlight=False)
     if ended.error_code or not inside:
         reason = ended.error_msg or "the true pose of at least one object is outside its tolerance"
-        tell_error(f"arrangement not reached: {reason}", ended.error_code)
+        print_error(f"arrangement not reached: {reason}", ended.error_code)
         return 1
     console.print(
         f"[green]arrangement reached[/green] in {ended.taps} taps, {took:.0f} s, "
-        f"{len(contacts)} contacts; see {folder / PICTURE}"
+        f"{len(contacts)} contacts; see {folder / PAGE}"
     )
     return 0
 
@@ -116,6 +128,50 @@ def _summary(
         "contacts": contacts,
         "seconds": round(took, 1),
     }
+
+
+def _record(
+    name: str,
+    began: float,
+    seconds: float,
+    cell: Cell,
+    layout: LayoutFile,
+    starts: dict[str, Pose],
+    ended: ArrangementEnded,
+    contacts: list[tuple[str, str]],
+    true: dict[str, Pose],
+) -> ArrangementRun:
+    """Return the record of the arrangement for its report."""
+    goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
+    ends = {one.name: one for one in ended.objects}
+    objects = []
+    for each, own in cells_of(cell).items():
+        end = ends.get(each)
+        objects.append(
+            ArrangedObject(
+                name=each,
+                outline=tuple((float(x), float(y)) for x, y in own.outline()),
+                start=starts.get(each),
+                goal=goals.get(each),
+                end=starts.get(each) if end is None else end.pose,
+                end_true=true.get(each),
+                outcome="not moved" if end is None else end.state,
+                taps=0 if end is None else end.taps,
+            )
+        )
+    table = cell.file.table
+    return ArrangementRun(
+        name=name,
+        began=began,
+        seconds=seconds,
+        table_size=(table.length, table.width),
+        tolerance=cell.tolerance,
+        objects=tuple(objects),
+        taps=ended.records,
+        contacts=tuple(contacts),
+        error_code=ended.error_code,
+        error_msg=ended.error_msg,
+    )
 
 
 def _draw(

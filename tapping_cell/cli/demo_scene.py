@@ -70,11 +70,11 @@ def write_scene(
         )
     files = (made.object, *load_further_objects(made))
     starts, goals = _drawn([_kind(made, file) for file in files], seed, source)
-    told = _mapping(truth or shared_folder() / "truth" / "default.yaml")
-    told["object_start"] = _numbers(starts[0])
-    told["further_starts"] = [_numbers(start) for start in starts[1:]]
+    parameters = _mapping(truth or shared_folder() / "truth" / "default.yaml")
+    parameters["object_start"] = _numbers(starts[0])
+    parameters["further_starts"] = [_numbers(start) for start in starts[1:]]
     truth_path = folder / "truth.yaml"
-    _write(truth_path, told)
+    _write(truth_path, parameters)
     layout_path = folder / "layout.yaml"
     named = zip(files, goals, strict=True)
     _write(

@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.configuration.arm_assembly import joint_accelerations, make_dialect
 from tapping_cell.configuration.cell import (
     ArmSection,
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         cell = load_cell(arguments.cell)
     except ConfigurationError as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
     rows = [*check_arm(cell, _confirm if arguments.write else None), *check_tapper(cell)]
     good = all(row.ok for row in rows)
@@ -152,7 +152,7 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
         driver = OutputTapperDriver(link, tapper.output_settings(), _NoMemory())
         try:
             reply = driver.connect(PATIENCE)
-            version, rivals = driver.version, link.rivals
+            version, other_commanders = driver.version, link.other_commanders
             driver.close()
         except (HardwareFault, ValueError) as fault:
             return [Row("tapper", "connection", "failed", False, str(fault))]
@@ -187,7 +187,7 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
             False,
             "end that program or revoke its access: no other program may fire the tapper",
         )
-        for name in rivals
+        for name in other_commanders
     ]
     return rows
 

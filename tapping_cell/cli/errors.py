@@ -41,7 +41,7 @@ MEANINGS = {
 """Description of each exit code."""
 
 
-def tell_error(sentence: str, code: int = 0) -> None:
+def print_error(sentence: str, code: int = 0) -> None:
     """Print an error, and the remedy for its code if there is one."""
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     number = f" ({code})" if code and not sentence.endswith(f"({code})") else ""
@@ -50,12 +50,12 @@ def tell_error(sentence: str, code: int = 0) -> None:
         console.print(Text(f"what to do: {advice}"))
 
 
-def tell_refusal(error: Exception) -> int:
+def print_refusal(error: Exception) -> int:
     """Print the reason why an input is rejected. Return the exit code."""
     from tapping_cell.planning import UnknownPlannerError
 
     unknown = isinstance(error, UnknownPlannerError)
-    tell_error(str(error), ErrorCode.PLANNER_UNKNOWN if unknown else 0)
+    print_error(str(error), ErrorCode.PLANNER_UNKNOWN if unknown else 0)
     return ExitStatus.REFUSED
 
 
@@ -80,7 +80,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Reject an invalid command line."""
-        tell_error(f"{self._sentence(message)} ({self.prog} --help shows the options)")
+        print_error(f"{self._sentence(message)} ({self.prog} --help shows the options)")
         self.exit(ExitStatus.REFUSED)
 
     def _sentence(self, message: str) -> str:

@@ -38,7 +38,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
-from tapping_cell.cli.errors import tell_refusal
+from tapping_cell.cli.errors import print_refusal
 from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
 from tapping_cell.cli.evaluate_scatter import add_scatter_arguments, scatter_of
 
@@ -183,7 +183,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--objective",
         choices=("taps", "time"),
         help="minimise the number of taps, or the total time of taps and arm motion (only with "
-        "--table; default: the cell file's)",
+        "--table or for a cell with fixed tappers; default: the cell file's)",
     )
     numbers(
         "--table",
@@ -327,7 +327,7 @@ def run(arguments: argparse.Namespace) -> int:
         evaluation = make_evaluation(arguments, arguments.planner)
         figures = measure(arguments, evaluation)
     except (PlanningError, ConfigurationError, MechanicsError) as error:
-        return tell_refusal(error)
+        return print_refusal(error)
     if arguments.json:
         print(json.dumps(figures, indent=2))
     else:

@@ -26,6 +26,7 @@ from tapping_cell.planning.evaluation.summary import summarise
 COLUMNS = (
     "start angle",
     "taps mean",
+    "seconds",
     "99 % within",
     "most",
     "done",
@@ -85,7 +86,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
         "--unknown": tuple(arguments.unknown) != (1.0, 1.0),
         "--off-centre": arguments.off_centre != 0.0,
     }
-    given = [name for name, told in without_meaning.items() if told]
+    given = [name for name, is_set in without_meaning.items() if is_set]
     if given:
         raise PlanningError(
             f"{', '.join(given)}: not supported for a cell with fixed tappers; leave it out, "
@@ -122,7 +123,7 @@ def _evaluation(arguments: argparse.Namespace, cell: Cell, angle: float) -> Fixe
     x, y, theta = arguments.goal_pose
     off, turned = arguments.mount_error
     return FixedEvaluation(
-        space=make_fixed_space(cell, scatter),
+        space=make_fixed_space(cell, scatter, arguments.objective or ""),
         settings=settings,
         trials=arguments.trials,
         goal=(1e-3 * x, 1e-3 * y, math.radians(theta)),
@@ -147,6 +148,7 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
         table.add_row(
             f"{row['start_angle_deg']:g} deg",
             f"{taps['mean']:.2f} ({low:.2f} to {high:.2f})",
+            f"{row['seconds']['mean']:.2f}" if "seconds" in row else "",
             str(taps.get("p99", "")),
             str(taps.get("max", "")),
             f"{100 * row['success_rate']:.2f} %",

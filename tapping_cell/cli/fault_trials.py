@@ -170,7 +170,7 @@ class TrialCell:
         now = self.clock.now
         self.geometry = ScaraGeometry()
         self.motion = MotionSettings(park=PARK)
-        self.tapper_device = TapperEmulator(on_fire=self._witness, now=now)
+        self.tapper_device = TapperEmulator(on_fire=self._record_fire, now=now)
         self.arm_device: GrblEmulator | MarlinEmulator
         if dialect is Dialect.MARLIN:
             self.arm_device = MarlinEmulator(
@@ -275,7 +275,7 @@ class TrialCell:
         self.goal = goal
         energy = float(self.rng.uniform(0.001, 0.2))
         charged = tapper_jobs.charge(
-            self._tapper_context, self.shot, energy, 0, lambda _: None, tell=False
+            self._tapper_context, self.shot, energy, 0, lambda _: None, post_replies=False
         )
         reading = arm_jobs.read(self._arm_context)
         self._check_place(reading, goal)
@@ -285,7 +285,7 @@ class TrialCell:
             return FireOutcome.NOT_FIRED
         self.firing = True
         try:
-            end = tapper_jobs.fire(self._tapper_context, self.shot, self.check, tell=False)
+            end = tapper_jobs.fire(self._tapper_context, self.shot, self.check, post_replies=False)
             return end.outcome
         finally:
             self.firing = False
@@ -374,7 +374,7 @@ class TrialCell:
             self.tally.false_reports += 1
             self._note(f"the arm's driver reports {reading.joints}, but the arm is at {truth}")
 
-    def _witness(self, shot: int, energy: float, now: float) -> float:
+    def _record_fire(self, shot: int, energy: float, now: float) -> float:
         """Check a true release of the striker."""
         earlier = [s for s, _, _ in self.tapper_device.fires[:-1]]
         if shot in earlier:

@@ -37,7 +37,7 @@ from pathlib import Path
 
 from tapping_cell.cli import argument_types, goal_faults
 from tapping_cell.cli.driver_soak import soak
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.fault_terminals import terminal_cell
 from tapping_cell.cli.fault_trials import (
     Dialect,
@@ -165,13 +165,13 @@ def run(arguments: argparse.Namespace) -> int:
     taps = (20 if arguments.pty else 1000) if arguments.taps is None else arguments.taps
     goals = 1 if arguments.goals is None else arguments.goals
     if taps < 1 or goals < 1 or arguments.jobs < 1 or arguments.seed < 0:
-        tell_error("--taps, --goals and --jobs must be at least 1, --seed at least 0")
+        print_error("--taps, --goals and --jobs must be at least 1, --seed at least 0")
         return 2
     if not 1.0 <= arguments.mean_faults <= 50.0:
-        tell_error("--mean-faults must be from 1 to 50")
+        print_error("--mean-faults must be from 1 to 50")
         return 2
     if arguments.soak is not None and not 0 < arguments.soak <= 1000:
-        tell_error("--soak must be above 0 and at most 1000 hours")
+        print_error("--soak must be above 0 and at most 1000 hours")
         return 2
     if arguments.replay is not None:
         return goal_faults.replay(arguments.replay, arguments.goals or GOALS_A_RUN, _mix(arguments))
@@ -278,20 +278,20 @@ def _crashes(arguments: argparse.Namespace) -> int:
         )
         return 2
 
-    def say(crash: crash_trials.Crash) -> None:
+    def report(crash: crash_trials.Crash) -> None:
         if not arguments.json:
-            words = "; ".join((crash.sentence, *crash.unsafe)).strip("; ")
+            text = "; ".join((crash.sentence, *crash.unsafe)).strip("; ")
             verdict = "" if crash.clean else "NOT CLEAN "
             print(
                 f"{crash.node:<15} {crash.phase:<12} {verdict}{crash.ended} after"
-                f" {crash.seconds:.1f} s {words}",
+                f" {crash.seconds:.1f} s {text}",
                 flush=True,
             )
 
     domain = own_domain()  # its reservation ends with this function
     domain.use()
     with tempfile.TemporaryDirectory() as folder:
-        crashes = crash_trials.run_crashes(Path(folder), nodes, phases, say)
+        crashes = crash_trials.run_crashes(Path(folder), nodes, phases, report)
     clean = sum(crash.clean for crash in crashes)
     if arguments.json:
         print(json.dumps([{**asdict(crash), "clean": crash.clean} for crash in crashes], indent=2))

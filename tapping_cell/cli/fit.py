@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.fit_words import shown, speed_lines
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
 
             write_report(arguments.report.expanduser(), fit, record)
     except (RecordError, KeptFile, ConfigurationError, OSError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
     if arguments.json:
         print(json.dumps(figures(fit), indent=1))
@@ -182,9 +182,9 @@ def lines(fit: ObjectFit) -> list[str]:
 
 
 def _row(entry: Estimate) -> str:
-    words, factor = shown(entry)
+    label, factor = shown(entry)
     old = "-" if math.isnan(entry.old) else f"{factor * entry.old:.4g}"
-    row = f"  {words:<32}{old:>9}{factor * entry.value:>9.4g}"
+    row = f"  {label:<32}{old:>9}{factor * entry.value:>9.4g}"
     if not entry.fitted:
         return row + "   not fitted"
     return row + f"   {factor * entry.low:.4g} to {factor * entry.high:.4g}"

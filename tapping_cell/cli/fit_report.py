@@ -57,9 +57,9 @@ def report_of(fit: ObjectFit, record: Provenance) -> SingleTapReport:
 
 
 def _parameter(entry: Estimate) -> Parameter:
-    words, factor = shown(entry)
+    label, factor = shown(entry)
     return Parameter(
-        words, factor * entry.old, factor * entry.value, factor * entry.low, factor * entry.high
+        label, factor * entry.old, factor * entry.value, factor * entry.low, factor * entry.high
     )
 
 

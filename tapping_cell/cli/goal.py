@@ -15,11 +15,11 @@ import time
 
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.confirmation import Person
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.messages import ErrorCode
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
 from tapping_cell.report.error_codes import hint
-from tapping_cell.report.run_folder import for_people
+from tapping_cell.report.run_folder import in_display_units
 from tapping_cell.se2 import Pose
 
 STARTING = (
@@ -91,7 +91,7 @@ def result_of(finished: Finished) -> dict[str, object]:
         "taps": finished.taps,
         "residual_mm": 1000 * finished.residual_distance if known else None,
         "residual_deg": math.degrees(finished.residual_rotation) if known else None,
-        "final_pose": for_people(finished.final_pose),
+        "final_pose": in_display_units(finished.final_pose),
         "error_code": finished.error_code,
         "error_msg": finished.error_msg,
         "hint": hint(finished.error_code),
@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
                     break
                 time.sleep(AGAIN_S)
         except session.NotReadyInTime as error:
-            tell_error(str(error))
+            print_error(str(error))
             return 1
         except KeyboardInterrupt:
             client.cancel()
@@ -128,7 +128,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(result_of(finished), indent=2, allow_nan=False))
     if finished.error_code:
-        tell_error(f"goal not reached: {finished.error_msg}", finished.error_code)
+        print_error(f"goal not reached: {finished.error_msg}", finished.error_code)
         return 1
     console.print(
         f"[green]goal reached[/green] in {finished.taps} taps; measured residual "

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.report import error_codes
 from tapping_cell.verification.campaign import Summary, run_campaign, run_trial
 from tapping_cell.verification.faults import ALL, KINDS, Mix
@@ -30,7 +30,7 @@ def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -
     known = tuple(FIXED_MAKERS) if mix.fixed else KINDS
     unknown = sorted(set(mix.only) - set(known))
     if unknown:
-        tell_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(known)}")
+        print_error(f"no such faults: {', '.join(unknown)}; choose from: {', '.join(known)}")
         return 2
     began = time.monotonic()
     with Progress(
@@ -72,7 +72,7 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
     mutants = (*MUTANTS, *FIXED_MUTANTS)
     unknown = sorted(set(names) - {mutant.name for mutant in mutants})
     if unknown:
-        tell_error(f"no such mutants: {'; '.join(unknown)}")
+        print_error(f"no such mutants: {'; '.join(unknown)}")
         return 2
     chosen = [mutant for mutant in mutants if not names or mutant.name in names]
     if not as_json:
@@ -84,8 +84,8 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
         if not as_json:
             found = caught["caught by"] or "SURVIVED"
             kinds = ", ".join(mutant.kinds) or "all"
-            words = f"{mutant.finding or '-':<8} {caught['goals']:>6}  {found:<24} {kinds}"
-            print(f"{mutant.name:<{NAME_WIDTH}} {words}", flush=True)
+            row = f"{mutant.finding or '-':<8} {caught['goals']:>6}  {found:<24} {kinds}"
+            print(f"{mutant.name:<{NAME_WIDTH}} {row}", flush=True)
     survived = [result for result in results if not result["caught by"]]
     if as_json:
         print(json.dumps(results, indent=2))
@@ -99,11 +99,11 @@ def _hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]
     done = 0
     while done < goals:
         step = min(GOALS_IN_A_STEP, -(-(goals - done) // jobs))
-        words = [sys.executable, "-m", "tapping_cell.verification.hunt", mutant.name]
+        command = [sys.executable, "-m", "tapping_cell.verification.hunt", mutant.name]
         running = [
             subprocess.Popen(
                 [
-                    *words,
+                    *command,
                     *("--goals", str(step), "--seed", str(seed + done + job)),
                     *("--core", str(job)),
                 ],

@@ -68,7 +68,7 @@ class Child:
     process: subprocess.Popen[bytes]
     log: Path
     stream: IO[bytes]
-    said_before: int
+    logged_before: int
     """Length of the log in bytes when this process started."""
 
 
@@ -78,14 +78,14 @@ class Ended:
 
     name: str
     status: int
-    words: str
+    output: str
     """Last lines of its log."""
 
     @property
     def refused(self) -> bool:
         """Whether the node rejected its parameters or files, which it would do again after a
         restart."""
-        return self.status > 0 and self.words.rpartition(" | ")[2].startswith("error: ")
+        return self.status > 0 and self.output.rpartition(" | ")[2].startswith("error: ")
 
     @property
     def sentence(self) -> str:
@@ -93,8 +93,8 @@ class Ended:
         how = f"with status {self.status}"
         if self.status < 0:
             how = f"by the signal {signal.Signals(-self.status).name}"
-        words = self.words.rpartition(" | ")[2] if self.refused else self.words
-        return f"the node {self.name} ended {how}: {words}"
+        output = self.output.rpartition(" | ")[2] if self.refused else self.output
+        return f"the node {self.name} ended {how}: {output}"
 
 
 class Graph:
@@ -167,7 +167,7 @@ class Graph:
         for key, value in self._parameters.get(name, {}).items():
             command += ["-p", f"{key}:={parameter_text(value)}"]
         log = self._log_folder / f"{name}.log"
-        said_before = log.stat().st_size if log.exists() else 0
+        logged_before = log.stat().st_size if log.exists() else 0
         stream = log.open("ab")
         process = subprocess.Popen(
             command,
@@ -179,12 +179,12 @@ class Graph:
             start_new_session=True,
             preexec_fn=_die_with_parent,
         )
-        return Child(name, process, log, stream, said_before)
+        return Child(name, process, log, stream, logged_before)
 
     def ended(self) -> list[Ended]:
         """Return the nodes that ended unexpectedly and were not restarted."""
         return [
-            Ended(child.name, status, last_words(child.log, child.said_before))
+            Ended(child.name, status, last_output(child.log, child.logged_before))
             for child in self._children
             if (status := child.process.poll()) is not None
         ]
@@ -237,7 +237,7 @@ class Graph:
             self._claim = None
 
 
-def last_words(log: Path, begin: int = 0, lines: int = 3) -> str:
+def last_output(log: Path, begin: int = 0, lines: int = 3) -> str:
     """Return the last lines of a node's log, starting at byte ``begin``, joined to one line."""
     text = log.read_bytes()[begin:].decode("utf-8", errors="replace")
     kept = [line.strip() for line in text.splitlines() if line.strip()]

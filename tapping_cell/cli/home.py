@@ -10,7 +10,7 @@ import argparse
 import time
 
 from tapping_cell.cli import argument_types, cell_arguments
-from tapping_cell.cli.errors import ExitStatus, tell_error
+from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.nodes.clients.cell_client import CellClient
 
 
@@ -40,10 +40,10 @@ def run(arguments: argparse.Namespace) -> int:
                 print("the arm is homed")
                 return ExitStatus.DONE
             if begun and arm["state"] != "homing":
-                tell_error(f"the arm is {arm['state']}: {arm['sentence']}", arm["code"])
+                print_error(f"the arm is {arm['state']}: {arm['sentence']}", arm["code"])
                 return ExitStatus.FAILED
             time.sleep(0.05)
-        tell_error(
+        print_error(
             f"the arm was not homed within {arguments.wait:.0f} s; check it with  "
             "python -m tapping_cell status"
         )

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
             made = replace(learnt.content, calibration=record)
             write_kept(output, object_yaml(made, record, LEARNT), record, load_object)
     except (RecordError, RunError, KeptFile, ConfigurationError, OSError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
     if arguments.json:
         values = {entry.name: _numbers(entry) for entry in learnt.estimates}
@@ -156,7 +156,7 @@ def _probed(
                 if _known(taps, content):
                     break
     except (GraphError, session.NotReadyInTime, session.NotRecorded, ProbingStopped) as error:
-        tell_error(str(error))
+        print_error(str(error))
         if folders:
             print(_resume(arguments, folders), file=sys.stderr)
         return folders, taps, 1
@@ -197,26 +197,17 @@ def _known(taps: list[Moves], content: ObjectFile) -> bool:
 
 
 def _taps(folder: Path, name: str) -> list[Moves]:
-    """Return the commanded and the measured displacement of each fired tap of a run, in the
+    """Return the commanded and the measured displacement of each measured tap of a run, in the
     object's axes.
 
     Raises:
         RecordError: the run is of another object.
     """
-    from tapping_cell.calibration.csv_table import RecordError
-    from tapping_cell.report.run_folder import read_run
+    from tapping_cell.cli.measured_taps import measured_taps
     from tapping_cell.se2 import Pose
 
-    run_ = read_run(folder)
-    if run_.object_name and run_.object_name != name:
-        raise RecordError(
-            f"{folder} is a run of '{run_.object_name}', but the object file is of '{name}'; "
-            "give the file that was used in the run"
-        )
     taps: list[Moves] = []
-    for tap in run_.taps:
-        if tap.outcome != "fired" or not math.isfinite(tap.measured.x):
-            continue
+    for tap in measured_taps(folder, name):
         moved = Pose(
             tap.measured.x - tap.before.x,
             tap.measured.y - tap.before.y,

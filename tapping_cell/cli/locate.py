@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import (
     MarkerSection,
@@ -129,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
             refuse_reference(path, seen, table)
         search = Search(camera, table, [seen.seen() for seen in objects])
     except ValueError as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
     cv2.setNumThreads(1)
     results: list[dict[str, Any]] = []
@@ -153,7 +153,7 @@ def run(arguments: argparse.Namespace) -> int:
             try:
                 write_picture(arguments.annotate, name, picture)
             except OSError as error:
-                tell_error(f"{arguments.annotate}: cannot be written: {error}")
+                print_error(f"{arguments.annotate}: cannot be written: {error}")
                 return 2
     if arguments.json:
         print(json.dumps(results, indent=1))

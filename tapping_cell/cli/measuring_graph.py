@@ -45,12 +45,12 @@ def measuring_graph(
     nodes: Sequence[str],
     parameters: dict[str, dict[str, object]],
     logs: Path,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> Iterator[Callable[[], None]]:
     """Start the graph or attach to a running one. Yield a function that raises an exception if a
     node has died.
 
-    ``tell`` is called with a message that names the ROS domain.
+    ``report`` is called with a message that names the ROS domain.
 
     Raises:
         GraphError: the graph cannot be started.
@@ -60,7 +60,7 @@ def measuring_graph(
         return
     domain = own_domain()
     domain.use()
-    tell(f"records in {logs.parent}; watch with ROS_DOMAIN_ID={domain.number}")
+    report(f"records in {logs.parent}; watch with ROS_DOMAIN_ID={domain.number}")
     with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
         if not arguments.hardware:
             parameters = with_own_ports(parameters, Path(ports))

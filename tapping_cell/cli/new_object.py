@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tapping_cell.cli import argument_types
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 
 if TYPE_CHECKING:
     from tapping_cell.configuration.objects import ObjectFile
@@ -76,23 +76,23 @@ def run(arguments: argparse.Namespace) -> int:
 
     output: Path = arguments.output.expanduser()
     if output.exists() and not arguments.force:
-        tell_error(f"{output} exists already; choose another name, or give --force")
+        print_error(f"{output} exists already; choose another name, or give --force")
         return 2
     try:
         camera = load_camera_model(arguments.camera or shared_folder() / "camera_info.yaml")
         table = load_reference_map(arguments.table or shared_folder() / "table.yaml")
         image = read_photograph(arguments.image, (camera.width, camera.height))
         if isinstance(image, str):
-            tell_error(image)
+            print_error(image)
             return 2
         traced = trace_object(image, camera, table, arguments.height / 1000, arguments.dictionary)
         made = _object(arguments, traced)
         output.parent.mkdir(parents=True, exist_ok=True)
         output.write_text(object_yaml(made, None, HEADING))
     except (ValueError, OSError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
-    print("\n".join(told(made, traced)))
+    print("\n".join(summary_lines(made, traced)))
     print(
         f"wrote {output}; measure friction and torque factor with  python -m tapping_cell "
         f"learn-object --object {output} --output FILE"
@@ -135,7 +135,7 @@ def _object(arguments: argparse.Namespace, traced: TracedObject) -> ObjectFile:
     )
 
 
-def told(made: ObjectFile, traced: TracedObject) -> list[str]:
+def summary_lines(made: ObjectFile, traced: TracedObject) -> list[str]:
     """Format the traced object, in mm."""
     shape = made.shape
     if shape.radius is not None:

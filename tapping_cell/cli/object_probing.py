@@ -61,7 +61,7 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
     ):
         session.wait_until_ready(client, READY_PATIENCE_S, check, console)
         session.require_object(client, cell)
-        middle, barren = client.object_pose(), 0
+        middle, without_taps = client.object_pose(), 0
         for number in range(arguments.goals):
             goal = goal_of(middle, client.object_pose(), number)
             console.print(f"goal {number + 1}: {session.pose_text(goal)}")
@@ -76,8 +76,8 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
             if finished.error_code:
                 console.print(f"goal not reached: {finished.error_msg}")
             yield folder
-            barren = barren + 1 if finished.taps == 0 and finished.error_code else 0
-            if barren == IN_A_ROW:
+            without_taps = without_taps + 1 if finished.taps == 0 and finished.error_code else 0
+            if without_taps == IN_A_ROW:
                 raise ProbingStopped(
                     f"{IN_A_ROW} consecutive goals ended without a tap: {finished.error_msg}"
                 )

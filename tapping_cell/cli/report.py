@@ -2,8 +2,9 @@
 
 A run is a folder written by the recorder or the demo, or only the bag of a run. For each run
 folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its bag. If the bag is
-missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For several
-runs, a page comparison.html is also written.
+missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For an
+arrangement of several objects, report.html is rebuilt from arrangement.json. For several runs, a
+page comparison.html is also written.
 
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
     python -m tapping_cell report runs/* --output comparison
@@ -23,7 +24,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
+from tapping_cell.report.arrangement_page import write_page
+from tapping_cell.report.arrangement_run import SUMMARY as ARRANGEMENT
+from tapping_cell.report.arrangement_run import read_arrangement
 from tapping_cell.report.bag import BagError
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_comparison import Row, comparison_page, groups_of, row_of
@@ -34,9 +38,9 @@ from tapping_cell.report.run_folder import (
     RunError,
     read_run,
     write_folder,
-    write_story,
+    write_illustrated_run,
 )
-from tapping_cell.report.run_reader import Story, read_story
+from tapping_cell.report.run_reader import IllustratedRun, read_illustrated_run
 
 COMPARISON = "comparison.html"
 
@@ -59,7 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if all runs were reported, 1 if some are unreadable, 2 if all are."""
     console = Console(stderr=arguments.json)
-    told: list[tuple[Run, Path]] = []
+    reports: list[tuple[Run, Path]] = []
+    arranged: list[Path] = []
     skipped = 0
     several = len(arguments.runs) > 1
     quiet = not console.is_terminal or not several
@@ -69,36 +74,43 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(f"{path} is not a run: skipped", highlight=False, markup=False)
             continue
         try:
-            told.append(tell(path, None if several else arguments.output))
+            if (path / ARRANGEMENT).exists():
+                arranged.append(write_arrangement(path, None if several else arguments.output))
+                continue
+            reports.append(write_report(path, None if several else arguments.output))
         except (BagError, RunError, OSError) as error:
-            tell_error(str(error))
-    if not told:
+            print_error(str(error))
+    if not reports and not arranged:
         return 2
-    rows = [row_of(run) for run, _ in told]
-    written = told[0][1] / PAGE
-    if len(told) > 1:
-        written = compare(told, arguments.output or told[0][1].parent)
+    rows = [row_of(run) for run, _ in reports]
+    written = [*arranged, *(folder / PAGE for _, folder in reports[:1])]
+    if len(reports) > 1:
+        written[-1] = compare(reports, arguments.output or reports[0][1].parent)
     if arguments.json:
         figures = {
             "runs": [_plain(row) for row in rows],
             "groups": [_plain(group) for group in groups_of(rows)],
-            "page": str(written),
+            "arrangements": [str(page) for page in arranged],
+            "page": str(written[-1]),
         }
         print(json.dumps(figures, indent=2, allow_nan=False))
     else:
-        console.print(table_of(rows))
-        console.print(f"see {written}", highlight=False, soft_wrap=True)
-    return 0 if len(told) + skipped == len(arguments.runs) else 1
+        if rows:
+            console.print(table_of(rows))
+        for page in written:
+            console.print(f"see {page}", highlight=False, soft_wrap=True)
+    return 0 if len(reports) + len(arranged) + skipped == len(arguments.runs) else 1
 
 
 def no_run(path: Path) -> bool:
     """Return whether a folder contains neither a bag nor a summary, such as the folder of nodes'
     logs."""
-    holds_run = (path / BAG).exists() or (path / SUMMARY).exists() or any(path.glob("*.mcap"))
+    holds_run = any((path / name).exists() for name in (BAG, SUMMARY, ARRANGEMENT))
+    holds_run = holds_run or any(path.glob("*.mcap"))
     return path.is_dir() and not holds_run
 
 
-def tell(path: Path, output: Path | None) -> tuple[Run, Path]:
+def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
     """Rewrite the files of one run. Return the run and the folder of the files.
 
     Raises:
@@ -108,28 +120,41 @@ def tell(path: Path, output: Path | None) -> tuple[Run, Path]:
     if is_folder and output is None:
         if (path / BAG).is_dir():
             return write_folder(path), path
-        story = Story(read_run(path), ())
+        illustrated = IllustratedRun(read_run(path), ())
     elif is_folder:
-        story = (
-            read_story(path / BAG, path.name)
+        illustrated = (
+            read_illustrated_run(path / BAG, path.name)
             if (path / BAG).is_dir()
-            else Story(read_run(path), ())
+            else IllustratedRun(read_run(path), ())
         )
     else:
         own = path if path.is_dir() else path.parent
-        story = read_story(path, (own.parent if own.name == BAG else own).resolve().name)
+        illustrated = read_illustrated_run(
+            path, (own.parent if own.name == BAG else own).resolve().name
+        )
     folder = output or (path if is_folder else path.parent)
     folder.mkdir(parents=True, exist_ok=True)
-    write_story(folder, story)
-    return story.run, folder
+    write_illustrated_run(folder, illustrated)
+    return illustrated.run, folder
 
 
-def compare(told: list[tuple[Run, Path]], folder: Path) -> Path:
+def write_arrangement(path: Path, output: Path | None) -> Path:
+    """Rewrite the page of an arrangement of several objects. Return its path.
+
+    Raises:
+        RunError, OSError: the arrangement is unreadable, or the page cannot be written.
+    """
+    folder = output or path
+    folder.mkdir(parents=True, exist_ok=True)
+    return write_page(read_arrangement(path), folder)
+
+
+def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:
     """Write the page that compares runs, replacing an earlier comparison."""
     folder.mkdir(parents=True, exist_ok=True)
-    links = [os.path.relpath(own / PAGE, folder) for _, own in told]
+    links = [os.path.relpath(own / PAGE, folder) for _, own in reports]
     page = folder / COMPARISON
-    page.write_text(comparison_page([run for run, _ in told], links), encoding="utf-8")
+    page.write_text(comparison_page([run for run, _ in reports], links), encoding="utf-8")
     return page
 
 

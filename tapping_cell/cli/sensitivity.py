@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.mechanics import MechanicsError, Tap
 from tapping_cell.mechanics.sensitivity import (
     PAPER_STRIKER_ERROR,
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
             "sweep": _sweep(tap, arguments.farthest / 1e3),
         }
     except MechanicsError as problem:
-        tell_error(str(problem))
+        print_error(str(problem))
         return 2
     if arguments.figures:
         from tapping_cell.report.mechanics_figures import write_figures

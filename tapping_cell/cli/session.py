@@ -66,7 +66,7 @@ def pose_text(pose: Pose) -> str:
 
 MUTUAL_DISCOVERY_S = 0.5
 ANSWER_S = 10.0
-SENDINGS = 3
+SEND_COUNT = 3
 
 
 def send(
@@ -83,7 +83,7 @@ def send(
     Raises:
         NotReadyInTime: the planner did not respond to any attempt.
     """
-    for _ in range(SENDINGS):
+    for _ in range(SEND_COUNT):
         client.send(goal, tolerance, probe=probe, ask=ask)
         deadline = time.monotonic() + ANSWER_S
         with console.status("goal sent"):
@@ -92,7 +92,7 @@ def send(
                     return
                 time.sleep(0.02)
     raise NotReadyInTime(
-        f"the planner did not answer the goal within {SENDINGS * ANSWER_S:.0f} s; see its log"
+        f"the planner did not answer the goal within {SEND_COUNT * ANSWER_S:.0f} s; see its log"
     )
 
 

@@ -44,7 +44,7 @@ from tapping_cell.calibration.experiment import (
 )
 from tapping_cell.calibration.trials import Trial, read_trials
 from tapping_cell.cli import argument_types, session
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import (
     HARDWARE,
     SIMULATED,
@@ -54,7 +54,7 @@ from tapping_cell.cli.measuring_graph import add_graph_arguments, measuring_grap
 from tapping_cell.cli.tap_feasibility import TapFeasibility
 from tapping_cell.cli.tap_maker import READY_PATIENCE_S, SeriesStopped
 from tapping_cell.cli.tap_series import TapSeries
-from tapping_cell.cli.tap_summary import tell, trial_text
+from tapping_cell.cli.tap_summary import print_summary, trial_text
 from tapping_cell.cli.up import node_parameters
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import (
@@ -160,12 +160,12 @@ def run(arguments: argparse.Namespace) -> int:
         trials = _recorded(folder)
         refusal = _refused(cell, design)
         if refusal:
-            tell_error(refusal)
+            print_error(refusal)
             return 2
         if not arguments.resume:
             write_design(folder, design)
     except (ConfigurationError, RecordError, PlanningError, OSError, ValueError) as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
     code, sentence, status = ErrorCode.NONE, "", 0
     try:
@@ -180,7 +180,7 @@ def run(arguments: argparse.Namespace) -> int:
         code, sentence, status = ErrorCode.CONFIGURATION_CONFLICT, str(error), 1
     except KeyboardInterrupt:
         sentence, status = "interrupted", 130
-    tell(folder, design, trials, (code, sentence), console, as_json=arguments.json)
+    print_summary(folder, design, trials, (code, sentence), console, as_json=arguments.json)
     return status
 
 

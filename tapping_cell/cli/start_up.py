@@ -95,8 +95,8 @@ def _line(
     if waits_for_world and name != "sim_world":
         return Line(name, "waits", "for sim_world")
     if row["life"] != "active":
-        said = "" if row["sentence"] in ("ok", "not configured") else row["sentence"]
-        return Line(name, "waits", said) if said else Line(name, "starting")
+        problem = "" if row["sentence"] in ("ok", "not configured") else row["sentence"]
+        return Line(name, "waits", problem) if problem else Line(name, "starting")
     if row["level"] == "ok":
         return Line(name, "ready")
     return Line(name, "fault" if row["level"] == "error" else "warns", row["sentence"])

@@ -122,16 +122,16 @@ class TapMaker:
 
 
 def trial_of(
-    client: SingleTapClient, tap: Tap, record: TapRecord, camera_rate: float, trouble: str
+    client: SingleTapClient, tap: Tap, record: TapRecord, camera_rate: float, problem: str
 ) -> Trial:
     """Return a measured tap as a trial, ``lost`` if the object was not visible afterwards.
-    ``camera_rate`` is in Hz and may be NaN; ``trouble`` is the planner's message on the tap."""
+    ``camera_rate`` is in Hz and may be NaN; ``problem`` is the planner's message on the tap."""
     start, end = from_message(record.object_pose), from_message(record.measured_pose.pose)
     lost = not math.isfinite(end.x)
     tip = client.tip_of(int(record.tap_id)) or from_message(record.strike_pose)
     incidence, contact = contact_of(tap, start, tip, record.striker_speed)
     spread = covariance_from_message(record.measured_pose.covariance)
-    notes = [trouble] if trouble else []
+    notes = [problem] if problem else []
     if record.outcome != TapperState.FIRED:
         notes.append("the tapper did not report whether it fired")
     return Trial(

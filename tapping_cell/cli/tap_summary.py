@@ -29,7 +29,7 @@ def trial_text(done: Done) -> str:
     )
 
 
-def tell(
+def print_summary(
     folder: Path,
     design: Design,
     trials: list[Trial],

@@ -23,7 +23,7 @@ from rich.live import Live
 from rich.markup import escape
 
 from tapping_cell.cli import argument_types, start_up
-from tapping_cell.cli.errors import ExitStatus, tell_error, tell_refusal
+from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
     Graph,
@@ -142,7 +142,7 @@ def run(arguments: argparse.Namespace) -> int:
             refuse_own_drivers(cell)
         key = cell_key(domain_number(), arguments.namespace)
     except (ConfigurationError, UnknownPlannerError, GraphError) as error:
-        return tell_refusal(error)
+        return print_refusal(error)
     nodes = nodes_of(cell, hardware=arguments.hardware)
     if not arguments.no_record:
         nodes = (*nodes, RECORDER)
@@ -168,7 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(f"logs in {logs}; Ctrl-C ends every node", markup=False)
             _Running(graph, nodes, arguments, logs, console).stay()
     except GraphError as error:
-        tell_error(str(error))
+        print_error(str(error))
         return ExitStatus.FAILED
     except KeyboardInterrupt:
         console.print("every node has ended")
@@ -216,7 +216,7 @@ class _Running:
     def _get_ready(self) -> None:
         """Show each node's state until the cell accepts a goal."""
         deadline = time.monotonic() + self._arguments.wait
-        told: dict[str, str] = {}
+        printed: dict[str, str] = {}
         asked = ""
         with (
             CellClient(self._arguments.namespace) as client,
@@ -230,9 +230,9 @@ class _Running:
                 for line in start.lines:
                     # A line in which only a number changed is not printed again.
                     news = re.sub(r"\d", "", str(line))
-                    if told.get(line.node) != news and not self._console.is_terminal:
+                    if printed.get(line.node) != news and not self._console.is_terminal:
                         self._console.print(str(line), markup=False)
-                    told[line.node] = news
+                    printed[line.node] = news
                 if start.ready:
                     break
                 if start.person != asked and start.person:

@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from tapping_cell.cli.errors import tell_error
+from tapping_cell.cli.errors import print_error
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.hardware.fixed_urdf import mounted_tappers_urdf
@@ -26,14 +26,14 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         cell = load_cell(arguments.cell)
     except ConfigurationError as error:
-        tell_error(str(error))
+        print_error(str(error))
         return 2
     if cell.file.arm is None:
         sys.stdout.write(mounted_tappers_urdf(cell.mounted_tappers()))
         return 0
     own = cell.arm.ros2_control
     if own is not None and own.chain is not None:
-        tell_error(f"the arm of this cell has a URDF of its own: {own.chain.urdf}")
+        print_error(f"the arm of this cell has a URDF of its own: {own.chain.urdf}")
         return 2
     sys.stdout.write(urdf(cell.arm.geometry()))
     return 0

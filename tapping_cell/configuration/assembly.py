@@ -97,10 +97,13 @@ def make_strike_space(cell: Cell, scatter: Scatter | None = None) -> StrikeSpace
     )
 
 
-def make_fixed_space(cell: Cell, scatter: Scatter | None = None) -> FixedStrikeSpace:
+def make_fixed_space(
+    cell: Cell, scatter: Scatter | None = None, objective: str = ""
+) -> FixedStrikeSpace:
     """Create the space of feasible taps of the cell's fixed tappers.
 
-    ``scatter`` replaces the scatter of the object file.
+    ``scatter`` replaces the scatter of the object file, and ``objective``, if it is not empty, the
+    one of the cell file.
 
     Raises:
         ConfigurationError: the cell has an arm.
@@ -127,6 +130,7 @@ def make_fixed_space(cell: Cell, scatter: Scatter | None = None) -> FixedStrikeS
         scatter or make_scatter(cell),
         smallest_distance=cell.object.smallest_tap,
         tool_radius=cell.file.tapper.tool_radius,
+        objective=objective or cell.file.goal.objective,
     )
 
 

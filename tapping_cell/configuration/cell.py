@@ -656,8 +656,8 @@ class GoalSection:
     planner: str = text("name of the planning method")
     max_taps: int = quantity("maximum number of taps for a goal", "", 1, 1000)
     objective: str = choice(
-        "quantity to minimise: the number of taps, or the time of the taps and the arm's motion; "
-        "with fixed tappers the two are equivalent, because all taps take the same time",
+        "quantity to minimise: the number of taps, or the time of the taps, including the motion "
+        "of the arm or the flight of fixed strikers",
         "taps",
         "time",
         default="taps",

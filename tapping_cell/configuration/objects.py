@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.schema import (
@@ -116,6 +117,28 @@ def seen_as(
     return ObjectOutline(height, outline.shade == "brighter", shape.radius, shape.vertices, dot)
 
 
+def position_floor_key() -> Any:
+    """Declare the key ``position_floor`` of the scatter of a tap."""
+    return quantity(
+        "standard deviation of the end of a tap, along and across, that remains for small taps",
+        "m",
+        0.0,
+        0.05,
+        default=0.0,
+    )
+
+
+def angle_floor_key() -> Any:
+    """Declare the key ``angle_floor`` of the scatter of a tap."""
+    return quantity(
+        "standard deviation of the rotation by a tap that remains for small rotations",
+        "rad",
+        0.0,
+        0.5,
+        default=0.0,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class ScatterSection:
     """Standard deviations that the planner assumes for the result of a tap."""
@@ -137,20 +160,8 @@ class ScatterSection:
     direction: float = quantity(
         "standard deviation of the direction of a tap", "rad", 0.0, 0.5, default=math.radians(1.0)
     )
-    position_floor: float = quantity(
-        "standard deviation of the end of a tap, along and across, that remains for small taps",
-        "m",
-        0.0,
-        0.05,
-        default=0.0,
-    )
-    angle_floor: float = quantity(
-        "standard deviation of the rotation by a tap that remains for small rotations",
-        "rad",
-        0.0,
-        0.5,
-        default=0.0,
-    )
+    position_floor: float = position_floor_key()
+    angle_floor: float = angle_floor_key()
 
 
 @dataclass(frozen=True, slots=True)

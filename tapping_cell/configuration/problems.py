@@ -17,14 +17,14 @@ def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[s
     The messages are those of :func:`tapping_cell.configuration.schema.build` for each key alone.
     """
     if not isinstance(document, Mapping):
-        return _said(kind, document, source, key)
+        return _errors(kind, document, source, key)
     fields = {entry.name: entry for entry in dataclasses.fields(kind)}
     hints = typing.get_type_hints(kind)
     found = [
         sentence
         for name in document
         if name not in fields
-        for sentence in _said(kind, {name: document[name]}, source, key)
+        for sentence in _errors(kind, {name: document[name]}, source, key)
     ]
     for name, entry in fields.items():
         place = f"{key}.{name}" if key else name
@@ -37,11 +37,11 @@ def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[s
         elif entry.default is not dataclasses.MISSING:
             continue
         alone = {name: document[name]} if name in document else {}
-        found += _said(_only(kind, name), alone, source, key)
-    return found or _said(kind, document, source, key)
+        found += _errors(_only(kind, name), alone, source, key)
+    return found or _errors(kind, document, source, key)
 
 
-def _said(kind: type, document: Any, source: str, key: str) -> list[str]:
+def _errors(kind: type, document: Any, source: str, key: str) -> list[str]:
     """Return the message of the error that ``build`` raises, if any."""
     try:
         build(kind, document, source, key)

@@ -19,7 +19,7 @@ from tapping_cell.hardware.arm_settings import (
     ArmSettings,
     HomingStrategy,
 )
-from tapping_cell.hardware.axis_units import in_words, to_axes, to_joints
+from tapping_cell.hardware.axis_units import joints_text, to_axes, to_joints
 from tapping_cell.hardware.dialect import (
     ArmDialect,
     Axes,
@@ -42,7 +42,7 @@ FRESHNESS = 0.05
 LEAST_FEED = 0.001
 """Lowest feed rate that a move line can carry, units/min."""
 
-UNHOMING = frozenset(
+HOMING_LOST = frozenset(
     {
         FaultReason.STOPPED,
         FaultReason.ALARM,
@@ -344,13 +344,13 @@ class ArmDriver:
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
                 "the arm's last move was not confirmed; the arm is now at"
-                f" {in_words(start.joints)}: clear the fault and home again",
+                f" {joints_text(start.joints)}: clear the fault and home again",
             )
         if not self._agrees(self._confirmed, start.joints):
             raise HardwareFault(
                 FaultReason.POSITION_LOST,
-                f"the arm is at {in_words(start.joints)}, but its last confirmed position is"
-                f" {in_words(self._confirmed)}: it was moved or its controller restarted; clear"
+                f"the arm is at {joints_text(start.joints)}, but its last confirmed position is"
+                f" {joints_text(self._confirmed)}: it was moved or its controller restarted; clear"
                 " the fault and home again",
             )
         return start
@@ -436,8 +436,8 @@ class ArmDriver:
         if reading.moving:
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                f"the arm is moving, now at {in_words(reading.joints)}: wait until it stops, then "
-                "home again",
+                f"the arm is moving, now at {joints_text(reading.joints)}: wait until it stops, "
+                "then home again",
             )
         home = self.settings.home_joints
         if strategy is HomingStrategy.NONE or home is None:
@@ -501,7 +501,7 @@ class ArmDriver:
     def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(
             FaultReason.POSITION_MISMATCH,
-            f"the arm is at {in_words(found)}, but was sent to {in_words(goal)}, more "
+            f"the arm is at {joints_text(found)}, but was sent to {joints_text(goal)}, more "
             f"than {math.degrees(self.settings.tolerance_angle):.3f} deg or "
             f"{self.settings.tolerance_quill * 1e3:.2f} mm apart: check for an obstacle or a "
             "noisy line, then move again",
@@ -570,7 +570,7 @@ class ArmDriver:
         self.counters.last_error = fault.sentence
         if fault.reason is FaultReason.DISCONNECTED:
             self._connected = False
-        if fault.reason in UNHOMING:
+        if fault.reason in HOMING_LOST:
             fault = self._latch(fault)
         return fault
 
@@ -584,9 +584,9 @@ class ArmDriver:
     def _halted(self, fault: HardwareFault) -> HardwareFault:
         """Stop an arm whose motion has not ended, and latch the reason."""
         fault = self._named(fault)
-        said = "the arm was stopped" if self.stop() else "a stop could not be sent to it"
+        result = "the arm was stopped" if self.stop() else "a stop could not be sent to it"
         return self._latch(
-            HardwareFault(fault.reason, f"{fault}; {said}: clear the fault and home again")
+            HardwareFault(fault.reason, f"{fault}; {result}: clear the fault and home again")
         )
 
     def _stop_fault(self) -> HardwareFault:

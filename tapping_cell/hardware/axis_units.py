@@ -34,7 +34,7 @@ def to_joints(axis_sign: Sequence[int], units: Sequence[float], axes: Axes) -> A
     return tuple(sign * value / unit for sign, unit, value in scales)
 
 
-def in_words(joints: Joints) -> str:
+def joints_text(joints: Joints) -> str:
     """Format joint values for messages."""
     return (
         f"({math.degrees(joints.shoulder):.3f} deg, {math.degrees(joints.elbow):.3f} deg,"

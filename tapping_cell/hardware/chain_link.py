@@ -96,9 +96,9 @@ class ChainLink:
         return self._link.other_names
 
     @property
-    def rivals(self) -> Sequence[str]:
+    def other_commanders(self) -> Sequence[str]:
         """Other nodes that could send trajectories to the controller."""
-        return self._link.rivals
+        return self._link.other_commanders
 
     @property
     def samples(self) -> Sequence[JointSample]:

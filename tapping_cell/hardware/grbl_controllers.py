@@ -23,7 +23,7 @@ class GrblController:
     name: str
     hold_setting: str = "$1"
     """Setting that must be 255 for the motors to keep their torque at standstill."""
-    store_words: str = ""
+    store_note: str = ""
     """Further action by a person without which the setting does not survive a restart."""
     has_files: bool = False
     """True if most settings are named and stored in a file; ``$$`` then lists only some."""
@@ -48,7 +48,7 @@ GRBL_HAL = GrblController(
 FLUID_NC = GrblController(
     "FluidNC",
     hold_setting="$/stepping/idle_ms",
-    store_words="; write idle_ms: 255 under stepping: in config.yaml as well",
+    store_note="; write idle_ms: 255 under stepping: in config.yaml as well",
     has_files=True,
     alarms={
         10: "the spindle did not answer",
@@ -75,16 +75,16 @@ class Identity:
 
 def identify(messages: Iterable[grbl.Message]) -> Identity | None:
     """Parse the answer to ``$I``; return None if its version is missing or not supported."""
-    told = {message.kind: message.text for message in messages}
-    version = told.get("VER", "")
-    letters = told.get("AXS", "").partition(":")[2]
-    options = told.get("OPT", "").split(",")[0]
+    info = {message.kind: message.text for message in messages}
+    version = info.get("VER", "")
+    letters = info.get("AXS", "").partition(":")[2]
+    options = info.get("OPT", "").split(",")[0]
     if found := re.match(r"^[34]\.\d+ FluidNC v?([34]\.\d+\S*)", version):
         return Identity(FLUID_NC, found[1].rstrip(":"), "", False)
     if not version.startswith("1.1"):
         return None
     number = version.split(":")[0]
-    if told.get("FIRMWARE") == "grblHAL":
+    if info.get("FIRMWARE") == "grblHAL":
         return Identity(GRBL_HAL, number, letters, "Z" in options)
     if letters:
         return Identity(MEGA_5X, number, letters, "Z" in options)

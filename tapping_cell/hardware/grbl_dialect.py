@@ -206,7 +206,7 @@ class GrblDialect:
             if self._transport.now() >= deadline:
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"the controller still reports {status.state}" + self._override_words(),
+                    f"the controller still reports {status.state}" + self._override_text(),
                 )
             self._pump(pause)
             pause = min(2 * pause, longest)
@@ -503,11 +503,11 @@ class GrblDialect:
             letters = identity.letters or letters
             version = identity.version
         else:
-            told = next((m.text.strip() for m in messages if m.kind == "VER"), "")
-            if told:
+            reported = next((m.text.strip() for m in messages if m.kind == "VER"), "")
+            if reported:
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
-                    f"Grbl version {told!r} is not supported: this driver supports Grbl 1.1, "
+                    f"Grbl version {reported!r} is not supported: this driver supports Grbl 1.1, "
                     "grbl-Mega-5X, grblHAL and FluidNC 3 and 4",
                 )
             if banner is None:
@@ -587,7 +587,7 @@ class GrblDialect:
                 "must be 255: otherwise the motors lose their torque at standstill and the "
                 "arm sinks unnoticed",
                 held == "255",
-                f"{controller.hold_setting}=255{controller.store_words}",
+                f"{controller.hold_setting}=255{controller.store_note}",
                 storable=True,
             )
         )
@@ -617,15 +617,15 @@ class GrblDialect:
         for number, value in settings.expected.items():
             if number not in found and controller.has_files and number == 13:
                 continue
-            told = found.get(number)
+            actual = found.get(number)
             findings.append(
                 Finding(
                     f"${number}",
-                    "missing" if told is None else f"{told:g}",
+                    "missing" if actual is None else f"{actual:g}",
                     f"must be {value:g}",
-                    told is not None
-                    and abs(told - value) <= controller_needs.TOLERANCE * max(abs(value), 1.0),
-                    "" if told is None else f"${number}={value:g}",
+                    actual is not None
+                    and abs(actual - value) <= controller_needs.TOLERANCE * max(abs(value), 1.0),
+                    "" if actual is None else f"${number}={value:g}",
                     storable=number == 13,
                 )
             )
@@ -639,8 +639,8 @@ class GrblDialect:
             if fault.reason is not FaultReason.REJECTED:
                 raise
             return "missing"
-        told = {frame.name: frame.text for frame in frames if isinstance(frame, grbl.NamedSetting)}
-        return told.get(name[1:], "missing").strip()
+        texts = {frame.name: frame.text for frame in frames if isinstance(frame, grbl.NamedSetting)}
+        return texts.get(name[1:], "missing").strip()
 
     def _limits(self, found: Mapping[int, float]) -> list[Finding]:
         """Compare steps, rates, accelerations and travels with the required ones."""
@@ -723,9 +723,9 @@ class GrblDialect:
                     f" {cycle}): give it a cycle, or name its joint in arm.axes_without_switch"
                 )
             elif self._settings.home_place is None:
-                told = self._named(f"{section}/mpos_mm", deadline)
+                text = self._named(f"{section}/mpos_mm", deadline)
                 try:
-                    self._homed_place[axis] = float(told)
+                    self._homed_place[axis] = float(text)
                 except ValueError:
                     self._homed_unknown = (
                         f"the controller does not report {section}/mpos_mm, so the position "
@@ -774,7 +774,7 @@ class GrblDialect:
         """Return the four axes of a reported position, in joint order."""
         return tuple(position[column] for column in self._columns)
 
-    def _override_words(self) -> str:
+    def _override_text(self) -> str:
         if self._feed_override == 100:
             return ""
         return (

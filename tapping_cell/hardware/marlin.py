@@ -237,10 +237,10 @@ def move_code(letters: str, target: Sequence[float], feed: float) -> str:
     """
     if not (math.isfinite(feed) and feed > 0):
         raise ValueError(f"feed {feed} must be finite and above 0")
-    return f"G1{axis_words(letters, target)} F{feed:.3f}"
+    return f"G1{axis_text(letters, target)} F{feed:.3f}"
 
 
-def axis_words(letters: str, values: Sequence[float]) -> str:
+def axis_text(letters: str, values: Sequence[float]) -> str:
     """Format axis words, each preceded by a space; ValueError for values that are not finite."""
     if not all(math.isfinite(value) for value in values):
         raise ValueError(f"axis values {tuple(values)} must be finite")

@@ -218,7 +218,7 @@ class MarlinDialect:
 
     def set_position(self, axes: Axes, deadline: float) -> None:
         """Declare the position with ``G92``."""
-        self._order("G92" + marlin.axis_words(self._settings.letters, axes), deadline)
+        self._order("G92" + marlin.axis_text(self._settings.letters, axes), deadline)
 
     def clear(self, deadline: float) -> None:
         """Restart the line numbering. If the board is silent, reopen the port, which resets a
@@ -438,12 +438,12 @@ class MarlinDialect:
             frames = self._command("M115", deadline)
             names = [f.name for f in frames if isinstance(f, marlin.FirmwareName)]
             capabilities = {f.name: f.present for f in frames if isinstance(f, marlin.Capability)}
-            told = (names[0], capabilities.get("EMERGENCY_PARSER", False)) if names else None
-            if told is None or told != before:
-                self.counters.retries += before is not None or told is None
-                before = told
+            identity = (names[0], capabilities.get("EMERGENCY_PARSER", False)) if names else None
+            if identity is None or identity != before:
+                self.counters.retries += before is not None or identity is None
+                before = identity
                 continue
-            name, self._emergency_parser = told
+            name, self._emergency_parser = identity
             if not name.startswith("Marlin"):
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
@@ -475,12 +475,12 @@ class MarlinDialect:
         if needs == ControllerNeeds():
             return []
 
-        def told(code: str, figures: dict[str, float]) -> tuple[list[str], list[float]]:
+        def columns(code: str, figures: dict[str, float]) -> tuple[list[str], list[float]]:
             return [f"{code} {axis}" for axis in figures], list(figures.values())
 
-        findings = controller_needs.exactly(*told("M92", self._steps), needs.steps, SET)
+        findings = controller_needs.exactly(*columns("M92", self._steps), needs.steps, SET)
         for code, needed in (("M203", needs.speed), ("M201", needs.acceleration)):
-            figures = told(code, self._figures(code, deadline))
+            figures = columns(code, self._figures(code, deadline))
             findings += controller_needs.at_least(*figures, needed, SET)
         for frame in self._command("M211", deadline):
             if isinstance(frame, marlin.SoftEndstops) and frame.on:
@@ -490,7 +490,7 @@ class MarlinDialect:
                     if axis in frame.low and axis in frame.high
                 }
                 if len(free) == AXIS_COUNT:
-                    span = told("M211 range", free)
+                    span = columns("M211 range", free)
                     findings += controller_needs.at_least(*span, needs.travel, "M211 S0")
         return findings
 

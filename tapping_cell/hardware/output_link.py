@@ -15,7 +15,7 @@ class Answer(Enum):
     PENDING = "pending"
     DONE = "done"
     REFUSED = "refused"
-    UNTOLD = "untold"
+    UNREPORTED = "unreported"
     """Not available, because the interface does not return answers."""
 
 
@@ -58,7 +58,7 @@ class OutputLink(Connection, Protocol):
         """Time when a read-back last reported the output as on, s; minus infinity if never."""
 
     @property
-    def rivals(self) -> tuple[str, ...]:
+    def other_commanders(self) -> tuple[str, ...]:
         """Other nodes that could switch the output."""
 
     def switch(self, on: bool) -> int:

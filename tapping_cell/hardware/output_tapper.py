@@ -301,7 +301,7 @@ class OutputTapperDriver:
     ) -> FireResult:
         seen = self._link.reads_back and self._link.last_on >= asked
         over = self._off_since(asked)
-        proven_off = over if seen else off in (Answer.DONE, Answer.UNTOLD)
+        proven_off = over if seen else off in (Answer.DONE, Answer.UNREPORTED)
         if not proven_off:
             # Reconnecting switches the output off and waits for the proof.
             self._connected = False

@@ -103,7 +103,7 @@ class Ros2ControlDialect:
         remarks = [
             f"{name} can also send trajectories to {self._link.name}: nothing else may do so "
             "while the cell works"
-            for name in self._link.rivals
+            for name in self._link.other_commanders
         ]
         if samples and samples[-1].velocities is None:
             remarks.append(
@@ -216,7 +216,7 @@ class Ros2ControlDialect:
         self.counters.timeouts += 1
         samples = self._link.samples
         late = bool(samples) and self._link.now() - samples[-1].received < 0.1
-        told = (
+        cause = (
             "have time stamps that are too old: the clock of the arm's computer differs, or "
             "the network is slow; synchronise the clocks"
             if late
@@ -226,7 +226,7 @@ class Ros2ControlDialect:
         since = f"{silence:.2f} s" if math.isfinite(silence) else "more than a second"
         return HardwareFault(
             FaultReason.DISCONNECTED,
-            f"the joint states of {self._link.name} {told} (nothing measured for {since}, limit"
+            f"the joint states of {self._link.name} {cause} (nothing measured for {since}, limit"
             f" {self._settings.state_timeout:.2f} s)",
         )
 

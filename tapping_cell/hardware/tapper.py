@@ -282,7 +282,7 @@ class TapperDriver:
             if self._transport.now() > deadline:
                 self.discharge()
                 break
-            self._listen(self.settings.poll_period)
+            self._receive(self.settings.poll_period)
             reply = self._request(Command.STATUS)
         if reply.state is not State.SAFE:
             if reply.stop_latched or not reply.interlock_closed:
@@ -340,7 +340,7 @@ class TapperDriver:
             ):
                 if not go_on():
                     return self.discharge()
-                self._listen(self.settings.poll_period)
+                self._receive(self.settings.poll_period)
             elif reply.result is not Result.OK:
                 raise self._refusal(reply)
             else:
@@ -358,10 +358,10 @@ class TapperDriver:
                 )
             if not go_on():
                 return self.discharge()
-            self._listen(self.settings.poll_period)
+            self._receive(self.settings.poll_period)
             reply = self._request(Command.STATUS)
-        told = reply.shot, round(reply.energy * 1e6), reply.channel
-        if told != (shot, energy_uj, channel):
+        echoed = reply.shot, round(reply.energy * 1e6), reply.channel
+        if echoed != (shot, energy_uj, channel):
             self.discharge()
             raise self._noted(
                 FaultReason.REJECTED,
@@ -485,7 +485,7 @@ class TapperDriver:
         reply = self._request(Command.STATUS)
         until = self._transport.now() + self.settings.home_timeout
         while reply.state in RETURNING and go_on() and self._transport.now() < until:
-            self._listen(self.settings.poll_period)
+            self._receive(self.settings.poll_period)
             reply = self._request(Command.STATUS)
         return reply
 
@@ -604,7 +604,7 @@ class TapperDriver:
         damaged = self.counters.damaged_frames
         until = self._transport.now() + timeout
         while (left := until - self._transport.now()) > 0:
-            for reply in self._listen(left):
+            for reply in self._receive(left):
                 if (reply.session, reply.sequence) == (self._session, sequence):
                     self.last_reply = reply
                     return reply
@@ -612,7 +612,7 @@ class TapperDriver:
         self._damaged += self.counters.damaged_frames > damaged
         return None
 
-    def _listen(self, wait: float) -> list[Reply]:
+    def _receive(self, wait: float) -> list[Reply]:
         """Return the replies received within ``wait`` s; return as soon as bytes arrive."""
         data = self._transport.read(wait)
         self._received.take(data)

@@ -70,7 +70,7 @@ def _speeds(samples: Sequence[JointSample]) -> tuple[float, ...]:
 class GoalState(Enum):
     """Reported state of the last trajectory that was sent."""
 
-    UNTOLD = "untold"
+    UNREPORTED = "unreported"
     """Not reported, because the controller accepts trajectories by topic."""
     ACTIVE = "active"
     SUCCEEDED = "succeeded"
@@ -104,7 +104,7 @@ class TrajectoryLink(Connection, Protocol):
         """Joint names of the last message that lacked some of the arm's; empty if none did."""
 
     @property
-    def rivals(self) -> Sequence[str]:
+    def other_commanders(self) -> Sequence[str]:
         """Other nodes that could send trajectories to this controller."""
 
     def wait(self, duration: float) -> None:

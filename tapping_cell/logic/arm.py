@@ -8,6 +8,7 @@ for a while. docs/safety.md shows why no shot is then fired while the arm moves.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
@@ -24,6 +25,7 @@ from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
 from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
 from tapping_cell.logic.effects import (
     Answer,
+    Effect,
     JobEnded,
     LogLevel,
     Message,
@@ -35,7 +37,7 @@ from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_arm
 from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message, to_message
-from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.logic.withdrawal import Scene, withdrawal
 from tapping_cell.messages import (
@@ -158,7 +160,7 @@ HEALTHY = frozenset(
 )
 AT_WORK = HEALTHY - {S.IDLE}
 """States in which the arm moves, or stands at the strike pose and may move again."""
-NOBODY = (0, 0)
+NO_REQUESTER = (0, 0)
 """Tap id and key if no request may end the promise early."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
@@ -179,7 +181,7 @@ class ArmOptions:
 class ArmLogic(DeviceLogic[State, Event]):
     """See the module's docstring. Only the jobs of this machine move the arm."""
 
-    stop_trouble = (
+    stop_error = (
         ErrorCode.ARM_STOPPED,
         "the arm was stopped; make the cell safe, call clear_fault, then home",
     )
@@ -189,13 +191,13 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cell: Cell
         self._geometry: ScaraGeometry
         self._options = options
-        self._trouble = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected yet")
+        self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected yet")
         self._reading_kept: Reading | None = None
         self._tip: tuple[Reading | None, PoseMessage] = (None, PoseMessage())
         self._read_stamp = Time()
-        self._joints_told = Time()
+        self._joints_published = Time()
         self._placed: Joints | None = None
-        self._strayed = 0
+        self._deviating_readings = 0
         self._clear_of_camera = False
         self._tap_id = 0
         self._last_tap_id = 0
@@ -204,12 +206,12 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._camera: tuple[float, float, float] | None = None
         self._scene: Scene | None = None
         self._to_park = False
-        self._promised_to = NOBODY
+        self._promised_to = NO_REQUESTER
         self._promised_for = 0.0
         self._promise_end = -math.inf
-        self._let_go_of = 0
+        self._released_tap = 0
         self._longest_hold = 0.0
-        self._outcome_told = 0
+        self._outcome_received = 0
         self._charged_until = self._leaving_since = -math.inf
         self._enabling = EnablingDevice()
 
@@ -220,7 +222,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._tap_command(message, now)
         elif topic == "tapper_state":
             self._enabling.on_switch(message.enabling_switch, now)
-            self._tapper_told(message, now)
+            self._on_tapper_state(message, now)
             self._watch_enabling(now)
         elif topic == "joint_trajectory":
             self._trajectory(message, now)
@@ -256,7 +258,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._machine.move(Event.TAP, S.PLACING)
         self._tap_id = self._last_tap_id = command.tap_id
         self._expiry = to_nanoseconds(command.expiry)
-        self._trouble = (ErrorCode.NONE, "")
+        self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = self._to_park = False
         self._scene = self._scene_of(command)
         arm = self._cell.arm
@@ -304,12 +306,12 @@ class ArmLogic(DeviceLogic[State, Event]):
         not_before = self._free_at(now)
         self._run("withdraw", partial(arm_jobs.withdraw, plan=plan, not_before=not_before))
 
-    def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
+    def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
         """Return why a tap command is refused, or None if it is accepted."""
         if not self._active:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
         if self.state is not S.IDLE:
-            return ErrorCode.ARM_BUSY, f"the arm is not idle ({self._trouble[1] or 'it is busy'})"
+            return ErrorCode.ARM_BUSY, f"the arm is not idle ({self._error[1] or 'it is busy'})"
         if not self._enabled(now):
             return enabling.RELEASED
         if tap_commands.expired(command, now):
@@ -319,14 +321,14 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _refuse(self, code: int, sentence: str) -> None:
         """Report why a command is refused; an idle arm repeats the reason until the next one."""
         if self.state is S.IDLE:
-            self._say(code, sentence)
+            self._set_error(code, sentence)
         else:
             self._log(LogLevel.ERROR, sentence)
 
     def _trajectory(self, message: JointTrajectory, now: Now) -> None:
         if not self._active or self.state is not S.IDLE:
             code = ErrorCode.ARM_BUSY if self._active else ErrorCode.NOT_ACTIVE
-            reason = self._trouble[1] or "busy"
+            reason = self._error[1] or "busy"
             self._refuse(code, f"trajectory refused: the arm is not idle ({reason})")
             return
         if not self._enabled(now):
@@ -341,7 +343,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._refuse(ErrorCode.TRAJECTORY_INVALID, f"trajectory refused: {error}")
             return
         self._machine.move(Event.TRAJECTORY, S.FOLLOWING)
-        self._trouble = (ErrorCode.NONE, "")
+        self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = False
         scale = SET_UP_SPEED if self._options.set_up else 1.0
         self._run(
@@ -353,7 +355,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not self._active:
             self._answer(token, False, "the node is not active; activate it first")
         elif self.state not in (S.NOT_HOMED, S.IDLE):
-            reason = self._trouble[1] or "busy"
+            reason = self._error[1] or "busy"
             self._answer(token, False, f"the arm cannot home now: {reason}")
         elif not self._enabled(now):
             self._answer(token, False, enabling.RELEASED[1])
@@ -363,7 +365,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _begin_homing(self, now: Now) -> None:
         self._machine.move(Event.HOME, S.HOMING)
-        self._trouble = (ErrorCode.NONE, "")
+        self._error = (ErrorCode.NONE, "")
         strategy = HomingStrategy(self._cell.arm.homing)
         self._run(
             "home",
@@ -389,18 +391,18 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._stops.press(enabling.SOURCE):
             self._keep_stops(now)
         self._stop(now)
-        self._say(*enabling.STOPPED)
+        self._set_error(*enabling.STOPPED)
 
     # Standing still for the tapper
 
     def _hold_still(self, request: HoldStill.Request, now: Now) -> HoldStill.Response:
         end = now.steady + request.duration
-        asker = request.tap_id, request.key
+        requester = request.tap_id, request.key
         is_shorter = 0 <= request.duration < self._promised_for
-        if request.key and asker == self._promised_to and is_shorter:
+        if request.key and requester == self._promised_to and is_shorter:
             # Only the tapper knows the key. It ends the promise when its striker is released or
             # discharged.
-            self._let_go_of, self._charged_until = request.tap_id, -math.inf
+            self._released_tap, self._charged_until = request.tap_id, -math.inf
             stands = end <= self._promise_end
             self._promise_end = min(self._promise_end, end)
             self._leave_when_free(now)
@@ -410,19 +412,19 @@ class ArmLogic(DeviceLogic[State, Event]):
                 error_code=ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
                 error_msg=f"the promise for tap {request.tap_id} was over before",
             )
-        trouble = self._unsteady(request, now)
-        if trouble is not None:
-            code, sentence = trouble
+        error = self._unsteady(request, now)
+        if error is not None:
+            code, sentence = error
             return HoldStill.Response(error_code=code, error_msg=sentence)
-        if now.steady < self._promise_end and asker != self._promised_to:
+        if now.steady < self._promise_end and requester != self._promised_to:
             # The promise for another request is still valid, so no request may end it early.
-            asker = NOBODY
-        self._promised_to, self._promised_for = asker, request.duration
+            requester = NO_REQUESTER
+        self._promised_to, self._promised_for = requester, request.duration
         # The promise begins when the request is handled, which is later than when it was sent.
         self._promise_end = max(self._promise_end, end)
         return HoldStill.Response(granted=True, duration=request.duration)
 
-    def _unsteady(self, request: HoldStill.Request, now: Now) -> Trouble | None:
+    def _unsteady(self, request: HoldStill.Request, now: Now) -> CodedError | None:
         """Return why the arm does not promise to stand still, or None if it does."""
         if not 0 < request.duration <= self._longest_hold:
             return (
@@ -436,11 +438,11 @@ class ArmLogic(DeviceLogic[State, Event]):
                 f"the arm is not in position for tap {request.tap_id} (it is {self.state.value},"
                 f" tap {self._tap_id})",
             )
-        if self._outcome_told == request.tap_id:
+        if self._outcome_received == request.tap_id:
             return ErrorCode.COMMAND_REPEATED, f"tap {request.tap_id} already has an outcome"
         reading = self._reading_kept
         age = math.inf if reading is None else now.steady - reading.stamp
-        if age > FRESH_READING_S or self._strayed or now.ros > self._expiry:
+        if age > FRESH_READING_S or self._deviating_readings or now.ros > self._expiry:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
                 f"the arm was last read back {age:.2f} s ago (limit {FRESH_READING_S:.2f} s), or"
@@ -448,15 +450,19 @@ class ArmLogic(DeviceLogic[State, Event]):
             )
         return None
 
-    def _tapper_told(self, message: TapperState, now: Now) -> None:
-        ours = message.tap_id == self._last_tap_id and message.tap_id != self._let_go_of
+    def _on_tapper_state(self, message: TapperState, now: Now) -> None:
+        ours = message.tap_id == self._last_tap_id and message.tap_id != self._released_tap
         if ours and message.state in CHARGED:
             # Anybody can publish that the striker is not charged, so such a report does not count.
             self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
-        if not over or message.tap_id in (0, self._outcome_told) or message.tap_id != self._tap_id:
+        if (
+            not over
+            or message.tap_id in (0, self._outcome_received)
+            or message.tap_id != self._tap_id
+        ):
             return
-        self._outcome_told = message.tap_id
+        self._outcome_received = message.tap_id
         self._leave_when_free(now)
 
     def _give_up(self, now: Now) -> None:
@@ -486,7 +492,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     # Jobs
 
-    def _job_told(self, name: str, content: Any, now: Now) -> None:
+    def _on_job_report(self, name: str, content: Any, now: Now) -> None:
         self._take_in(content, now)
 
     def _job_done(self, name: str, result: Any, now: Now) -> None:
@@ -505,7 +511,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._give_up(now)
         elif name == "place":
             self._machine.move(Event.PLACED, S.IN_POSITION)
-            self._placed, self._strayed = reading.joints, 0
+            self._placed, self._deviating_readings = reading.joints, 0
         elif name == "follow":
             self._machine.move(Event.FOLLOWED, S.IDLE)
         elif name == "withdraw" and self._to_park and self._scene is not None:
@@ -523,7 +529,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
             # Nothing was sent, so the arm has not moved: this is no fault that a person must clear.
-            self._say(of_arm(fault), fault.sentence)
+            self._set_error(of_arm(fault), fault.sentence)
             self._give_up(now)
             return
         if fault.reason in LOST:
@@ -531,7 +537,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         else:
             target = S.NOT_HOMED if fault.reason in UNHOMED else S.FAULT
         self._fail_to(target)
-        self._say(of_arm(fault), fault.sentence)
+        self._set_error(of_arm(fault), fault.sentence)
 
     def _overtaken(self, event: JobEnded, now: Now) -> None:
         result = event.result
@@ -555,12 +561,12 @@ class ArmLogic(DeviceLogic[State, Event]):
             for a, b, limit in zip(reading.joints, self._placed, limits, strict=True)
         )
         if reading.homed and near and not reading.moving:
-            self._strayed = 0
+            self._deviating_readings = 0
             return
-        self._strayed += 1
-        if self._strayed >= 2:
+        self._deviating_readings += 1
+        if self._deviating_readings >= 2:
             self._fail_to(S.FAULT)
-            self._say(
+            self._set_error(
                 ErrorCode.ARM_POSITION_MISMATCH,
                 "the arm does not stay at the strike pose; check what pushes it, then call "
                 "clear_fault and home",
@@ -589,7 +595,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._reading_kept = None
         if self.state is not S.STOPPED:
             self._machine.move(Event.CLOSED, S.DISCONNECTED)
-            self._trouble = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected")
+            self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected")
 
     def _connected(self, answer: Any, now: Now) -> None:
         self._reading_kept = answer if isinstance(answer, Reading) else None
@@ -603,13 +609,13 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._tap_id = 0
         if not self._active and event is not Event.CONNECTED:
             self._machine.move(event, S.INACTIVE)
-            self._trouble = INACTIVE_TROUBLE
+            self._error = INACTIVE_ERROR
         elif self._homed():
             self._machine.move(event, S.IDLE)
-            self._trouble = (ErrorCode.NONE, "")
+            self._error = (ErrorCode.NONE, "")
         else:
             self._machine.move(event, S.NOT_HOMED)
-            self._trouble = (
+            self._error = (
                 ErrorCode.ARM_NOT_HOMED,
                 "the arm is not homed; make sure that its path is free, then call the service home",
             )
@@ -640,7 +646,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._halting = False
         self._machine.move(Event.DEACTIVATED, S.INACTIVE)
         self._tap_id = 0
-        self._trouble = INACTIVE_TROUBLE
+        self._error = INACTIVE_ERROR
         if self._active:
             self._activated(now)
 
@@ -650,7 +656,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._tap_id = 0
         self._reading_kept = None
         self._machine.move(Event.STOP, S.STOPPED)
-        self._say(*self.stop_trouble)
+        self._set_error(*self.stop_error)
 
     def _fail(self, now: Now) -> None:
         if not self._stops.stopped:
@@ -698,14 +704,14 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _report(self, now: Now) -> Publish:
         reading = self._reading_kept if self._homed() else None
-        code, sentence = self._trouble
+        code, sentence = self._error
         message = ArmState(
             state=WIRE[self.state],
             tap_id=self._tap_id,
             homed=reading is not None,
             clear_of_camera=self._clear_of_camera,
             set_up=self._options.set_up,
-            enabled=self._options.set_up and self._enabling.held(now),
+            enabled=self._is_key_held(now),
             error_code=code,
             error_msg=sentence,
         )
@@ -713,30 +719,42 @@ class ArmLogic(DeviceLogic[State, Event]):
         message.header.stamp = self._read_stamp if reading is not None else to_stamp(now.ros)
         if reading is not None:
             message.tip_pose = self._tip_pose(reading)
-            # An arm with its own ROS driver publishes the joint states itself.
-            own_driver = self._cell.arm.ros2_control is not None
-            if self._read_stamp != self._joints_told and not own_driver:
-                self._joints_told = self._read_stamp
-                joints = JointState(name=list(Joints._fields), position=list(reading.joints))
-                joints.header.stamp = self._read_stamp
-                self._effects.append(Publish("joint_states", joints))
         return Publish("arm_state", message)
+
+    def _is_key_held(self, now: Now) -> bool:
+        return self._options.set_up and self._enabling.held(now)
+
+    def _drain(self, now: Now) -> Sequence[Effect]:
+        self._publish_joints()
+        return super()._drain(now)
+
+    def _publish_joints(self) -> None:
+        """Publish the joint states of a new reading, unless the arm's own ROS driver does so."""
+        reading = self._reading_kept if self._homed() else None
+        if reading is None or self._read_stamp == self._joints_published:
+            return
+        if self._cell.arm.ros2_control is not None:
+            return
+        self._joints_published = self._read_stamp
+        joints = JointState(name=list(Joints._fields), position=list(reading.joints))
+        joints.header.stamp = self._read_stamp
+        self._effects.append(Publish("joint_states", joints))
 
     def _tip_pose(self, reading: Reading) -> PoseMessage:
         """Return the tip's pose in ``table`` from a reading; computed once per reading."""
-        told, pose = self._tip
-        if told is not reading:
+        measured, pose = self._tip
+        if measured is not reading:
             tip = self._geometry.forward(reading.joints)
             planar = self._cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
             pose = to_message(planar, tip.z)
             self._tip = reading, pose
         return pose
 
-    def _comparable(self, message: Message) -> Message:
+    def _urgent_content(self, now: Now) -> tuple[object, ...]:
         # While the arm moves, the end of each move is published immediately.
-        read = self._read_stamp if self.state is S.PLACING else None
-        trouble = message.error_code, message.error_msg
-        return message.state, message.tap_id, message.enabled, *trouble, read
+        state = self.state
+        read = self._read_stamp if state is S.PLACING else None
+        return WIRE[state], self._tap_id, self._is_key_held(now), self._error, read
 
 
 def _plan_withdrawal(
@@ -745,7 +763,7 @@ def _plan_withdrawal(
     return withdrawal(cell, scene, here, motion)
 
 
-INACTIVE_TROUBLE = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")
+INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")
 
 
 def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:

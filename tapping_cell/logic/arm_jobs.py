@@ -40,10 +40,10 @@ class MotionEnd:
 
 def reading_of(driver: ArmDriver) -> Reading:
     """Read back the arm's position."""
-    return _told(driver, driver.read())
+    return _make_reading(driver, driver.read())
 
 
-def _told(driver: ArmDriver, reading: ArmReading) -> Reading:
+def _make_reading(driver: ArmDriver, reading: ArmReading) -> Reading:
     """Convert a driver's reading, and add whether the arm is homed."""
     return Reading(driver.homed, reading.joints, reading.moving, reading.stamp)
 
@@ -85,9 +85,9 @@ def place(
     _wait(context, not_before)
     path = strike_path(driver.geometry, driver.read_joints(), tip, motion)
     if not _move_along(context, path, expiry):
-        return MotionEnd(False, _told(driver, driver.read()))
+        return MotionEnd(False, _make_reading(driver, driver.read()))
     reading = driver.settle(path[-1].joints if path else None)
-    return MotionEnd(not context.abandoned(), _told(driver, reading))
+    return MotionEnd(not context.abandoned(), _make_reading(driver, reading))
 
 
 def withdraw(
@@ -100,7 +100,7 @@ def withdraw(
     path = plan(here)
     _wait(context, not_before)
     complete = _move_along(context, path)
-    return MotionEnd(complete, _told(driver, driver.read()))
+    return MotionEnd(complete, _make_reading(driver, driver.read()))
 
 
 def follow(
@@ -122,7 +122,7 @@ def follow(
             complete = False
             break
         here, before = target, at
-    return MotionEnd(complete, _told(driver, driver.settle(None)))
+    return MotionEnd(complete, _make_reading(driver, driver.settle(None)))
 
 
 def _wait(context: JobContext, until: float) -> None:
@@ -135,7 +135,7 @@ def _wait(context: JobContext, until: float) -> None:
 def _park(context: JobContext, here: Joints, motion: MotionSettings) -> MotionEnd:
     driver: ArmDriver = context.driver
     complete = _move_along(context, withdraw_path(driver.geometry, here, motion))
-    return MotionEnd(complete, _told(driver, driver.read()))
+    return MotionEnd(complete, _make_reading(driver, driver.read()))
 
 
 def _move_along(context: JobContext, path: Sequence[Waypoint], expiry: int | None = None) -> bool:
@@ -147,5 +147,5 @@ def _move_along(context: JobContext, path: Sequence[Waypoint], expiry: int | Non
         reading = driver.move_to(
             waypoint.joints, waypoint.speed, via=waypoint.via, via_speed=waypoint.via_speed
         )
-        context.post(_told(driver, reading))
+        context.post(_make_reading(driver, reading))
     return not context.abandoned()

@@ -89,7 +89,7 @@ WIRE = {progress: getattr(ObjectProgress, progress.name) for progress in Progres
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class RequestedGoal:
     """Goal of one object. ``tolerance`` in m and rad."""
 
     message: PoseStamped
@@ -104,7 +104,7 @@ class ArrangementTask(Task):
 
     resumable: ClassVar[bool] = False
 
-    wanted: Mapping[str, Wanted]
+    wanted: Mapping[str, RequestedGoal]
     """Goals by name of the object, in the order of the request."""
     bodies: Sequence[Body]
     """All objects of the cell."""
@@ -129,6 +129,15 @@ class ArrangementTask(Task):
             for name, one in self.wanted.items()
         )
         return f"arrangement: {goals}"
+
+    @property
+    def purpose(self) -> str:
+        """Why the present object is tapped now."""
+        if self._tap is None:
+            return ""
+        move = self._tap.move
+        away = move.purpose is Purpose.MAKE_WAY
+        return f"'{move.name}' {'makes way' if away else 'goes to its goal'}: {move.reason}"
 
     def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:
         """Return whether every object was seen at rest after the steady time ``after``.
@@ -236,7 +245,7 @@ class ArrangementTask(Task):
         """Store why the task ended, and mark the objects that are not at their goals as failed."""
         self._ended = (code, sentence)
         if code:
-            for name in self._told():
+            for name in self._reported_objects():
                 if self._machine(name).state is not P.REACHED:
                     self._change(name, Change.GIVEN_UP)
 
@@ -244,7 +253,7 @@ class ArrangementTask(Task):
 
     def progress(self) -> list[ObjectProgress]:
         """Return the progress of every object."""
-        return [self._progress_of(name) for name in self._told()]
+        return [self._progress_of(name) for name in self._reported_objects()]
 
     def report(self, now: Now, active: bool) -> ArrangementState:
         """Return the message on the progress of the arrangement."""
@@ -311,13 +320,13 @@ class ArrangementTask(Task):
     def _change(self, name: str, change: Change) -> None:
         self._machine(name).move(change, FOLLOWS[change])
 
-    def _told(self) -> list[str]:
+    def _reported_objects(self) -> list[str]:
         """Return the objects with a goal as in the request, then the objects that made way."""
         return [*self.wanted, *(name for name in self._progress if name not in self.wanted)]
 
     def _progress_of(self, name: str) -> ObjectProgress:
         progress, wanted = self._machine(name).state, self.wanted.get(name)
-        told = ObjectProgress(
+        report = ObjectProgress(
             object_id=name,
             state=WIRE[progress],
             has_goal=wanted is not None,
@@ -327,16 +336,16 @@ class ArrangementTask(Task):
         )
         state = self._states.get(name)
         if state is not None:
-            told.pose = state.pose
+            report.pose = state.pose
         if wanted is not None:
-            told.goal_pose = to_message(wanted.goal)
+            report.goal_pose = to_message(wanted.goal)
             if state is not None:
                 pose = from_message(state.pose.pose)
-                told.residual_distance = pose.distance_to(wanted.goal)
-                told.residual_rotation = pose.rotation_to(wanted.goal)
+                report.residual_distance = pose.distance_to(wanted.goal)
+                report.residual_rotation = pose.rotation_to(wanted.goal)
         if progress is P.FAILED:
-            told.error_code, told.error_msg = self._ended
-        return told
+            report.error_code, report.error_msg = self._ended
+        return report
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
@@ -348,6 +357,11 @@ class AmongOthersTask(ArrangementTask):
     def description(self) -> str:
         """Return a readable description of the goal."""
         return f"'{self.object_id}': {Task.description(self)}"
+
+    @property
+    def purpose(self) -> str:
+        """Empty, because this object is the only one with a goal."""
+        return ""
 
     def feedback(
         self, state: PlanState

@@ -11,7 +11,7 @@ from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import ArmState, ErrorCode, ObjectState, ObjectStates, TapperState
 from tapping_cell.se2 import Pose
 
-Trouble = tuple[int, str]
+CodedError = tuple[int, str]
 """Error code and message."""
 
 QUICKEST_IMAGE_S = 0.05
@@ -110,7 +110,11 @@ class CellMonitor:
         return self.camera_clock.to_steady(self.object.header.stamp, now)
 
     def unseen_for(self, now: Now) -> float:
-        """Return the time since the object was last seen, s."""
+        """Return the time since the object was last seen, s; 0 if the last observation shows it,
+        however old that observation is."""
+        seen = self.object
+        if seen is not None and seen.visible and not seen.error_code:
+            return 0.0
         return now.steady - self._seen_at.get(self._watched, -math.inf)
 
     @property
@@ -134,7 +138,16 @@ class CellMonitor:
             and seen.frames_fused >= frames
         )
 
-    def missing(self, now: Now) -> Trouble | None:
+    def at_rest_after(self, moment: float, now: Now) -> bool:
+        """Return whether the object is seen at rest, and this rest began after the steady time
+        ``moment``."""
+        seen = self.object
+        if seen is None or not seen.visible or not seen.at_rest:
+            return False
+        since = self.camera_clock.to_steady(seen.at_rest_since, now)
+        return since > moment + QUICKEST_IMAGE_S
+
+    def missing(self, now: Now) -> CodedError | None:
         """Return why the cell is not ready for a tap, or None if it is."""
         arm, tapper = self.arm, self.tapper
         of_arm = self._arm_missing(arm, now) if self.has_arm else None
@@ -163,7 +176,7 @@ class CellMonitor:
             )
         return None
 
-    def _arm_missing(self, arm: ArmState | None, now: Now) -> Trouble | None:
+    def _arm_missing(self, arm: ArmState | None, now: Now) -> CodedError | None:
         if arm is None or self.silent("arm", now):
             return ErrorCode.ARM_SILENT, self._silence("arm", now)
         if arm.set_up and not arm.enabled:
@@ -172,7 +185,7 @@ class CellMonitor:
             return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or "the arm is busy"
         return None
 
-    def fault(self) -> Trouble | None:
+    def fault(self) -> CodedError | None:
         """Return a fault of arm or tapper that a person must clear, or None."""
         for state, faults in (
             (self.arm, (ArmState.FAULT, ArmState.STOPPED)),
@@ -209,7 +222,7 @@ class CellMonitor:
         arm = self.arm
         return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
 
-    def out_of_reach(self, tap_id: int) -> Trouble | None:
+    def out_of_reach(self, tap_id: int) -> CodedError | None:
         """Return why the arm cannot reach the strike pose of this tap, or None."""
         arm = self.arm
         if arm is None or arm.tap_id != tap_id or arm.error_code != ErrorCode.ARM_OUT_OF_REACH:
@@ -248,7 +261,7 @@ class CellMonitor:
         """Like :meth:`seen_away_from`, for any object in ``object_states``."""
         return _away(self._states.get(name), pose, distance, angle)
 
-    def blind(self, waited: float, frames: int, now: Now) -> Trouble:
+    def blind(self, waited: float, frames: int, now: Now) -> CodedError:
         """Return why no usable observation was made within ``waited`` s."""
         seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"
         if self._own is None or self.silent("object", now):
@@ -260,8 +273,8 @@ class CellMonitor:
                 "file and other_object_files as tap_planner",
             )
         if seen.error_code:
-            told = str(seen.error_msg)
-            return int(seen.error_code), f"{name}: {told}" if self._watched else told
+            text = str(seen.error_msg)
+            return int(seen.error_code), f"{name}: {text}" if self._watched else text
         if not seen.visible:
             covers = self.arm is not None and not self.arm.clear_of_camera
             way = (

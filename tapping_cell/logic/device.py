@@ -36,7 +36,7 @@ from tapping_cell.logic.host import (
     LifecycleEvent,
     Unreachable,
 )
-from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine
 from tapping_cell.messages import ErrorCode, StopState, Trigger
 
@@ -73,7 +73,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     this job does not change the state.
     """
 
-    stop_trouble: Trouble
+    stop_error: CodedError
 
     def __init__(self, machine: StateMachine[State, Event], tick_period: float) -> None:
         self.tick_period = tick_period
@@ -82,14 +82,14 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._stops = stops.StopLatch()
         self._active = False
         self._configured = False
-        self._trouble: Trouble = CONTINUE
+        self._error: CodedError = CONTINUE
         self._effects: list[Effect] = []
         self._jobs = 0
         self._job: int | None = None
         self._job_name = ""
         self._reading: int | None = None
         self._read_at = -1.0
-        self._published: Message | None = None
+        self._published: tuple[object, ...] | None = None
 
     # Public properties
 
@@ -109,9 +109,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
         return self._stops.stopped
 
     @property
-    def trouble(self) -> Trouble:
+    def error(self) -> CodedError:
         """Error code and message; (0, "") if there is no error."""
-        return self._trouble
+        return self._error
 
     # Methods that a device implements
 
@@ -125,7 +125,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None: ...
 
     @abstractmethod
-    def _job_told(self, name: str, content: Any, now: Now) -> None: ...
+    def _on_job_report(self, name: str, content: Any, now: Now) -> None: ...
 
     @abstractmethod
     def _job_done(self, name: str, result: Any, now: Now) -> None: ...
@@ -202,7 +202,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         elif isinstance(event, Unreachable):
             self.patience = patience_after(self.patience, event.fault)
             if not self._stops.stopped:
-                self._trouble = (self._code_of(event.fault), event.fault.sentence)
+                self._error = (self._code_of(event.fault), event.fault.sentence)
         elif isinstance(event, Activated):
             self._active = True
             if not self._stops.stopped:
@@ -252,7 +252,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def on_answer(self, token: Token, response: Message | None, now: Now) -> Sequence[Effect]:
         """Handle the answer to a call."""
         if isinstance(token, tuple) and token[0] == "reset":
-            self._levels_told(token[1], response, now)
+            self._levels_received(token[1], response, now)
         else:
             self._handle_answer(token, response, now)
         return self._drain(now)
@@ -261,7 +261,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         """Handle the progress or the end of a job."""
         if isinstance(event, JobProgress):
             if event.job == self._job:
-                self._job_told(self._job_name, event.content, now)
+                self._on_job_report(self._job_name, event.content, now)
         elif event.job == self._reading:
             self._reading = None
             if self._job is None and not self._stops.stopped:
@@ -306,7 +306,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._abandon()
         self._job = None
         self._fail(now)
-        self._say(
+        self._set_error(
             ErrorCode.INTERNAL,
             f"internal error ({error!r}): report it with the log, then restart the node",
         )
@@ -335,11 +335,11 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._abandon()
         self._job = None
 
-    def _say(self, code: int, sentence: str) -> None:
+    def _set_error(self, code: int, sentence: str) -> None:
         """Set a fault or refusal as the error of the state, and log it once."""
-        if sentence and self._trouble[1] != sentence:
+        if sentence and self._error[1] != sentence:
             self._log(LogLevel.ERROR, sentence)
-        self._trouble = (code, sentence)
+        self._error = (code, sentence)
 
     def _log(self, level: LogLevel, sentence: str) -> None:
         self._effects.append(Log(level, sentence))
@@ -349,16 +349,16 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _drain(self, now: Now) -> Sequence[Effect]:
         """Return the collected effects, and the state message if the state changed."""
-        report = self._report(now)
-        if self._comparable(report.message) != self._published:
-            self._published = self._comparable(report.message)
-            self._effects.append(report)
+        content = self._urgent_content(now)
+        if content != self._published:
+            self._published = content
+            self._effects.append(self._report(now))
         effects, self._effects = self._effects, []
         return effects
 
     @abstractmethod
-    def _comparable(self, message: Message) -> Message:
-        """Return the part of the state message whose changes are published immediately."""
+    def _urgent_content(self, now: Now) -> tuple[object, ...]:
+        """Return the content of the state message whose changes are published immediately."""
 
     # Stops
 
@@ -377,7 +377,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _clear(self, token: Token, now: Now) -> None:
         if not self._configured:
-            self._answer(token, False, self._trouble[1])
+            self._answer(token, False, self._error[1])
         elif self._stops.stopped:
             self._stops.begin_reset()
             self._effects.append(AskStops(("reset", token)))
@@ -386,7 +386,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         else:
             self._clear_granted(token, now)
 
-    def _levels_told(self, token: Token, levels: StopLevels | None, now: Now) -> None:
+    def _levels_received(self, token: Token, levels: StopLevels | None, now: Now) -> None:
         if not self._configured or not self._stops.stopped:
             self._answer(token, False, "the node's state changed meanwhile; call the service again")
             return

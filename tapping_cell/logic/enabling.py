@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.messages import ErrorCode
 
 TOPIC = "enabling"
@@ -18,11 +18,11 @@ SOURCE = "enabling device released"
 """Source in ``stop_state`` of a stop by the enabling device."""
 HEARTBEAT_S = 0.35
 """Time after the last message that a key or switch is held at which it counts as released."""
-RELEASED: Trouble = (
+RELEASED: CodedError = (
     ErrorCode.ENABLING_RELEASED,
     "set-up mode: no enabling device is held; hold the page's key or the foot switch",
 )
-STOPPED: Trouble = (
+STOPPED: CodedError = (
     ErrorCode.ENABLING_RELEASED,
     "set-up mode: the enabling device was released while the arm worked; clear the stop, then hold"
     " it again",

@@ -24,7 +24,7 @@ class FixedGoalHandling(GoalHandling):
     """See the module's docstring. The estimates of the mounts are kept from goal to goal."""
 
     def _prepare(self, cell: Cell) -> None:
-        self._whole = assembly.make_fixed_space(cell)
+        self._whole = assembly.make_fixed_space(cell, objective=self._objective)
         self._spaces: dict[tuple[KeepOut, ...], FixedStrikeSpace] = {}
         self._solver = GoalSolver(background=self._in_background)
         self._mounts = MountBelief.start(len(self._whole.tappers))

@@ -9,7 +9,7 @@ from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.logic import tap_commands
 from tapping_cell.logic.arm_times import ArmTimes
-from tapping_cell.logic.arrangement import AmongOthersTask, ArrangementTask, Wanted
+from tapping_cell.logic.arrangement import AmongOthersTask, ArrangementTask, RequestedGoal
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
 from tapping_cell.logic.frames import TABLE, Frames, TableOnly
@@ -105,8 +105,8 @@ class GoalHandling:
         self.other_objects = other_objects
         self._adapt = adapt
         self._probe = probe
-        objective = objective or cell.file.goal.objective
-        arm = objective == "time" and cell.file.arm is not None
+        self._objective = objective or cell.file.goal.objective
+        arm = self._objective == "time" and cell.file.arm is not None
         self._times = ArmTimes(cell) if arm else None
         self._keep_for = keep_for
         self._time_limit = time_limit
@@ -451,14 +451,14 @@ class GoalHandling:
             ask=ask,
         )
 
-    def _wanted(self, asked: ArrangeObjects.Goal, now: Now) -> dict[str, Wanted] | Refused:
+    def _wanted(self, asked: ArrangeObjects.Goal, now: Now) -> dict[str, RequestedGoal] | Refused:
         """Return the goals of an arrangement by name of the object, or why they are refused."""
         if not asked.goals:
             return Refused(
                 ErrorCode.COMMAND_INVALID, "the arrangement has no goals; give at least one"
             )
         known = ", ".join(f"'{name}'" for name in self._cells)
-        wanted: dict[str, Wanted] = {}
+        wanted: dict[str, RequestedGoal] = {}
         for name in (*(one.object_id for one in asked.goals), *asked.may_move):
             if name not in self._cells:
                 return Refused(
@@ -483,7 +483,7 @@ class GoalHandling:
                 header=Header(stamp=one.goal_pose.header.stamp, frame_id=TABLE),
                 pose=to_message(goal),
             )
-            wanted[one.object_id] = Wanted(message, goal, tolerance)
+            wanted[one.object_id] = RequestedGoal(message, goal, tolerance)
         return wanted
 
     def _free_of(self, name: str) -> FreeSpace:

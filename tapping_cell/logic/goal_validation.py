@@ -73,12 +73,12 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
             pose = compose(frames.in_table(frame, message.header.stamp), pose)
         except FrameError as error:
             return Refused(ErrorCode.GOAL_WRONG_FRAME, str(error))
-    leaning = tilt(pose)
+    tilted = tilt(pose)
     height = pose.position.z
-    if leaning > LARGEST_TILT or abs(height) > LARGEST_HEIGHT:
+    if tilted > LARGEST_TILT or abs(height) > LARGEST_HEIGHT:
         return Refused(
             ErrorCode.GOAL_NOT_PLANAR,
-            f"the goal is tilted by {math.degrees(leaning):.2f} deg and lifted by "
+            f"the goal is tilted by {math.degrees(tilted):.2f} deg and lifted by "
             f"{1000 * height:.2f} mm in '{TABLE}'; taps keep the object flat on the table: at most "
             f"{math.degrees(LARGEST_TILT):.1f} deg and {1000 * LARGEST_HEIGHT:.0f} mm",
         )

@@ -10,13 +10,14 @@ fired twice.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from tapping_cell.logic.arrangement import ArrangementTask
-from tapping_cell.logic.cell_monitor import CellMonitor, Trouble
+from tapping_cell.logic.cell_monitor import CellMonitor, CodedError
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
+from tapping_cell.logic.confirmation import Confirmation
 from tapping_cell.logic.effects import (
     Answer,
     Effect,
@@ -112,7 +113,7 @@ class Event(Enum):
     TAP_DROPPED = "proposed tap dropped"
     TAP_COMMANDED = "tap commanded"
     IN_POSITION = "arm in position"
-    OUTCOME_TOLD = "tapper reported the outcome"
+    OUTCOME_REPORTED = "tapper reported the outcome"
     GIVEN_UP = "tap given up"
     WITHDRAWN = "arm withdrawn"
     HIDDEN = "object hidden"
@@ -152,7 +153,7 @@ TABLE = table(
         # With a fixed tapper no arm moves, so the planner enters FIRING directly.
         ((S.PLANNING, S.CONFIRMING), Event.TAP_COMMANDED, (S.PLACING, S.FIRING)),
         ((S.PLACING,), Event.IN_POSITION, (S.FIRING,)),
-        (TAPPING, Event.OUTCOME_TOLD, (S.SETTLING,)),
+        (TAPPING, Event.OUTCOME_REPORTED, (S.SETTLING,)),
         (TAPPING, Event.GIVEN_UP, (S.SETTLING,)),
         ((S.SETTLING,), Event.WITHDRAWN, (S.LOOKING,)),
         ((S.LOOKING,), Event.HIDDEN, (S.SETTLING,)),
@@ -220,11 +221,13 @@ class PlannerLogic:
         self._task: Task | None = None
         self._shot: Shot | None = None
         self._proposed: Shot | None = None
+        self._confirmed: Confirmation | None = None
         self._answer_by = 0
         self._ask = settings.ask
         self._deadline = math.inf
         self._computation = 0
-        self._look_after = -math.inf
+        self._observe_after = -math.inf
+        self._struck_at = math.inf
         self._last_tap_id = 0
         self._withdrawn_tap_id = 0
         self._parked_tap_id = 0
@@ -235,6 +238,15 @@ class PlannerLogic:
         self._learnt: tuple[Gains | None, LearntGains] = (None, LearntGains())
         self.last = PlanState(residual_distance=math.nan, residual_rotation=math.nan)
         """Last published report."""
+        self._handlers: Mapping[State, Callable[[Task, Now], None]] = {
+            S.WAITING_FOR_CELL: self._wait_for_cell,
+            S.LOOKING: self._observe,
+            S.PLANNING: self._wait_for_computation,
+            S.CONFIRMING: self._wait_for_person,
+            S.PLACING: self._wait_for_arm,
+            S.FIRING: self._wait_for_tapper,
+            S.SETTLING: self._wait_for_withdrawal,
+        }
 
     @property
     def state(self) -> State:
@@ -517,21 +529,13 @@ class PlannerLogic:
                 now,
             )
             return
-        {
-            S.WAITING_FOR_CELL: self._wait_for_cell,
-            S.LOOKING: self._observe,
-            S.PLANNING: self._wait_for_computation,
-            S.CONFIRMING: self._wait_for_person,
-            S.PLACING: self._wait_for_arm,
-            S.FIRING: self._wait_for_tapper,
-            S.SETTLING: self._wait_for_withdrawal,
-        }[self.state](task, now)
+        self._handlers[self.state](task, now)
 
     def _wait_for_cell(self, task: Task, now: Now) -> None:
         """Wait until arm, tapper and camera are ready; end a tap left over from a former run."""
         missing = self._monitor.missing(now)
         if missing is None:
-            self._look_after = now.steady
+            self._observe_after = now.steady
             self._enter(Event.CELL_READY, S.LOOKING, now, self._settings.look_deadline)
             return
         orphan = self._monitor.left_behind()
@@ -544,7 +548,8 @@ class PlannerLogic:
     def _observe(self, task: Task, now: Now) -> None:
         """Observe the object at rest, evaluate the last tap, and decide on the next one."""
         needed = self._settings.frames_needed
-        observed = task.observed(self._monitor, self._look_after, needed, now)
+        after = self._struck_at if self._moved_by_tap(now) else self._observe_after
+        observed = task.observed(self._monitor, after, needed, now)
         seen = self._monitor.object
         if seen is None or not observed:
             if self._monitor.silent("object", now):
@@ -562,7 +567,7 @@ class PlannerLogic:
             # Only the goal's time limit ends this wait.
             self._deadline = now.steady + self._settings.look_deadline
             return
-        unknown = self.goals.update_free_space(task, self._look_after, now)
+        unknown = self.goals.update_free_space(task, self._observe_after, now)
         if unknown is not None:
             if self._late(now):
                 self._fail(*unknown, now)
@@ -583,6 +588,11 @@ class PlannerLogic:
         self._computation += 1
         self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
+
+    def _moved_by_tap(self, now: Now) -> bool:
+        """Return whether the object has moved since a fixed tapper struck it, and is at rest again.
+        Images from before the striker's return then show the result of the tap."""
+        return self._monitor.at_rest_after(self._struck_at, now)
 
     def _wait_for_computation(self, task: Task, now: Now) -> None:
         """Wait for the job of the decision. A fault or the goal's time limit also ends the wait."""
@@ -616,9 +626,9 @@ class PlannerLogic:
                 S.IDLE if isinstance(task, SingleTapTask) else S.REACHED, ErrorCode.NONE, "", now
             )
             return
-        trouble = self._exhausted(task)
-        if trouble is not None:
-            self._fail(*trouble, now)
+        error = self._exhausted(task)
+        if error is not None:
+            self._fail(*error, now)
         elif self._monitor.missing(now) is not None:
             self._wait_again(now)
         else:
@@ -635,7 +645,7 @@ class PlannerLogic:
                 "anew",
             )
 
-    def _exhausted(self, task: Task) -> Trouble | None:
+    def _exhausted(self, task: Task) -> CodedError | None:
         """Return why no further tap is made, or None if one may be made."""
         if task.without_effect >= self._settings.attempts:
             return (
@@ -664,11 +674,17 @@ class PlannerLogic:
         )
         covariance = task.session.predicted_covariance(strike, before)
         shot = Shot(
-            self._last_tap_id, task.object_id, len(task.records) + 1, strike, before, covariance
+            self._last_tap_id,
+            task.object_id,
+            len(task.records) + 1,
+            strike,
+            before,
+            covariance,
+            purpose=task.purpose,
         )
         if strike.detour:
             self._log(LogLevel.INFO, f"tap {shot.number}: {strike.detour}")
-        if not self._asks(task):
+        if not self._asks(task) or self._confirmation_holds(shot, now):
             self._command(shot, now)
             return
         patience = self._settings.confirm_deadline
@@ -676,9 +692,24 @@ class PlannerLogic:
         self._log(LogLevel.INFO, f"tap {shot.number} waits for confirmation (id {shot.tap_id})")
         self._enter(Event.TAP_PROPOSED, S.CONFIRMING, now, patience)
 
+    def _confirmation_holds(self, shot: Shot, now: Now) -> bool:
+        """Return whether a person has confirmed this tap in an earlier plan that was not fired."""
+        confirmed = self._confirmed
+        if confirmed is None:
+            return False
+        difference = confirmed.difference(shot, now.steady)
+        if difference:
+            self._confirmed = None
+            shot.asked_again = f"asked again because {difference}"
+            self._log(LogLevel.INFO, f"tap {shot.number} must be confirmed again: {difference}")
+            return False
+        self._log(LogLevel.INFO, f"tap {shot.number} is unchanged; the confirmation holds")
+        return True
+
     def _command(self, shot: Shot, now: Now) -> None:
         """Publish the command of one tap."""
         self._shot, self._proposed = shot, None
+        self._struck_at = math.inf
         allowance = self._settings.place_deadline + self._settings.fire_deadline
         expiry = now.ros + round(allowance * NANOSECONDS)
         height = self.goals.cell.strike_height
@@ -720,6 +751,7 @@ class PlannerLogic:
                 error_msg=f"tap {asked.tap_id} is not waiting for confirmation ({waiting}); "
                 "answer for the tap that is shown now",
             )
+        self._confirmed = None
         if not asked.confirm:
             task.session.skip(shot.strike)
             self._drop_proposal("it was skipped", now)
@@ -728,13 +760,17 @@ class PlannerLogic:
         needed = self._settings.frames_needed
         if missing is not None:
             self._wait_again(now)
-        elif not task.observed(self._monitor, self._look_after, needed, now):
+        elif not task.observed(self._monitor, self._observe_after, needed, now):
             missing = self._monitor.blind(0.0, needed, now)
             self._drop_proposal("the object is not seen at rest", now)
         else:
+            self._confirmed = Confirmation(shot, now.steady)
             self._command(shot, now)
             return ConfirmTap.Response(accepted=True)
         code, sentence = missing
+        if code in LATE:
+            self._confirmed = Confirmation(shot, now.steady)
+            return ConfirmTap.Response(accepted=True)
         return ConfirmTap.Response(
             error_code=code, error_msg=f"tap {shot.number} is planned anew: {sentence}"
         )
@@ -744,7 +780,7 @@ class PlannerLogic:
         shot, self._proposed = self._proposed, None
         assert shot is not None
         self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned anew: {why}")
-        self._look_after = now.steady
+        self._observe_after = now.steady
         self._enter(Event.TAP_DROPPED, S.LOOKING, now, self._settings.look_deadline)
 
     def _wait_for_arm(self, task: Task, now: Now) -> None:
@@ -799,6 +835,8 @@ class PlannerLogic:
         shot.outcome = self._monitor.outcome(shot.tap_id)
         shot.measured_speed = tapper.measured_speed
         shot.fired_at = now.ros
+        if not self._has_arm and shot.outcome == TapperState.FIRED:
+            self._struck_at = now.steady + shot.strike.plan.flight
         self._withdraw(shot.tap_id, now)
         if shot.outcome == TapperState.NOT_FIRED:
             code, sentence = tapper.error_code, tapper.error_msg
@@ -809,13 +847,17 @@ class PlannerLogic:
             late = tapper.error_code in LATE
             task.late += late
             task.not_fired += not late
+            if self._confirmed is not None and not late:
+                why = f"the confirmed tap was not fired ({sentence})"
+                self._confirmed = replace(self._confirmed, withdrawn=why)
             settings = self._settings
             if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
                 self._fail(code, sentence, now)
                 return
         else:
             task.not_fired = task.late = 0
-        self._enter(Event.OUTCOME_TOLD, S.SETTLING, now, self._settings.withdraw_deadline)
+            self._confirmed = None
+        self._enter(Event.OUTCOME_REPORTED, S.SETTLING, now, self._settings.withdraw_deadline)
 
     def _wait_for_withdrawal(self, task: Task, now: Now) -> None:
         """Wait until the arm has withdrawn and the camera has a free view."""
@@ -824,7 +866,7 @@ class PlannerLogic:
             # The tapper may report an outcome after the planner has assumed it to be unknown.
             shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
-            self._look_after = now.steady
+            self._observe_after = now.steady
             self._enter(Event.WITHDRAWN, S.LOOKING, now, self._settings.look_deadline)
             return
         self._check_cell(
@@ -848,6 +890,7 @@ class PlannerLogic:
         """End the tap and wait for the cell, because a part of it is missing."""
         self._end_tap(now)
         self._proposed = None
+        self._struck_at = math.inf
         deadline = self._settings.ready_deadline
         self._enter(Event.CELL_NOT_READY, S.WAITING_FOR_CELL, now, deadline)
 
@@ -865,6 +908,8 @@ class PlannerLogic:
         shot = self._shot
         assert shot is not None
         shot.outcome = outcome
+        if outcome == TapperState.UNKNOWN:
+            self._confirmed = None
         self._withdraw(shot.tap_id, now)
         self._enter(Event.GIVEN_UP, S.SETTLING, now, self._settings.withdraw_deadline)
 
@@ -895,8 +940,8 @@ class PlannerLogic:
         """Return whether the object is not seen although it should be, so that the arm parks."""
         if not self._has_arm or self._withdrawn_tap_id in (0, self._parked_tap_id):
             return False
-        looked = now.steady - self._look_after
-        return min(looked, self._monitor.unseen_for(now)) > HIDDEN_S
+        elapsed = now.steady - self._observe_after
+        return min(elapsed, self._monitor.unseen_for(now)) > HIDDEN_S
 
     def _park(self, now: Now) -> None:
         """Move the arm on to its park pose, by publishing the withdrawal a second time."""
@@ -928,7 +973,7 @@ class PlannerLogic:
             state, Event.GOAL_MET
         )
         self._machine.move(event, state)
-        self._proposed = None
+        self._proposed = self._confirmed = None
         if self._shot is not None:
             task.lose(self._shot)
         task.end(code, sentence)
@@ -962,7 +1007,7 @@ class PlannerLogic:
         state.header.stamp = to_stamp(now.ros)
         state.header.frame_id = "table"
         state.residual_distance = state.residual_rotation = math.nan
-        state.learnt = self._known_of_the_object()
+        state.learnt = self._learnt_gains()
         state.ask = self._asks(task)
         planned = self._proposed or self._shot
         if planned is not None and self.state in (S.CONFIRMING, *TAPPING):
@@ -1000,7 +1045,7 @@ class PlannerLogic:
                 )
             )
 
-    def _known_of_the_object(self) -> LearntGains:
+    def _learnt_gains(self) -> LearntGains:
         """Return the gains learnt for the object as a message, cached until they change."""
         if not self._configured:
             return LearntGains()

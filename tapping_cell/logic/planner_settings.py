@@ -38,7 +38,7 @@ class PlannerSettings:
         default=5.0,
     )
     frames_needed: int = quantity(
-        "minimum number of stationary frames to fuse", "", 1, 1000, default=5
+        "minimum number of stationary frames to fuse", "", 1, 1000, default=3
     )
     goal_time_limit: float = quantity(
         "time after which a goal without a time limit of its own is aborted",

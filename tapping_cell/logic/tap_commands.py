@@ -18,7 +18,7 @@ LARGEST_JUMP = 2**28
 """Maximum distance of an id above both the last id and the clock's whole seconds (8 years). A much
 greater id would leave none for the following taps."""
 
-Trouble = tuple[int, str]
+CodedError = tuple[int, str]
 """Error code and message."""
 
 
@@ -27,7 +27,7 @@ def largest_id(last_tap_id: int, now: Now) -> int:
     return max(last_tap_id, now.ros // NANOSECONDS) + LARGEST_JUMP
 
 
-def refusal(command: TapCommand, now: Now, last_tap_id: int) -> Trouble | None:
+def refusal(command: TapCommand, now: Now, last_tap_id: int) -> CodedError | None:
     """Return why a TAP must be refused, or None if it is valid.
 
     ``last_tap_id``: greatest id executed so far. A stamp of zero means that none was given.
@@ -80,7 +80,7 @@ def named_tapper(name: str, tappers: Sequence[str]) -> str | None:
     return name if name in tappers else None
 
 
-def unknown_tapper(name: str, tappers: Sequence[str]) -> Trouble:
+def unknown_tapper(name: str, tappers: Sequence[str]) -> CodedError:
     """Return the refusal of a command that names none of these tappers."""
     known = ", ".join(f"'{tapper}'" for tapper in tappers)
     asked = f"there is no tapper '{name}'" if name else "it names no tapper, but there are several"

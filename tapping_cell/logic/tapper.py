@@ -35,7 +35,7 @@ from tapping_cell.logic.enabling import EnablingDevice
 from tapping_cell.logic.error_codes import of_tapper
 from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message
-from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.tapper_jobs import ChargeEnd, FireEnd, Status
 from tapping_cell.logic.tapper_peers import Mounts, PeerLimits, TapperPeers
 from tapping_cell.logic.transitions import StateMachine, table
@@ -204,7 +204,7 @@ class Permit:
 class TapperLogic(DeviceLogic[State, Event]):
     """See the module's docstring. Only the jobs of this machine charge and fire."""
 
-    stop_trouble = (
+    stop_error = (
         ErrorCode.TAPPER_STOPPED,
         "the tapper was stopped; make the cell safe, press the clear button at the cell, then call"
         " clear_fault",
@@ -219,9 +219,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._mounts = Mounts()
         self._prove_at = -math.inf
         self._peers = TapperPeers(options.limits)
-        self._trouble = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected yet")
+        self._error = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected yet")
         self._tap: Tap | None = None
-        self._given_up: Trouble | None = None
+        self._given_up: CodedError | None = None
         self._permit: Permit | None = None
         self._asked_at = -math.inf
         self._attempts = 0
@@ -232,14 +232,14 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._used = 0
         """Greatest shot number that the board has charged for, also before this node started."""
         self._fixed = False
-        self._told = TapperState(measured_speed=math.nan)
+        self._reported = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
         self._set_up = options.set_up
         self._enabling = EnablingDevice()
 
     # Queries by the running job, without side effects
 
-    def check_charging(self, now: Now) -> Trouble | None:
+    def check_charging(self, now: Now) -> CodedError | None:
         """Return why charging must not begin or continue, or None if it may."""
         tap = self._tap
         if tap is None:
@@ -254,7 +254,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             return ErrorCode.TAPPER_COMMAND_EXPIRED, "the tap's expiry passed during charging"
         return self._peers.check_charging(tap.tap_id, tap.planned, tap.strike, now)
 
-    def check_firing(self, release_by: float, now: Now) -> Trouble | None:
+    def check_firing(self, release_by: float, now: Now) -> CodedError | None:
         """Check for the last time before FIRE; return why firing is forbidden, or None.
 
         ``release_by``: latest end of the release, s on the steady clock.
@@ -325,7 +325,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         tapper = tap_commands.named_tapper(command.tapper, tuple(self._channels))
         assert tapper is not None
         self._machine.move(Event.TAP, S.WAITING)
-        self._told.tapper = tapper
+        self._reported.tapper = tapper
         self._last_tap_id = command.tap_id
         self._tap = Tap(
             command.tap_id,
@@ -339,25 +339,25 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._given_up = self._permit = None
         self._key = 0
         self._peers.begin_tap(command.object_id)
-        self._trouble = (ErrorCode.NONE, "")
-        self._tell_tap(command.tap_id, TapperState.NONE)
+        self._error = (ErrorCode.NONE, "")
+        self._set_tap(command.tap_id, TapperState.NONE)
         if self._fixed:
             self._charge_when_ready(now)
 
-    def _tell_tap(self, tap_id: int, outcome: int) -> None:
-        self._told.tap_id, self._told.outcome = tap_id, outcome
-        self._told.measured_speed = math.nan
+    def _set_tap(self, tap_id: int, outcome: int) -> None:
+        self._reported.tap_id, self._reported.outcome = tap_id, outcome
+        self._reported.measured_speed = math.nan
 
-    def _refusal(self, command: TapCommand, now: Now) -> Trouble | None:
+    def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
         """Return why a tap command is refused, or None if it is accepted."""
         if not self._active or not self._configured:
             return ErrorCode.NOT_ACTIVE, "the node is not active; activate it first"
         if self.state is not S.SAFE:
             serving = self.state in SERVING
             why = (
-                f"serves tap {self._told.tap_id}"
+                f"serves tap {self._reported.tap_id}"
                 if serving
-                else f"is not at rest: {self._trouble[1]}"
+                else f"is not at rest: {self._error[1]}"
             )
             return ErrorCode.TAPPER_BUSY, f"the tapper {why}"
         names = tuple(self._channels)
@@ -379,7 +379,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
         return tap_commands.refusal(command, now, max(self._last_tap_id, self._used))
 
-    def _refuse(self, command: TapCommand, refusal: Trouble, now: Now) -> None:
+    def _refuse(self, command: TapCommand, refusal: CodedError, now: Now) -> None:
         code, sentence = refusal
         self._log(LogLevel.ERROR, f"tap {command.tap_id} refused: {sentence}")
         # While a tap is under way the published state is about that tap only. An id beyond the
@@ -388,9 +388,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         if new and self.state not in SERVING:
             self._last_tap_id = command.tap_id
             spent = command.tap_id <= self._used
-            self._tell_tap(command.tap_id, TapperState.UNKNOWN if spent else TapperState.NOT_FIRED)
+            self._set_tap(command.tap_id, TapperState.UNKNOWN if spent else TapperState.NOT_FIRED)
             if self.state is S.SAFE:
-                self._trouble = refusal
+                self._error = refusal
 
     def _charge_when_ready(self, now: Now) -> None:
         tap = self._tap
@@ -405,19 +405,19 @@ class TapperLogic(DeviceLogic[State, Event]):
                 energy=tap.energy,
                 channel=tap.channel,
                 check=self.check_charging,
-                tell=self._set_up,
+                post_replies=self._set_up,
             ),
         )
 
-    def _give_up(self, why: Trouble) -> None:
+    def _give_up(self, why: CodedError) -> None:
         """End the tap under way without a release, unless the striker was already released."""
         if self._given_up is None:
             self._given_up = why
         if self.state is S.WAITING:
             self._machine.move(Event.GIVEN_UP, S.SAFE)
             self._tap = None
-            self._told.outcome = TapperState.NOT_FIRED
-            self._trouble = why
+            self._reported.outcome = TapperState.NOT_FIRED
+            self._error = why
         elif self.state is S.CHARGING:
             self._machine.move(Event.GIVEN_UP, S.DISCHARGING)
             self._abandon()
@@ -454,7 +454,12 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _begin_shot(self, tap: Tap) -> None:
         self._run(
             "fire",
-            partial(tapper_jobs.fire, shot=tap.tap_id, check=self.check_firing, tell=self._set_up),
+            partial(
+                tapper_jobs.fire,
+                shot=tap.tap_id,
+                check=self.check_firing,
+                post_replies=self._set_up,
+            ),
         )
 
     def _ask_arm(self, now: Now) -> None:
@@ -466,11 +471,11 @@ class TapperLogic(DeviceLogic[State, Event]):
         token = ("hold", self._tap.tap_id, self._attempts)
         self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
 
-    def _let_arm_go(self, after: float) -> None:
+    def _release_arm(self, after: float) -> None:
         """End the arm's promise in ``after`` s. If this request is lost, the promise ends later."""
         if self._key:
-            request = HoldStill.Request(tap_id=self._told.tap_id, duration=after, key=self._key)
-            token = ("let go", self._told.tap_id)
+            request = HoldStill.Request(tap_id=self._reported.tap_id, duration=after, key=self._key)
+            token = ("let go", self._reported.tap_id)
             self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
             self._key = 0
 
@@ -510,14 +515,14 @@ class TapperLogic(DeviceLogic[State, Event]):
                 )
             )
 
-    def _discharge(self, why: Trouble) -> None:
+    def _discharge(self, why: CodedError) -> None:
         self._given_up = why
         self._machine.move(Event.GIVEN_UP, S.DISCHARGING)
         self._run("discharge", tapper_jobs.discharge)
 
     # Jobs
 
-    def _job_told(self, name: str, content: Any, now: Now) -> None:
+    def _on_job_report(self, name: str, content: Any, now: Now) -> None:
         assert isinstance(content, Reply), f"the job {name} may report only replies of the board"
         self._on_switch(content, now)
 
@@ -555,40 +560,40 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._key = 0 if self._fixed else self._draw_key()
             self._ask_when_in_position(now)
 
-    def _not_fired(self, why: Trouble | None) -> None:
+    def _not_fired(self, why: CodedError | None) -> None:
         """Handle the end of a tap without a release, with the tapper at rest."""
         self._machine.move(Event.ENDED, S.SAFE)
         self._tap = None
         # If the board has already used the shot's number, the shot may have been fired before this
         # node restarted.
         spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT
-        self._told.outcome = TapperState.UNKNOWN if spent else TapperState.NOT_FIRED
-        self._let_arm_go(0.0)
+        self._reported.outcome = TapperState.UNKNOWN if spent else TapperState.NOT_FIRED
+        self._release_arm(0.0)
         code, sentence = why or (ErrorCode.NONE, "")
-        self._trouble = (code, sentence if code else "")
+        self._error = (code, sentence if code else "")
 
     def _fired(self, end: FireEnd, now: Now) -> None:
         """Handle the end of a shot: its outcome, then the state of the board."""
         struck, self._tap = self._tap, None
-        self._told.outcome = OUTCOMES[end.outcome]
+        self._reported.outcome = OUTCOMES[end.outcome]
         if end.outcome is FireOutcome.NOT_FIRED:
-            self._let_arm_go(0.0)
+            self._release_arm(0.0)
         elif end.outcome is FireOutcome.FIRED and struck is not None:
-            self._let_arm_go(permit.RELEASED_S + struck.flight)
+            self._release_arm(permit.RELEASED_S + struck.flight)
         refused = end.outcome is FireOutcome.NOT_FIRED
         refusal = self._given_up or end.refusal
         if refused and refusal is not None:
-            self._trouble = (refusal[0], refusal[1] if refusal[0] else "")
+            self._error = (refusal[0], refusal[1] if refusal[0] else "")
         elif refused:
             code = ErrorCode.TAPPER_FAULT if end.refused is None else of_tapper(end.refused)
-            self._trouble = (code, end.sentence)
+            self._error = (code, end.sentence)
         elif end.outcome is FireOutcome.UNKNOWN:
-            self._trouble = (ErrorCode.TAPPER_OUTCOME_UNKNOWN, end.sentence)
+            self._error = (ErrorCode.TAPPER_OUTCOME_UNKNOWN, end.sentence)
         if end.fault is not None:
-            trouble = self._trouble
+            error = self._error
             self._meet(end.fault)
-            if trouble[0]:
-                self._trouble = trouble
+            if error[0]:
+                self._error = error
             return
         assert end.status is not None
         self._take_in(end.status)
@@ -616,12 +621,12 @@ class TapperLogic(DeviceLogic[State, Event]):
             return
         if self._tap is not None:
             self._tap = None
-            self._told.outcome = TapperState.NOT_FIRED
+            self._reported.outcome = TapperState.NOT_FIRED
         if name == "connect" and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
             # A board that does not reply for a while causes the same fault, so connecting is
             # tried again.
             self._fail_to(S.DISCONNECTED)
-            self._say(of_tapper(fault), fault.sentence)
+            self._set_error(of_tapper(fault), fault.sentence)
             return
         self._meet(fault)
 
@@ -631,15 +636,15 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._fail_to(S.DISCONNECTED)
         else:
             self._fail_to(S.STOPPED if fault.reason in STOPPED_BOARD else S.FAULT)
-        self._say(of_tapper(fault), fault.sentence)
+        self._set_error(of_tapper(fault), fault.sentence)
 
     def _overtaken(self, event: JobEnded, now: Now) -> None:
         # A stop came while the shot was under way; the shot's outcome is still valid.
-        if self._told.outcome == TapperState.NONE and self._told.tap_id:
-            if isinstance(event.result, FireEnd) and event.result.shot == self._told.tap_id:
-                self._told.outcome = OUTCOMES[event.result.outcome]
+        if self._reported.outcome == TapperState.NONE and self._reported.tap_id:
+            if isinstance(event.result, FireEnd) and event.result.shot == self._reported.tap_id:
+                self._reported.outcome = OUTCOMES[event.result.outcome]
             elif event.fault is not None and event.job == self._fire_job:
-                self._told.outcome = TapperState.NOT_FIRED
+                self._reported.outcome = TapperState.NOT_FIRED
 
     def _read_done(self, result: Any, now: Now) -> None:
         self._take_in(result)
@@ -653,9 +658,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         if reply.state is BoardState.SAFE:
             self._machine.move(Event.RETURNED, S.SAFE)
         elif not reply.stop_latched:
-            struck = self._told.tapper
+            struck = self._reported.tapper
             self._fail_to(S.FAULT)
-            self._say(
+            self._set_error(
                 ErrorCode.TAPPER_STRIKER_AWAY,
                 "according to the switch at its mount, the striker of"
                 f" {', '.join(self._mounts.away) or struck} did not leave or did not return; free"
@@ -669,12 +674,12 @@ class TapperLogic(DeviceLogic[State, Event]):
         reason = self._mounts.check()
         of_mounts = (ErrorCode.TAPPER_STRIKER_AWAY, ErrorCode.TAPPER_MOUNT_NOT_PROVEN)
         if reason is not None:
-            self._say(*reason)
-        elif self._trouble[0] in of_mounts:
-            self._trouble = (ErrorCode.NONE, "")
+            self._set_error(*reason)
+        elif self._error[0] in of_mounts:
+            self._error = (ErrorCode.NONE, "")
 
     def _on_switch(self, reply: Reply, now: Now) -> None:
-        self._told.enabling_switch = reply.enabled
+        self._reported.enabling_switch = reply.enabled
         self._enabling.on_switch(reply.enabled, now)
         self._watch_enabling(now)
 
@@ -683,16 +688,18 @@ class TapperLogic(DeviceLogic[State, Event]):
         if reply.stop_latched:
             self._stop_tap()
             self._machine.move(Event.FAILED, S.STOPPED)
-            self._say(*LATCHED)
+            self._set_error(*LATCHED)
 
     def _take_in(self, status: Status) -> None:
         reply = status.reply
-        ours = reply.last_fired == self._told.tap_id and reply.speed is not None
-        self._told.measured_speed = reply.speed if ours and reply.speed is not None else math.nan
+        ours = reply.last_fired == self._reported.tap_id and reply.speed is not None
+        self._reported.measured_speed = (
+            reply.speed if ours and reply.speed is not None else math.nan
+        )
         self._used = reply.shot
-        self._told.shots_fired = status.fired
-        self._told.boot_number = reply.boot
-        self._told.interlock_closed = reply.interlock_closed
+        self._reported.shots_fired = status.fired
+        self._reported.boot_number = reply.boot
+        self._reported.interlock_closed = reply.interlock_closed
         switches = reply.at_mounts
         self._mounts.fitted = reply.channels > 1 or switches > 0
         self._mounts.proven = reply.state not in (BoardState.UNHOMED, BoardState.HOMING)
@@ -725,12 +732,12 @@ class TapperLogic(DeviceLogic[State, Event]):
         self.patience = patience_after(self.patience, None)
         if reply.stop_latched and event is Event.CONNECTED:
             self._machine.move(event, S.STOPPED)
-            self._say(*LATCHED)
+            self._set_error(*LATCHED)
             return
         self._machine.move(event, S.SAFE)
-        unknown = self._told.outcome == TapperState.UNKNOWN
+        unknown = self._reported.outcome == TapperState.UNKNOWN
         if not unknown or event is Event.CLEARED:
-            self._trouble = (ErrorCode.NONE, "")
+            self._error = (ErrorCode.NONE, "")
 
     def _activated(self, now: Now) -> None:
         """Do nothing: the tapper begins nothing without a command."""
@@ -746,12 +753,12 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self.state is not S.STOPPED:
             self._stop_tap()
             self._machine.move(Event.CLOSED, S.DISCONNECTED)
-            self._trouble = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected")
+            self._error = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected")
 
     def _stop_tap(self) -> None:
         """End the tap; the outcome of a shot under way is reported when its job has ended."""
         if self._tap is not None and self.state is not S.FIRING:
-            self._told.outcome = TapperState.NOT_FIRED
+            self._reported.outcome = TapperState.NOT_FIRED
         self._fire_job = self._job if self.state is S.FIRING else None
         self._tap = self._permit = None
         self._overtake()
@@ -759,7 +766,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _stop(self, now: Now) -> None:
         self._stop_tap()
         self._machine.move(Event.STOP, S.STOPPED)
-        self._say(*self.stop_trouble)
+        self._set_error(*self.stop_error)
 
     def _fail(self, now: Now) -> None:
         self._stop_tap()
@@ -805,7 +812,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Have the board prove its mounts, if it can and has not yet done so."""
         mounts = self._mounts
         wanted = self._fixed and mounts.fitted and not mounts.proven and not mounts.away
-        wanted = wanted and self._told.interlock_closed and self.state is S.SAFE
+        wanted = wanted and self._reported.interlock_closed and self.state is S.SAFE
         idle = self._job is None and self._reading is None
         if wanted and idle and now.steady >= self._prove_at + PROVE_PERIOD_S:
             self._prove_at = now.steady
@@ -814,34 +821,33 @@ class TapperLogic(DeviceLogic[State, Event]):
     # Reports
 
     def _report(self, now: Now) -> Publish:
-        code, sentence = self._trouble
-        told = self._told
+        code, sentence = self._error
+        reported = self._reported
         message = TapperState(
             state=WIRE[self.state],
             tappers=list(self._channels),
-            tapper=told.tapper,
+            tapper=reported.tapper,
             fixed_mounts=self._fixed,
             away=list(self._mounts.away) if self._fixed else [],
-            mounts_proven=not self._fixed or (self._mounts.fitted and self._mounts.proven),
-            tap_id=told.tap_id,
-            outcome=told.outcome,
-            measured_speed=told.measured_speed,
-            shots_fired=told.shots_fired,
-            boot_number=told.boot_number,
-            interlock_closed=told.interlock_closed,
+            mounts_proven=self._mounts_proven(),
+            tap_id=reported.tap_id,
+            outcome=reported.outcome,
+            measured_speed=reported.measured_speed,
+            shots_fired=reported.shots_fired,
+            boot_number=reported.boot_number,
+            interlock_closed=reported.interlock_closed,
             set_up=self._set_up,
-            enabling_switch=told.enabling_switch,
+            enabling_switch=reported.enabling_switch,
             error_code=code,
             error_msg=sentence,
         )
         message.header.stamp = to_stamp(now.ros)
         return Publish("tapper_state", message)
 
-    def _comparable(self, message: Message) -> Message:
-        return (
-            message.state,
-            message.tap_id,
-            message.outcome,
-            message.error_code,
-            message.mounts_proven,
-        )
+    def _mounts_proven(self) -> bool:
+        return not self._fixed or (self._mounts.fitted and self._mounts.proven)
+
+    def _urgent_content(self, now: Now) -> tuple[object, ...]:
+        reported = self._reported
+        state, code = WIRE[self.state], self._error[0]
+        return state, reported.tap_id, reported.outcome, code, self._mounts_proven()

@@ -11,7 +11,7 @@ from tapping_cell.hardware.tapper_device import MountedTappers, TapperDevice
 from tapping_cell.hardware.tapper_protocol import Reply, State
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import JobContext
-from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.logic.tap_commands import CodedError
 
 WINDOW_S = 0.04
 """Time from the last check before FIRE to the board's deadline; FIRE and its reply take 20 ms."""
@@ -31,7 +31,7 @@ class ChargeEnd:
 
     status: Status
     charged: bool
-    refusal: Trouble | None
+    refusal: CodedError | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class FireEnd:
     shot: int
     outcome: FireOutcome
     sentence: str
-    refusal: Trouble | None
+    refusal: CodedError | None
     """Reason given by the last check, if it prevented the shot."""
     refused: HardwareFault | None
     """Fault reported by the board, if it prevented the shot."""
@@ -53,31 +53,31 @@ class FireEnd:
 def connect(context: JobContext, patience: float) -> Status:
     """Open the port again with a new session, which discharges the tapper."""
     driver: TapperDevice = context.driver
-    return _told(driver, driver.connect(timeout=patience))
+    return _make_status(driver, driver.connect(timeout=patience))
 
 
 def read(context: JobContext) -> Status:
     """Request the state; this request also keeps a charged tapper charged."""
     driver: TapperDevice = context.driver
-    return _told(driver, driver.status())
+    return _make_status(driver, driver.status())
 
 
 def clear(context: JobContext) -> Status:
     """Clear a stop or a fault; after a stop the board requires a person at the cell."""
     driver: TapperDevice = context.driver
-    return _told(driver, driver.clear())
+    return _make_status(driver, driver.clear())
 
 
 def discharge(context: JobContext) -> Status:
     """Relax the spring without a release."""
     driver: TapperDevice = context.driver
-    return _told(driver, driver.discharge())
+    return _make_status(driver, driver.discharge())
 
 
 def prove(context: JobContext) -> Status:
     """Have the board prove that its strikers are at their mounts."""
     driver: MountedTappers = context.driver
-    return _told(driver, driver.home(lambda: not context.abandoned()))
+    return _make_status(driver, driver.home(lambda: not context.abandoned()))
 
 
 def charge(
@@ -85,47 +85,47 @@ def charge(
     shot: int,
     energy: float,
     channel: int,
-    check: Callable[[Now], Trouble | None],
-    tell: bool,
+    check: Callable[[Now], CodedError | None],
+    post_replies: bool,
 ) -> ChargeEnd:
     """Charge ``energy`` in J for a shot of a channel; discharge if ``check`` returns a reason.
 
-    ``tell``: post the board's last reply before each check.
+    ``post_replies``: post the board's last reply before each check.
     """
     driver: TapperDevice = context.driver
-    refusal: Trouble | None = None
+    refusal: CodedError | None = None
 
     def go_on() -> bool:
         nonlocal refusal
-        if tell and driver.last_reply is not None:
+        if post_replies and driver.last_reply is not None:
             context.post(driver.last_reply)
         refusal = refusal or context.ask(check)
         return refusal is None and not context.abandoned()
 
     if not go_on():
-        return ChargeEnd(_told(driver, driver.status()), False, refusal)
+        return ChargeEnd(_make_status(driver, driver.status()), False, refusal)
     reply = driver.charge(shot, energy, go_on, channel=channel)
     charged = reply.state is State.CHARGED
-    return ChargeEnd(_told(driver, reply), charged, refusal)
+    return ChargeEnd(_make_status(driver, reply), charged, refusal)
 
 
 def fire(
     context: JobContext,
     shot: int,
-    check: Callable[[float, Now], Trouble | None],
-    tell: bool,
+    check: Callable[[float, Now], CodedError | None],
+    post_replies: bool,
 ) -> FireEnd:
     """Fire a charged shot if ``check`` allows it, or discharge it.
 
     ``check`` receives the latest possible end of the release, s on the steady clock.
-    ``tell``: post the board's last reply before each check.
+    ``post_replies``: post the board's last reply before each check.
     """
     driver: TapperDevice = context.driver
-    refusal: Trouble | None = None
+    refusal: CodedError | None = None
 
     def still_allowed(release_by: float) -> bool:
         nonlocal refusal
-        if tell and driver.last_reply is not None:
+        if post_replies and driver.last_reply is not None:
             context.post(driver.last_reply)
         refusal = context.ask(lambda now: check(release_by, now))
         return refusal is None and not context.abandoned()
@@ -139,7 +139,7 @@ def fire(
         outcome, sentence = _confirmed(result, reply)
         if reply.state is State.CHARGED:
             reply = driver.discharge()
-        status = _told(driver, reply)
+        status = _make_status(driver, reply)
     except HardwareFault as met:
         fault = met
     return FireEnd(shot, outcome, sentence, refusal, result.fault, status, fault)
@@ -162,8 +162,8 @@ def _confirmed(result: FireResult, reply: Reply) -> tuple[FireOutcome, str]:
 def wait_for_return(context: JobContext) -> Status:
     """Wait until the released striker is back at its mount, or the board stops waiting for it."""
     driver: MountedTappers = context.driver
-    return _told(driver, driver.wait_for_return(lambda: not context.abandoned()))
+    return _make_status(driver, driver.wait_for_return(lambda: not context.abandoned()))
 
 
-def _told(driver: TapperDevice, reply: Reply) -> Status:
+def _make_status(driver: TapperDevice, reply: Reply) -> Status:
     return Status(reply, driver.counters.fired)

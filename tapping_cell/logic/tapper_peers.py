@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
 from tapping_cell.logic.poses import from_message
-from tapping_cell.logic.tap_commands import Trouble
+from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -52,6 +52,9 @@ class PeerLimits:
     """Maximum distance of the object from the pose for which the tap was planned, m."""
     turned: float = math.radians(3)
     """Maximum rotation of the object from the pose for which the tap was planned, rad."""
+    needs_camera: bool = False
+    """Whether a usable image must have arrived since the start. Otherwise, a camera that has sent
+    nothing yet is not required."""
 
 
 @dataclass(slots=True)
@@ -67,7 +70,7 @@ class Mounts:
     fitted: bool = False
     away: tuple[str, ...] = ()
 
-    def check(self) -> Trouble | None:
+    def check(self) -> CodedError | None:
         """Return why no tapper may be charged, or None if charging is allowed."""
         if not self.fitted:
             return (
@@ -93,9 +96,10 @@ class Mounts:
 class TapperPeers:
     """Last messages of arm, planner and camera, with their times on this computer's steady clock.
 
-    A planner or camera without any message yet does not count as lost, because a person or a
-    program may command single taps without it. If its messages end, for example because its process
-    hangs, it is lost. The age of a message is determined from its stamp.
+    A planner without any message yet does not count as lost, because a person or a program may
+    command single taps without it; whether a camera does is one of the limits. If the messages of a
+    peer end, for example because its process hangs, it is lost. The age of a message is determined
+    from its stamp.
     """
 
     def __init__(self, limits: PeerLimits) -> None:
@@ -151,7 +155,7 @@ class TapperPeers:
             if state.visible and state.error_code == ErrorCode.NONE and seen_at > last:
                 self._seen[state.object_id] = state, seen_at
 
-    def given_up(self) -> Trouble | None:
+    def given_up(self) -> CodedError | None:
         """Return an error if the planner that commanded the tap no longer waits for it."""
         if self._planners_tap and self._phase not in TAPPING:
             return (
@@ -161,7 +165,7 @@ class TapperPeers:
             )
         return None
 
-    def check_firing(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
+    def check_firing(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> CodedError | None:
         """Return why the peers' messages forbid firing the tap, or None if it may be fired.
 
         ``planned``: pose of the object for which the tap was planned; ``strike``: commanded pose of
@@ -171,7 +175,9 @@ class TapperPeers:
             return self._mounts.check() or self._check_others(planned, now)
         return self._check_arm(tap_id, strike, now) or self._check_others(planned, now)
 
-    def check_charging(self, tap_id: int, planned: Pose, strike: Pose, now: Now) -> Trouble | None:
+    def check_charging(
+        self, tap_id: int, planned: Pose, strike: Pose, now: Now
+    ) -> CodedError | None:
         """Return why the tapper must not be charged, or None; see :meth:`check_firing`.
 
         Charging may begin while the arm lowers the striker. The last read-back of the arm must be
@@ -185,10 +191,11 @@ class TapperPeers:
                 return reason
         return self._check_others(planned, now)
 
-    def _check_others(self, planned: Pose, now: Now) -> Trouble | None:
+    def _check_others(self, planned: Pose, now: Now) -> CodedError | None:
         return (
             self.given_up()
             or self._skew(now)
+            or self._missing()
             or self._silence(now)
             or self._disturbance(planned, now)
         )
@@ -202,7 +209,7 @@ class TapperPeers:
             return False
         return _above(arm, strike)
 
-    def _check_arm(self, tap_id: int, strike: Pose, now: Now) -> Trouble | None:
+    def _check_arm(self, tap_id: int, strike: Pose, now: Now) -> CodedError | None:
         arm, limit = self._arm, self._limits.arm_freshness
         code = ErrorCode.TAPPER_ARM_NOT_IN_POSITION
         if arm is None:
@@ -221,7 +228,7 @@ class TapperPeers:
             return code, f"the arm is in position for another tap with the id {tap_id}"
         return None
 
-    def _skew(self, now: Now) -> Trouble | None:
+    def _skew(self, now: Now) -> CodedError | None:
         for name, clock in self._clocks.items():
             skew = clock.skew(now)
             if abs(skew) > SKEW_LIMIT_S:
@@ -233,7 +240,16 @@ class TapperPeers:
                 )
         return None
 
-    def _silence(self, now: Now) -> Trouble | None:
+    def _missing(self) -> CodedError | None:
+        if self._limits.needs_camera and self._picture_at is None:
+            return (
+                ErrorCode.CAMERA_SILENT,
+                "no usable image of the camera has been received since this node was started; check"
+                " the camera and its node, or set needs_camera to false in a cell without a camera",
+            )
+        return None
+
+    def _silence(self, now: Now) -> CodedError | None:
         silence = self._limits.silence
         of_planner = silence if self._planners_tap else max(silence, IDLE_LIMIT_S)
         for received_at, limit, code, sentence in (
@@ -255,7 +271,7 @@ class TapperPeers:
                 return code, sentence.format(now.steady - received_at, limit)
         return None
 
-    def _disturbance(self, planned: Pose, now: Now) -> Trouble | None:
+    def _disturbance(self, planned: Pose, now: Now) -> CodedError | None:
         """Return an error unless the object is seen at the pose for which the tap was planned."""
         if self._picture_at is None:
             return None

@@ -65,6 +65,10 @@ class Shot:
     """Arrival time of the tapper's report, ROS time in ns."""
     outcome: int = TapperState.NONE
     measured_speed: float = math.nan
+    purpose: str = ""
+    """Why this object is tapped now; empty for the only object with a goal."""
+    asked_again: str = ""
+    """Why a person is asked again although an earlier plan of this tap was confirmed."""
 
     def command(self, now: int, expiry: int, height: float) -> TapCommand:
         """Return the command of this tap. Times in ns; ``height``: tip above the table, m."""
@@ -98,7 +102,7 @@ class Shot:
             object_pose=to_message(self.before),
             strike_pose=to_message(plan.strike_pose, height),
             striker_speed=plan.striker_speed,
-            reason=self.strike.detour,
+            reason="; ".join(filter(None, (self.purpose, self.strike.detour, self.asked_again))),
             answer_by=to_stamp(answer_by),
         )
         tap.predicted_pose.pose = to_message(self.strike.predicted)
@@ -175,6 +179,11 @@ class Task:
             f"goal x {1000 * self.goal.x:.1f} mm, y {1000 * self.goal.y:.1f} mm, "
             f"{math.degrees(self.goal.theta):.1f} deg"
         )
+
+    @property
+    def purpose(self) -> str:
+        """Why the present object is tapped now; empty for the only object with a goal."""
+        return ""
 
     @property
     def ready(self) -> bool:

@@ -111,9 +111,11 @@ def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -
     markers = cell.references.markers
     of_markers = np.array([[marker.x, marker.y, 0.0] for marker in markers])
     half_diagonals = np.array([marker.size / math.sqrt(2.0) for marker in markers])
-    clearance = view_clearance(scene.camera, start, end, radius, of_markers)
+    free = np.flatnonzero(seen)
+    clearance = view_clearance(scene.camera, start[free], end[free], radius, of_markers)
     hidden = np.sum(clearance <= half_diagonals, axis=1)
-    return np.asarray(seen & (hidden <= min(MARKERS_HIDDEN, len(markers) // 2)))
+    seen[free] = hidden <= min(MARKERS_HIDDEN, len(markers) // 2)
+    return np.asarray(seen)
 
 
 def _to_next(

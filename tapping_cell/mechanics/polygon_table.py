@@ -80,8 +80,8 @@ class PolygonTable:
         """Displacements (n, 3) and durations (n,) of launches (n, 3)."""
         beyond = (twist * twist).sum(axis=1) > LARGEST_SIZE
         if not beyond.any():
-            return self._look_up(twist)
-        moved, duration = self._look_up(np.where(beyond[:, None], 0.0, twist))
+            return self._lookup(twist)
+        moved, duration = self._lookup(np.where(beyond[:, None], 0.0, twist))
         moved[beyond], duration[beyond] = self._slide_into(twist[beyond])
         return moved, duration
 
@@ -98,11 +98,11 @@ class PolygonTable:
         # Stay slightly below the edge, so that rounding does not exceed it.
         vx, vy, spin = (1.0 - _TINY) * math.sqrt(LARGEST_SIZE) * unit
         inside = np.stack([cos * vx + sin * vy, cos * vy - sin * vx, spin], axis=-1)
-        (x, y, theta), duration = (part.T for part in self._look_up(inside))
+        (x, y, theta), duration = (part.T for part in self._lookup(inside))
         after = np.stack([cos * x - sin * y, sin * x + cos * y, theta])
         return (before + after).T, major * state[3] + duration
 
-    def _look_up(self, twist: Array) -> tuple[Array, Array]:
+    def _lookup(self, twist: Array) -> tuple[Array, Array]:
         """Displacements (n, 3) and durations (n,) of launches up to ``LARGEST_SIZE``."""
         vx, vy, spin = twist.T
         speed = np.hypot(vx, vy)

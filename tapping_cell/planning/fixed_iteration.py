@@ -22,7 +22,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from tapping_cell.planning.fixed_policy import LEAST_SCATTER, LOST, Grid, Solution, scatter_points
-from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, Lines
+from tapping_cell.planning.fixed_tappers import (
+    MEAN_TAP_S,
+    FixedStrikeSpace,
+    Lines,
+    tap_seconds,
+)
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import PlannerSettings
 
@@ -53,7 +58,7 @@ SWEEPS = 20
 SETTLED = 0.01
 """Mean change of W, in taps, below which the iteration ends."""
 
-PROMISING = 20
+MOST_KEPT = 20
 """Number of taps per state that are compared on the fine grid."""
 
 AROUND = (0.93, 1.07)
@@ -95,7 +100,7 @@ def solve_finer(
     """
     place = np.asarray(start.goal, dtype=float)
     problem = _Problem(space, settings, place, step, LENGTHS[1], POINTS[1], interrupted)
-    problem.keep_promising(problem.start(start))
+    problem.keep_best(problem.start(start))
     return _solve_on(problem, IMPROVEMENTS[1], start)
 
 
@@ -175,6 +180,8 @@ class _Problem:
         self.heading = lines.heading.astype(np.float32)
         self.slope = lines.slope.astype(np.float32)
         self.usable = lines.usable
+        self._timed = space.objective == "time"
+        self._travel, self._reach = lines.travel, lines.reach
         self.least = lines.least.astype(np.float32)
         most = np.minimum(lines.most, settings.largest_distance)
         self.most = np.maximum(most, lines.least).astype(np.float32)
@@ -248,6 +255,14 @@ class _Problem:
         entry[~np.take_along_axis(self.usable[rows], tapper, axis=1)] = self.entries + 2
         return entry
 
+    def _cost(self, rows: slice, tapper: NDArray[np.intp], length: Singles) -> Singles | float:
+        """Costs of taps of the given states, (n, k)."""
+        if not self._timed:
+            return 1.0
+        travel = np.take_along_axis(self._travel[rows], tapper, axis=1)
+        reach = np.take_along_axis(self._reach[rows], tapper, axis=1)
+        return (tap_seconds(travel, reach, length) / MEAN_TAP_S).astype(np.float32)
+
     def _scattered(
         self, heading: Singles, slope: Singles, length: Singles, points: Singles
     ) -> tuple[Singles, Singles, Singles]:
@@ -277,18 +292,19 @@ class _Problem:
                 raise Abandoned
             yield slice(first, first + size)
 
-    def keep_promising(self, value: Array) -> None:
+    def keep_best(self, value: Array) -> None:
         """Restrict later comparisons to the taps with the lowest mean W over a few points."""
         table = self._table(value)
         count = self.kept.shape[1]
-        if count <= PROMISING:
+        if count <= MOST_KEPT:
             return
-        kept = np.empty((self.rows.size, PROMISING), dtype=np.intp)
+        kept = np.empty((self.rows.size, MOST_KEPT), dtype=np.intp)
         few = self.points[: len(self.points) // 2]
         for rows in self._chunks(count * few.shape[0]):
-            where = self._leads_to(rows, *self._taps(rows), few)
-            mean = table[where].mean(axis=-1)
-            kept[rows] = np.argpartition(mean, PROMISING, axis=1)[:, :PROMISING]
+            taps = self._taps(rows)
+            mean = table[self._leads_to(rows, *taps, few)].mean(axis=-1)
+            mean += self._cost(rows, *taps)
+            kept[rows] = np.argpartition(mean, MOST_KEPT, axis=1)[:, :MOST_KEPT]
         self.kept = kept
 
     def improve(self, value: Array) -> tuple[NDArray[np.intp], Singles]:
@@ -305,6 +321,7 @@ class _Problem:
             if first:
                 self._after[rows] = self._leads_to(rows, tapper, lengths, self.points)
             mean = table[self._after[rows]].mean(axis=-1)
+            mean += self._cost(rows, tapper, lengths)
             best = np.argmin(mean, axis=1)[:, None]
             which = np.take_along_axis(tapper, best, axis=1)
             long = np.take_along_axis(lengths, best, axis=1)
@@ -313,6 +330,7 @@ class _Problem:
             around = np.clip(around, low, high)
             beside = np.broadcast_to(which, around.shape)
             mean = table[self._leads_to(rows, beside, around, self.points)].mean(axis=-1)
+            mean += self._cost(rows, beside, around)
             best = np.argmin(mean, axis=1)[:, None]
             chosen[rows] = which[:, 0]
             length[rows] = np.take_along_axis(around, best, axis=1)[:, 0]
@@ -338,9 +356,12 @@ class _Problem:
             ),
             shape=(every.size, value.size),
         )
-        fixed = 1.0 + share * LOST * beyond.sum(axis=1)
+        cost = self._cost(slice(None), tapper[:, None], length[:, None])
+        fixed = np.ravel(cost) + share * LOST * beyond.sum(axis=1)
         made = value.copy()
         for _ in range(SWEEPS):
+            if self._interrupted():
+                raise Abandoned
             made[self.rows] = np.minimum(fixed + matrix @ made, LOST)
         return made
 

@@ -4,8 +4,8 @@ A state is the error relative to a fixed goal, because the position of the objec
 tappers can hit it and how. The grid is graded: the coordinate u of an axis is asinh(e / fine). Its
 steps are uniform near the goal and grow in proportion far from it, and the cell of a state is found
 without a search. W is the least expected number of taps if at least one more tap must be made. The
-cost inside the stopping box is 0. The scatter of a tap is represented by a fixed set of equally
-likely points.
+cost inside the stopping box is 0. If the objective is time, W is the least expected time, in units
+of ``MEAN_TAP_S``. The scatter of a tap is represented by a fixed set of equally likely points.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Grid(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Solution for one goal: W, in taps, on a grid about the goal, (n, n, m)."""
+    """Solution for one goal: W on a grid about the goal, (n, n, m)."""
 
     goal: tuple[float, float, float]
     grid: Grid

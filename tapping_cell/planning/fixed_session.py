@@ -16,11 +16,16 @@ from tapping_cell.planning.fixed_policy import (
     states_after,
 )
 from tapping_cell.planning.fixed_solver import GoalSolver, SolvedGoal
-from tapping_cell.planning.fixed_tappers import FixedStrikeSpace, Lines
+from tapping_cell.planning.fixed_tappers import (
+    MEAN_TAP_S,
+    FixedStrikeSpace,
+    Lines,
+    tap_seconds,
+)
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.goal import place_text
 from tapping_cell.planning.interface import Array
-from tapping_cell.planning.mounts import MountBelief, believed
+from tapping_cell.planning.mounts import MountBelief, corrected_space
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import (
     MISSED,
@@ -114,7 +119,7 @@ class FixedTapperSession(GoalSession):
     def use_free_space(self, space: FixedStrikeSpace) -> None:
         """Replace the space, because the obstacles on the table may have changed."""
         self._nominal = space
-        self._space = believed(space, self.mounts)
+        self._space = corrected_space(space, self.mounts)
         self._solved: SolvedGoal | None = None
         self._goal_refusal = check_fixed_goal(self.goal, space)
         if self._goal_refusal is None:
@@ -154,7 +159,7 @@ class FixedTapperSession(GoalSession):
             self.settings.scatter,
             noise,
         )
-        self._space = believed(self._nominal, self.mounts)
+        self._space = corrected_space(self._nominal, self.mounts)
         lines = self._space.lines(before)
         length = lines.reach[index] * strike.plan.striker_speed**2
         if length > 0.0:
@@ -224,8 +229,8 @@ class FixedTapperSession(GoalSession):
     def _best(
         self, pose: Array, left: Array, lines: Lines, usable: list[int]
     ) -> tuple[int, Array, float] | None:
-        """Return the tap with the fewest expected taps: index of the tapper, commanded
-        displacement (3,) and its length. Return None if no tap is acceptable."""
+        """Return the tap with the least expected cost, in taps or time: index of the tapper,
+        commanded displacement (3,) and its length. Return None if no tap is acceptable."""
         assert self._solved is not None
         solution = self._solved.solution
         assert solution is not None, "the goal is not solved yet; check ready first"
@@ -256,6 +261,9 @@ class FixedTapperSession(GoalSession):
             (box.distance, box.rotation),
             after,
         )
+        if self._space.objective == "time":
+            travel, reach = lines.travel[usable, None], lines.reach[usable, None]
+            cost += tap_seconds(travel, reach, length) / MEAN_TAP_S
         cost = np.where(allowed, cost, math.inf)
         row, column = np.unravel_index(int(np.argmin(cost)), cost.shape)
         if cost[row, column] >= LOST - 1.0:

@@ -1,7 +1,9 @@
-"""Cache of solved goals of fixed tappers; goals can be solved in a separate process.
+"""Cache of solved goals of fixed tappers; goals can be solved in separate processes.
 
 Solving a goal takes seconds of processor time. A solving thread would block the interpreter for the
-other threads, so that the planner's heartbeat would stop.
+other threads, so that the planner's heartbeat would stop. The first tap waits for the coarse
+solution, so one process solves only those; a second process refines them at a lower priority, so
+that it does not delay the images of the camera.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ import signal
 from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from threading import Thread
-from typing import Any
 
 import numpy as np
 
@@ -36,8 +38,8 @@ KEPT_SOLUTIONS = 16
 FINER = (0.33, FINE)
 """Steps of the grids that follow the coarse one in the background."""
 
-NICENESS = 5
-"""Niceness of the solving process, so that the cell's nodes have priority."""
+SOLVING_NICENESS, REFINING_NICENESS = 0, 10
+"""Niceness of the process that solves goals coarsely, and of the one that refines the solutions."""
 
 
 class SolvedGoal:
@@ -68,7 +70,7 @@ class SolvedGoal:
 @dataclass(eq=False, slots=True)
 class Job:
     """A goal to be solved in the background. finer: steps of the grids after the coarse one;
-    done: its solutions so far."""
+    done: its solutions so far, coarse to fine."""
 
     key: str
     space: FixedStrikeSpace
@@ -96,24 +98,29 @@ class Job:
 class GoalSolver:
     """Solves goals for one object and cell, and caches the last solutions.
 
-    ``background``: solve in a separate process and return the best solution so far. ``finer``:
+    ``background``: solve in separate processes and return the best solution so far. ``finer``:
     steps of the grids after the coarse one.
     """
 
     def __init__(self, *, background: bool = False, finer: tuple[float, ...] = FINER) -> None:
         self._finer = finer
         self._kept: OrderedDict[str, SolvedGoal] = OrderedDict()
-        self._worker = _Worker(self._take) if background else None
+        self._solving: _Worker | None = None
+        self._refining: _Worker | None = None
+        if background:
+            self._solving = _Worker("goal solver", self._take_coarse, SOLVING_NICENESS)
+            if finer:
+                self._refining = _Worker("goal refiner", self._take, REFINING_NICENESS)
 
     def goal(self, space: FixedStrikeSpace, settings: PlannerSettings, goal: Array) -> SolvedGoal:
-        """Return the solved goal. Without a background process a new goal takes seconds."""
+        """Return the solved goal. Without background processes a new goal takes seconds."""
         turn = 0.0 if space.is_round else float(goal[2])
         place = np.array([goal[0], goal[1], turn])
         key = f"{space.key()};{settings.key()};{np.round(place, 6).tolist()}"
         if key not in self._kept:
             made = self._kept[key] = SolvedGoal()
-            if self._worker is not None:
-                self._worker.ask(Job(key, space, settings, place, self._finer))
+            if self._solving is not None:
+                self._solving.ask(Job(key, space, settings, place, ()))
             else:
                 solution = solve_coarse(space, settings, place)
                 for step in self._finer:
@@ -124,53 +131,72 @@ class GoalSolver:
         self._kept.move_to_end(key)
         return self._kept[key]
 
-    def _take(self, key: str, result: Solution | Exception) -> None:
-        kept = self._kept.get(key)
+    def _take_coarse(self, job: Job, result: Solution | Exception) -> None:
+        self._take(job, result)
+        if self._refining is not None and isinstance(result, Solution):
+            self._refining.ask(replace(job, finer=self._finer, done=[result]))
+
+    def _take(self, job: Job, result: Solution | Exception) -> None:
+        kept = self._kept.get(job.key)
         if kept is not None:
             kept.take(result)
 
 
 class _Worker:
-    """The solving process, which starts immediately and ends with this process."""
+    """A process that solves, which starts immediately and ends with this process.
 
-    def __init__(self, take: Any) -> None:
+    ``take`` is called in a thread with a job and each of its solutions, or with the error.
+    """
+
+    def __init__(
+        self, name: str, take: Callable[[Job, Solution | Exception], None], niceness: int
+    ) -> None:
         self._take = take
-        self._asked: list[str] = []
+        self._asked: dict[str, Job] = {}
+        self._unsent: SimpleQueue[Job] = SimpleQueue()
         context = multiprocessing.get_context("spawn")
         self._line, far = context.Pipe()
-        process = context.Process(target=_work, args=(far,), name="goal solver", daemon=True)
+        process = context.Process(target=_work, args=(far, niceness), name=name, daemon=True)
         process.start()
         far.close()
-        Thread(target=self._receive, name="goal solver", daemon=True).start()
+        Thread(target=self._send, name=f"{name}: requests", daemon=True).start()
+        Thread(target=self._receive, name=f"{name}: solutions", daemon=True).start()
 
     def ask(self, job: Job) -> None:
-        """Request the solution of a goal, which is solved before the goals requested earlier."""
-        self._asked.append(job.key)
-        try:
-            self._line.send(job)
-        except OSError:
-            self._take(job.key, _gone())
+        """Request the solutions of a goal, which is solved before the goals requested earlier."""
+        self._asked[job.key] = job
+        # A job is larger than the pipe's buffer, so sending it waits for a busy process.
+        self._unsent.put(job)
+
+    def _send(self) -> None:
+        while True:
+            job = self._unsent.get()
+            try:
+                self._line.send(job)
+            except OSError:
+                self._take(job, _solver_ended())
 
     def _receive(self) -> None:
         while True:
             try:
-                key, result = self._line.recv()
+                key, result, ended = self._line.recv()
             except (EOFError, OSError):
-                for asked in self._asked:
-                    self._take(asked, _gone())
+                for job in list(self._asked.values()):
+                    self._take(job, _solver_ended())
                 return
-            self._take(key, result)
+            job = self._asked.pop(key) if ended else self._asked[key]
+            self._take(job, result)
 
 
-def _gone() -> PlanningError:
+def _solver_ended() -> PlanningError:
     return PlanningError("the process that solves goals has ended; start the planner again")
 
 
-def _work(line: Connection) -> None:
-    """Solve goals until the connection is closed: the last request first, and every goal on the
-    coarse grid before any goal on a finer one."""
+def _work(line: Connection, niceness: int) -> None:
+    """Solve goals until the connection is closed: the last request first, and every goal on a
+    coarser grid before any goal on a finer one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.nice(NICENESS)
+    os.nice(niceness)
     jobs: list[Job] = []
     with suppress(EOFError, OSError):
         while True:
@@ -178,13 +204,12 @@ def _work(line: Connection) -> None:
                 jobs.append(line.recv())
             job = max(jobs, key=lambda job: (-len(job.done), jobs.index(job)))
             try:
-                result = job.next_solution(line.poll)
+                result: Solution | Exception = job.next_solution(line.poll)
             except Abandoned:
                 continue
             except Exception as error:  # sent to the requester, because this process has no caller
+                result = error
+            ended = job.is_done or isinstance(result, Exception)
+            if ended:
                 jobs.remove(job)
-                line.send((job.key, error))
-                continue
-            line.send((job.key, result))
-            if job.is_done:
-                jobs.remove(job)
+            line.send((job.key, result, ended))

@@ -32,6 +32,13 @@ small error of its line."""
 STROKE_MARGIN = 0.003
 """Minimum remaining stroke at the contact, m."""
 
+BESIDES_FLIGHT_S = 0.40
+"""Mean time of a tap without the striker's flight to the object, s: messages to the board, the
+slide, the images of the object at rest and the decision."""
+
+MEAN_TAP_S = 0.65
+"""Mean time of a tap, s: the unit of W (see ``fixed_policy``) if the objective is time."""
+
 WAY_POINTS = 40
 """Number of points of a stroke whose distance to the keep-outs is checked."""
 
@@ -82,6 +89,12 @@ class WorkingArea:
         return np.asarray(self.radius - np.hypot(p[..., 0] - self.x, p[..., 1] - self.y))
 
 
+def tap_seconds(travel: ArrayLike, reach: ArrayLike, length: ArrayLike) -> Array:
+    """Durations of taps, s. travel, reach: see ``Lines``; length: displacement, m."""
+    flight = np.asarray(travel) * np.sqrt(np.asarray(reach) / np.asarray(length))
+    return np.asarray(BESIDES_FLIGHT_S + flight)
+
+
 class Lines(NamedTuple):
     """Possible taps of each tapper; shapes (..., tappers).
 
@@ -124,7 +137,9 @@ class FixedStrikeSpace:
         *,
         smallest_distance: float = 0.0017,
         tool_radius: float = 0.009,
+        objective: str = "taps",
     ) -> None:
+        """``objective``: quantity that plans minimise, one of ``tap_times.OBJECTIVES``."""
         if not tappers:
             raise PlanningError("a cell with fixed tappers needs at least one")
         self.tappers = tuple(
@@ -143,6 +158,7 @@ class FixedStrikeSpace:
         self.scatter = Scatter() if scatter is None else scatter
         self.smallest_distance = smallest_distance
         self.tool_radius = tool_radius
+        self.objective = objective
         self.object_radius = float(tappers[0].tap.body.bounding_radius)
         self._clear = self._clear_strokes()
 
@@ -158,7 +174,8 @@ class FixedStrikeSpace:
             f"{tapper.mount};{tapper.stroke};{tapper.slowest};{tapper.fastest};{tapper.tap}"
             for tapper in self.tappers
         ]
-        return f"{parts};{self.workspace};{self.area};{self.smallest_distance}"
+        rest = f"{self.workspace};{self.area};{self.smallest_distance};{self.objective}"
+        return f"{parts};{rest}"
 
     def among(self, areas: Sequence[KeepOut]) -> FixedStrikeSpace:
         """Return a copy of this space with additional keep-outs."""

@@ -224,7 +224,7 @@ class Gains:
         size = np.where(usable, asked, 1.0)
         slope = np.where(usable, command[..., 2], 0.0) / size
         heading = np.where(usable, np.arctan2(command[..., 1], command[..., 0]), 0.0)
-        went = np.where(usable, np.arctan2(seen[..., 1], seen[..., 0]), 0.0)
+        measured_heading = np.where(usable, np.arctan2(seen[..., 1], seen[..., 0]), 0.0)
         blank = np.where(usable, 0.0, math.nan)
         aim = place / least
         zero = np.zeros_like(aim)
@@ -240,7 +240,10 @@ class Gains:
         still = np.where(moved > 3.0 * place, blank, math.nan)
         rotation, turned = self.rotation.observe(
             ROTATION,
-            np.stack([slope, *_directions(went - np.asarray(orientation, dtype=float))], axis=-1),
+            np.stack(
+                [slope, *_directions(measured_heading - np.asarray(orientation, dtype=float))],
+                axis=-1,
+            ),
             seen[..., 2] / least + still,
             zero + math.hypot(scatter.rotation, scatter.distance),
             np.hypot(LEAST_SLOPE, angle / least),
@@ -248,7 +251,7 @@ class Gains:
         direction, aimed = self.direction.observe(
             DIRECTION,
             np.stack([np.ones_like(slope), slope], axis=-1),
-            wrap_angle(went - heading) + still,
+            wrap_angle(measured_heading - heading) + still,
             zero,
             np.hypot(scatter.direction, aim),
         )

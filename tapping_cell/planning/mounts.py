@@ -85,17 +85,21 @@ class MountBelief:
             return self
         heading = np.arctan2(hit.displacement[:, 1], hit.displacement[:, 0])
         slope = rotation_gain * hit.displacement[:, 2] / np.hypot(*hit.displacement[:, :2].T)
-        told = np.stack([heading, slope], axis=-1)
-        change = np.stack([wrap_angle(told[1:, 0] - told[0, 0]), told[1:, 1] - told[0, 1]])
+        predicted = np.stack([heading, slope], axis=-1)
+        change = np.stack(
+            [wrap_angle(predicted[1:, 0] - predicted[0, 0]), predicted[1:, 1] - predicted[0, 1]]
+        )
         derivative = change / STEPS
-        went = math.atan2(seen[1], seen[0])
-        error = np.array([wrap_angle(went - told[0, 0]), seen[2] / distance - told[0, 1]])
+        measured_heading = math.atan2(seen[1], seen[0])
+        error = np.array(
+            [wrap_angle(measured_heading - predicted[0, 0]), seen[2] / distance - predicted[0, 1]]
+        )
         noise = np.diag(
             [
                 (float(scatter.across(distance)) ** 2 + camera_noise**2) / distance**2,
-                (scatter.rotation**2 + scatter.distance**2) * told[0, 1] ** 2
+                (scatter.rotation**2 + scatter.distance**2) * predicted[0, 1] ** 2
                 + (2.0 * camera.angle**2 + scatter.angle_floor**2) / distance**2
-                + (camera_noise / distance * told[0, 1]) ** 2,
+                + (camera_noise / distance * predicted[0, 1]) ** 2,
             ]
         )
         total = derivative @ spread @ derivative.T + noise
@@ -108,7 +112,7 @@ class MountBelief:
         return replace(self, mean=means, covariance=spreads)
 
 
-def believed(space: FixedStrikeSpace, belief: MountBelief) -> FixedStrikeSpace:
+def corrected_space(space: FixedStrikeSpace, belief: MountBelief) -> FixedStrikeSpace:
     """Return the space with the estimated mounts."""
     return space.with_mounts(
         [belief.mount(index, tapper.mount) for index, tapper in enumerate(space.tappers)]

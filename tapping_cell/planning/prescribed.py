@@ -285,21 +285,21 @@ class PrescribedSession:
         index = hit[0]
         distance = 1e3 * math.hypot(moved[index, 0], moved[index, 1])
         farthest = 1e3 * float(np.max(np.linalg.norm(slide[index] - pose[:2], axis=-1)))
-        words = (
+        text = (
             f"the tap would move the object from {place} by {distance:.0f} mm (at most "
             f"{farthest:.0f} mm within its uncertainty)"
         )
         if problems["table"][index]:
             return Refusal(
                 RefusalReason.TAP_LEAVES_TABLE,
-                f"{words} to where it would leave the table, enter a keep-out or be out of the "
+                f"{text} to where it would leave the table, enter a keep-out or be out of the "
                 "arm's reach; ask for a lower striker speed or another direction, or move the "
                 "object towards the middle" + others_text(self._space),
             )
         if problems["view"][index]:
             return Refusal(
                 RefusalReason.TAP_LEAVES_VIEW,
-                f"{words} out of the part of the table that the camera certainly sees (between the "
+                f"{text} out of the part of the table that the camera certainly sees (between the "
                 "reference markers); ask for a lower striker speed or another direction, or move "
                 "the object towards the middle",
             )

@@ -112,6 +112,11 @@ class StrikePlan:
     retreat: tuple[Waypoint, ...]
     tapper: str = ""
 
+    @property
+    def flight(self) -> float:
+        """Time from the release until the striker meets the object, s."""
+        return self.strike_pose.distance_to(self.contact_pose) / self.striker_speed
+
 
 class StrikeSpace:
     """Set of possible strikes for one object, one table, one arm and one striker."""

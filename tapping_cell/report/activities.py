@@ -8,7 +8,7 @@ from typing import Any
 from tapping_cell.report.bag import Bag
 from tapping_cell.report.run import Phase
 
-TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, MEASURES, THINKS, ASKS = (
+TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, MEASURES, PLANS, ASKS = (
     "the arm travels",
     "the arm lowers the striker",
     "the tapper charges and fires",
@@ -26,15 +26,15 @@ _PLAN_CONFIRMING, _PLAN_LOOKING = 10, 2
 
 def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:
     """Return the activities from ``began`` to ``ended`` in s; empty without ``arm_state``."""
-    told: list[tuple[float, str, Any]] = []
+    messages: list[tuple[float, str, Any]] = []
     for topic in ("arm_state", "object_state", "plan_state"):
-        told += [(_seconds(m.header.stamp), topic, m) for _, m in bag.of(topic)]
-    if not any(topic == "arm_state" for _, topic, _ in told):
+        messages += [(_seconds(m.header.stamp), topic, m) for _, m in bag.of(topic)]
+    if not any(topic == "arm_state" for _, topic, _ in messages):
         return ()
     latest: dict[str, Any] = {}
     found: list[Phase] = []
     highest = -math.inf
-    for at, topic, message in sorted(told, key=lambda entry: entry[0]):
+    for at, topic, message in sorted(messages, key=lambda entry: entry[0]):
         if at > ended:
             break
         latest[topic] = message
@@ -69,7 +69,7 @@ def _activity(latest: dict[str, Any]) -> str:
         return WITHDRAWS
     if plan is not None and plan.state == _PLAN_LOOKING:
         return MEASURES
-    return THINKS
+    return PLANS
 
 
 def _seconds(stamp: Any) -> float:

@@ -81,7 +81,7 @@ class Phase:
 
 
 @dataclass(frozen=True, slots=True)
-class Trouble:
+class ErrorEvent:
     """A warning or error of a node: time (s since the start of the run), node, code, message."""
 
     at: float
@@ -119,7 +119,7 @@ class Run:
     phases: tuple[Phase, ...] = ()
     activities: tuple[Phase, ...] = ()
     """Activities of the devices; empty if the devices were not recorded."""
-    troubles: tuple[Trouble, ...] = ()
+    errors: tuple[ErrorEvent, ...] = ()
     files: dict[str, str] = field(default_factory=dict)
 
     @property

@@ -22,14 +22,14 @@ from tapping_cell.report.run import (
     FAILED,
     UNFINISHED,
     Covariance,
+    ErrorEvent,
     Learnt,
     Phase,
     Picture,
     Run,
     TapRow,
-    Trouble,
 )
-from tapping_cell.report.run_reader import Story, read_story
+from tapping_cell.report.run_reader import IllustratedRun, read_illustrated_run
 from tapping_cell.report.versions import versions
 from tapping_cell.se2 import Pose
 
@@ -61,7 +61,7 @@ def residual(goal: Pose | None, pose: Pose | None) -> dict[str, float] | None:
     }
 
 
-def for_people(pose: Pose | None) -> dict[str, float] | None:
+def in_display_units(pose: Pose | None) -> dict[str, float] | None:
     """Convert a pose to mm and degrees."""
     if pose is None:
         return None
@@ -89,8 +89,8 @@ def summary(run: Run) -> dict[str, Any]:
     return {
         "name": run.name,
         "outcome": run.outcome,
-        "goal": for_people(run.goal),
-        "start": for_people(run.start),
+        "goal": in_display_units(run.goal),
+        "start": in_display_units(run.start),
         "tolerance": {
             "distance_mm": 1000 * run.tolerance[0],
             "rotation_deg": math.degrees(run.tolerance[1]),
@@ -99,8 +99,8 @@ def summary(run: Run) -> dict[str, Any]:
         "taps": len(run.taps),
         "planner": run.planner,
         "object": run.object_name,
-        "final_measured": for_people(run.final_measured),
-        "final_true": for_people(run.final_true),
+        "final_measured": in_display_units(run.final_measured),
+        "final_true": in_display_units(run.final_true),
         "measured_residual": residual(run.goal, run.final_measured),
         "true_residual": residual(run.goal, run.final_true),
         "began": run.began if math.isfinite(run.began) else None,
@@ -111,7 +111,7 @@ def summary(run: Run) -> dict[str, Any]:
         "error_msg": run.error_msg,
         "phases": [[phase.began, phase.name] for phase in run.phases],
         "activities": [[step.began, step.name] for step in run.activities],
-        "troubles": [[t.at, t.source, t.code, t.sentence] for t in run.troubles],
+        "troubles": [[t.at, t.source, t.code, t.sentence] for t in run.errors],
         "outline_mm": [[1000 * x, 1000 * y] for x, y in run.outline],
         "table_mm": [1000 * size for size in run.table_size],
         "files": run.files,
@@ -135,7 +135,7 @@ def tap_columns(tap: TapRow) -> dict[str, object]:
         "strike_": tap.strike,
     }
     for name, pose in poses.items():
-        for key, value in (for_people(pose) or dict.fromkeys(_POSE_KEYS, math.nan)).items():
+        for key, value in (in_display_units(pose) or dict.fromkeys(_POSE_KEYS, math.nan)).items():
             row[name + key] = f"{value:.4f}"
     row["striker_speed_mm_s"] = f"{1000 * tap.striker_speed:.2f}"
     row["contact_angle_deg"] = f"{math.degrees(tap.contact_angle):.3f}"
@@ -179,20 +179,20 @@ def write_folder(folder: Path, pictures: bool = True) -> Run:
         tapping_cell.report.bag.BagError: the folder contains no bag, or the bag has no goal.
         OSError: the folder cannot be written.
     """
-    story = read_story(folder / BAG, folder.name)
-    if story.run.outcome == UNFINISHED:
+    illustrated = read_illustrated_run(folder / BAG, folder.name)
+    if illustrated.run.outcome == UNFINISHED:
         # An earlier write_failure may have recorded the reason for the missing end.
         with contextlib.suppress(RunError):
-            told = read_run(folder)
+            report = read_run(folder)
             ended = replace(
-                story.run,
-                outcome=told.outcome,
-                error_code=told.error_code,
-                error_msg=told.error_msg,
+                illustrated.run,
+                outcome=report.outcome,
+                error_code=report.error_code,
+                error_msg=report.error_msg,
             )
-            story = replace(story, run=ended)
-    write_story(folder, story, pictures)
-    return story.run
+            illustrated = replace(illustrated, run=ended)
+    write_illustrated_run(folder, illustrated, pictures)
+    return illustrated.run
 
 
 def write_failure(
@@ -229,17 +229,17 @@ def write_failure(
         run = replace(run, outcome=FAILED, error_code=code, error_msg=sentence)
     pictures: tuple[Picture, ...] = ()
     with contextlib.suppress(BagError):
-        pictures = read_story(folder / BAG, folder.name).pictures
-    write_story(folder, Story(run, pictures))
+        pictures = read_illustrated_run(folder / BAG, folder.name).pictures
+    write_illustrated_run(folder, IllustratedRun(run, pictures))
 
 
-def write_story(folder: Path, story: Story, pictures: bool = True) -> None:
+def write_illustrated_run(folder: Path, illustrated: IllustratedRun, pictures: bool = True) -> None:
     """Write summary and taps of a run and, if ``pictures`` is True, also figure and page.
 
     Raises:
         OSError: the folder cannot be written.
     """
-    run = story.run
+    run = illustrated.run
     text = json.dumps(summary(run), indent=2, allow_nan=False)
     _replace(folder / SUMMARY, text + "\n")
     rows = folder / f".{TAPS}"
@@ -254,7 +254,7 @@ def write_story(folder: Path, story: Story, pictures: bool = True) -> None:
         from tapping_cell.report.run_page import page
 
         draw_cell(run, folder / CELL)
-        _replace(folder / PAGE, page(story))
+        _replace(folder / PAGE, page(illustrated))
 
 
 def _replace(path: Path, text: str) -> None:
@@ -309,7 +309,7 @@ def _run(content: dict[str, Any], taps: tuple[TapRow, ...]) -> Run:
         began=math.nan if content["began"] is None else content["began"],
         phases=tuple(Phase(*phase) for phase in content["phases"]),
         activities=tuple(Phase(*step) for step in content.get("activities", ())),
-        troubles=tuple(Trouble(*trouble) for trouble in content["troubles"]),
+        errors=tuple(ErrorEvent(*event) for event in content["troubles"]),
         files=content["files"],
     )
 

@@ -17,8 +17,8 @@ from tapping_cell.report.activities import (
     CHARGES,
     LOWERS,
     MEASURES,
+    PLANS,
     SLIDES,
-    THINKS,
     TRAVELS,
     WITHDRAWS,
 )
@@ -48,7 +48,7 @@ from tapping_cell.report.run import (
     Run,
     TapRow,
 )
-from tapping_cell.report.run_reader import Story
+from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.report.svg import Plan, chart, window
 from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.se2 import Array, Pose
@@ -68,7 +68,7 @@ _ACTIVITY_COLOURS = {
     SLIDES: SLIDING,
     WITHDRAWS: WITHDRAWING,
     MEASURES: REST,
-    THINKS: WAITING,
+    PLANS: WAITING,
     ASKS: CONFIRMING,
 }
 _PHASE_COLOURS = {
@@ -82,22 +82,22 @@ _PHASE_COLOURS = {
 }
 
 
-def page(story: Story) -> str:
+def page(illustrated: IllustratedRun) -> str:
     """Return the page of a run, which loads no other files."""
-    run = story.run
+    run = illustrated.run
     parts = [
         _head(run),
         _failure(run),
         _figures(run),
         '<section class="two">',
         f"<figure>{overview(run)}<figcaption>{_legend(run)}</figcaption></figure>",
-        _picture(story.pictures[-1], "the last image") if story.pictures else "",
+        _picture(illustrated.pictures[-1], "the last image") if illustrated.pictures else "",
         "</section>",
         _film(run),
         _charts(run),
         _timeline(run),
-        *(_tap(run, tap, story.pictures) for tap in run.taps),
-        _troubles(run),
+        *(_tap(run, tap, illustrated.pictures) for tap in run.taps),
+        _errors(run),
         _configuration(run),
     ]
     return document(f"{headline(run)} - {run.name}", "".join(parts))
@@ -108,8 +108,8 @@ def headline(run: Run) -> str:
     taps = "1 tap" if len(run.taps) == 1 else f"{len(run.taps)} taps"
     if run.reached:
         return f"Goal reached in {taps}" if run.taps else "Goal reached without a tap"
-    words = _HEADLINES.get(run.outcome, "The end of the goal was not recorded")
-    return f"{words} after {taps}" if run.taps else words
+    headline_text = _HEADLINES.get(run.outcome, "The end of the goal was not recorded")
+    return f"{headline_text} after {taps}" if run.taps else headline_text
 
 
 def _head(run: Run) -> str:
@@ -126,14 +126,14 @@ def _head(run: Run) -> str:
         turn = math.degrees(run.start.rotation_to(run.goal))
         away = 1000 * run.start.distance_to(run.goal)
         task = f"{away:.1f}&nbsp;mm and {turn:+.1f}&nbsp;deg from the goal. "
-    told = " &middot; ".join(
+    details = " &middot; ".join(
         escape(word)
         for word in (when, run.object_name, run.planner and f"planner {run.planner}")
         if word
     )
     return (
         f'<header class="{kind}"><p class="badge">{escape(run.outcome)}</p>'
-        f"<h1>{escape(headline(run))}</h1><p>{task}{told}</p></header>"
+        f"<h1>{escape(headline(run))}</h1><p>{task}{details}</p></header>"
     )
 
 
@@ -231,8 +231,8 @@ def _legend(run: Run) -> str:
     entries = [(START, "start"), (REST, "at rest after a tap"), (GOAL, "goal")]
     entries += [(STRIKE, "strike, with the tap's number")] if run.taps else []
     return " ".join(
-        f'<span class="key"><i style="background:{colour}"></i>{words}</span>'
-        for colour, words in entries
+        f'<span class="key"><i style="background:{colour}"></i>{label}</span>'
+        for colour, label in entries
     )
 
 
@@ -376,8 +376,8 @@ def _close_up_legend(run: Run) -> str:
     ]
     entries += [(GOAL, "goal")] if run.goal is not None else []
     return " ".join(
-        f'<span class="key"><i style="background:{colour}"></i>{words}</span>'
-        for colour, words in entries
+        f'<span class="key"><i style="background:{colour}"></i>{label}</span>'
+        for colour, label in entries
     )
 
 
@@ -414,7 +414,7 @@ def _to_go(pose: Pose, goal: Pose) -> str:
     return f"{1000 * pose.distance_to(goal):.2f} mm, {turn:+.2f} deg"
 
 
-def _picture(picture: Picture, words: str) -> str:
+def _picture(picture: Picture, caption: str) -> str:
     """Embed a photograph in the page, downscaled to at most ``PICTURE_WIDTH`` pixels."""
     data = picture.jpeg
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
@@ -427,19 +427,19 @@ def _picture(picture: Picture, words: str) -> str:
         data = jpeg.tobytes() if coded else data
     code = base64.b64encode(data).decode()
     return (
-        f'<figure><img alt="{escape(words)}" src="data:image/jpeg;base64,{code}">'
-        f"<figcaption>{escape(words)}, at {picture.at:.1f} s</figcaption></figure>"
+        f'<figure><img alt="{escape(caption)}" src="data:image/jpeg;base64,{code}">'
+        f"<figcaption>{escape(caption)}, at {picture.at:.1f} s</figcaption></figure>"
     )
 
 
-def _troubles(run: Run) -> str:
-    if not run.troubles:
+def _errors(run: Run) -> str:
+    if not run.errors:
         return ""
     rows = "".join(
-        f"<tr><td>{trouble.at:.1f} s</td><td>{escape(trouble.source)}</td>"
-        f"<td>{escape(error_codes.name(trouble.code))} <small>{trouble.code}</small></td>"
-        f"<td>{escape(trouble.sentence)}<br><small>{escape(error_codes.hint(trouble.code))}</small></td></tr>"
-        for trouble in run.troubles
+        f"<tr><td>{event.at:.1f} s</td><td>{escape(event.source)}</td>"
+        f"<td>{escape(error_codes.name(event.code))} <small>{event.code}</small></td>"
+        f"<td>{escape(event.sentence)}<br><small>{escape(error_codes.hint(event.code))}</small></td></tr>"
+        for event in run.errors
     )
     return (
         "<section><h2>Warnings and errors</h2><div class='scroll'><table class='wide'>"

@@ -21,12 +21,12 @@ from tapping_cell.report.run import (
     REFUSED,
     UNFINISHED,
     Covariance,
+    ErrorEvent,
     Learnt,
     Phase,
     Picture,
     Run,
     TapRow,
-    Trouble,
 )
 from tapping_cell.report.words import OUTCOMES, PHASES, word
 from tapping_cell.se2 import Pose
@@ -34,7 +34,7 @@ from tapping_cell.se2 import Pose
 NOTES = "run_notes"
 """Topic (``std_msgs/String``, JSON) with information on a run that no other topic contains."""
 PICTURES = "camera/image_annotated/compressed"
-_SPEAKERS = ("plan_state", "arm_state", "tapper_state", "object_state")
+_STATE_TOPICS = ("plan_state", "arm_state", "tapper_state", "object_state")
 _TRUTH_WITHIN_S = 0.2
 """Maximum time difference between a measured pose and its ground truth, s."""
 _SAME_TIME_S = 1e-6
@@ -42,7 +42,7 @@ _FINAL_WORDS = ("reached", "failed", "canceled")
 
 
 @dataclass(frozen=True, slots=True)
-class Story:
+class IllustratedRun:
     """A run and its camera images, in order of time."""
 
     run: Run
@@ -58,16 +58,16 @@ def inside(goal: Pose, pose: Pose | None, tolerance: tuple[float, float]) -> boo
     )
 
 
-def read_story(path: Path, name: str = "") -> Story:
+def read_illustrated_run(path: Path, name: str = "") -> IllustratedRun:
     """Read the run in a bag, which is a folder or an ``.mcap`` file.
 
     Raises:
         tapping_cell.report.bag.BagError: there is no bag, or it has no goal.
     """
-    return story_of(read_bag(path), name or path.stem)
+    return illustrated_run(read_bag(path), name or path.stem)
 
 
-def story_of(bag: Bag, name: str) -> Story:
+def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     """Extract the run from a bag; a truncated bag gives the recorded part of the run.
 
     Raises:
@@ -133,13 +133,13 @@ def story_of(bag: Bag, name: str) -> Story:
         began=began,
         phases=_phases(mine, began),
         activities=activities(bag, began, ended),
-        troubles=_troubles(bag, began, ended),
+        errors=_errors(bag, began, ended),
         files=notes.get("files", {}),
     )
     pictures = tuple(
         Picture(_seconds(m.header.stamp) - began, bytes(m.data)) for _, m in bag.of(PICTURES)
     )
-    return Story(run, pictures)
+    return IllustratedRun(run, pictures)
 
 
 def _notes(bag: Bag) -> dict[str, Any]:
@@ -219,10 +219,10 @@ def _covariance(record: Any) -> Covariance | None:
 
 def _learnt(record: Any) -> Learnt:
     """Return the estimates after a tap; all NaN for records of earlier versions."""
-    told = getattr(record, "learnt", None)
-    if told is None:
+    gains = getattr(record, "learnt", None)
+    if gains is None:
         return Learnt()
-    return Learnt(**{field.name: float(getattr(told, field.name)) for field in fields(Learnt)})
+    return Learnt(**{field.name: float(getattr(gains, field.name)) for field in fields(Learnt)})
 
 
 def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
@@ -260,11 +260,11 @@ def _outcome(
     """Determine the outcome from the planner's last state and the ground truth, if known."""
     if refused:
         return REFUSED
-    said = word(PHASES, int(last.state))
-    if said not in _FINAL_WORDS:
+    phase = word(PHASES, int(last.state))
+    if phase not in _FINAL_WORDS:
         return UNFINISHED
-    if said != "reached" or last.error_code:
-        return CANCELED if said == "canceled" else FAILED
+    if phase != "reached" or last.error_code:
+        return CANCELED if phase == "canceled" else FAILED
     truly = final_true is None or (goal is not None and inside(goal, final_true, tolerance))
     return REACHED if truly else NOT_TRULY_REACHED
 
@@ -280,17 +280,17 @@ def _phases(plans: list[Any], began: float) -> tuple[Phase, ...]:
     return tuple(found)
 
 
-def _troubles(bag: Bag, began: float, ended: float) -> tuple[Trouble, ...]:
+def _errors(bag: Bag, began: float, ended: float) -> tuple[ErrorEvent, ...]:
     """Return warnings and errors while the goal was active; a persistent problem counts once."""
     found = []
-    for speaker in _SPEAKERS:
+    for topic in _STATE_TOPICS:
         before = 0
-        for _, message in bag.of(speaker):
+        for _, message in bag.of(topic):
             at, code = _seconds(message.header.stamp), int(message.error_code)
             if code and code != before and began <= at <= ended:
-                found.append(Trouble(at - began, speaker, code, str(message.error_msg)))
+                found.append(ErrorEvent(at - began, topic, code, str(message.error_msg)))
             before = code
-    return tuple(sorted(found, key=lambda trouble: trouble.at))
+    return tuple(sorted(found, key=lambda event: event.at))
 
 
 def _seconds(stamp: Any) -> float:

@@ -84,13 +84,13 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
     right.set(
         xlabel="initial speed (mm/s)", ylabel="initial spin (degrees/s)", title="Initial velocities"
     )
-    handles, words = left.get_legend_handles_labels()
+    handles, labels = left.get_legend_handles_labels()
     handles += [
         Line2D([], [], marker="+", color=INK, ls="", ms=9),
         Line2D([], [], marker="o", mfc="white", mec=INK, mew=2.2, ls="", ms=10),
     ]
-    words += ["calculated from the other, each trial", "predicted from the striker, mean"]
-    figure.legend(handles, words, loc=_BELOW, ncols=6, fontsize=8, frameon=False)
+    labels += ["calculated from the other, each trial", "predicted from the striker, mean"]
+    figure.legend(handles, labels, loc=_BELOW, ncols=6, fontsize=8, frameon=False)
 
 
 def _profiles(figure: Figure, report: SingleTapReport) -> None:
@@ -103,12 +103,12 @@ def _profiles(figure: Figure, report: SingleTapReport) -> None:
         Line2D([], [], color=STRIKE),
         Line2D([], [], color=MUTED, ls="--"),
     ]
-    words = [
+    labels = [
         "measured (velocities: differences of frames)",
         "predicted from the displacement",
         "the same with a torque factor of 1",
     ]
-    figure.legend(handles, words, loc=_BELOW, ncols=3, fontsize=8, frameon=False)
+    figure.legend(handles, labels, loc=_BELOW, ncols=3, fontsize=8, frameon=False)
 
 
 def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
@@ -151,8 +151,8 @@ def _residuals(figure: Figure, report: SingleTapReport) -> None:
         axes.set(xlabel="trial", ylabel="%", title=title)
         axes.title.set_fontsize(10)
         axes.grid(**_GRID)
-    handles, words = left.get_legend_handles_labels()
-    figure.legend(handles, words, loc=_BELOW, ncols=8, fontsize=8, frameon=False)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc=_BELOW, ncols=8, fontsize=8, frameon=False)
 
 
 def _percent(seen: Array, calculated: Array) -> Array:
@@ -186,8 +186,8 @@ def _errors(figure: Figure, report: SingleTapReport) -> None:
     largest = np.nanmax(np.abs([[*r.sliding, *r.inverse, *r.impact, *r.tap] for r in report.runs]))
     all_axes[0].set_ylim(-1.25 * max(largest, 1.0), 1.25 * max(largest, 1.0))
     all_axes[0].set_ylabel("error of the run's mean (%)")
-    handles, words = all_axes[0].get_legend_handles_labels()
-    figure.legend(handles, words, loc=_BELOW, ncols=2, fontsize=8, frameon=False)
+    handles, labels = all_axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc=_BELOW, ncols=2, fontsize=8, frameon=False)
 
 
 def _values(figure: Figure, report: SingleTapReport) -> None:

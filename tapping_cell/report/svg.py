@@ -46,11 +46,11 @@ class Plan:
         """Draw a circle; all values in mm."""
         self._parts.append(f'<circle cx="{x:.2f}" cy="{-y:.2f}" r="{radius:.3f}" {style}/>')
 
-    def text(self, x: float, y: float, words: str, colour: str, size: float = 3.2) -> None:
+    def text(self, x: float, y: float, content: str, colour: str, size: float = 3.2) -> None:
         """Draw text centred at a point in mm; ``size`` in hundredths of the drawing."""
         self._parts.append(
             f'<text x="{x:.2f}" y="{-y:.2f}" font-size="{size * self.unit:.2f}" fill="{colour}" '
-            f'text-anchor="middle" dominant-baseline="central">{escape(words)}</text>'
+            f'text-anchor="middle" dominant-baseline="central">{escape(content)}</text>'
         )
 
     def arrow(self, tail: ArrayLike, head: ArrayLike, colour: str, width: float = 0.7) -> None:

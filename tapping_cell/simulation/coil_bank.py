@@ -105,9 +105,9 @@ class CoilBank:
     def stick(self, channel: int, stuck: bool) -> None:
         """Set whether a switch is stuck closed."""
         (self._stuck.add if stuck else self._stuck.discard)(channel)
-        self._lose_open_ones()
+        self._lose_open_requests()
 
-    def _lose_open_ones(self) -> None:
+    def _lose_open_requests(self) -> None:
         """At rest, discard the verified positions if a switch is open."""
         if self._released is None:
             self._proven &= all(self._closed(channel, 0.0) for channel in range(self.count))
@@ -115,7 +115,7 @@ class CoilBank:
     def keep_out(self, channel: int, out: bool) -> None:
         """Set whether a striker is held off its mount and does not return to it."""
         (self._stays_out.add if out else self._stays_out.discard)(channel)
-        self._lose_open_ones()
+        self._lose_open_requests()
 
     # Time.
 

@@ -167,6 +167,13 @@ class _Channel:
         self._dropping = self._run_left = self._merge_left = 0
 
 
+def _earlier(first: float | None, second: float | None) -> float | None:
+    """Return the earlier of two times, of which either may be missing."""
+    if first is None or second is None:
+        return second if first is None else first
+    return min(first, second)
+
+
 class FaultLayer:
     """Emulator behind a faulty line.
 
@@ -185,7 +192,7 @@ class FaultLayer:
         self.absences = 0
         """Number of times that the port has disappeared."""
         self.on_plug = on_plug
-        self._channels = {direction: _Channel() for direction in Direction}
+        self._to_device, self._to_host = _Channel(), _Channel()
         self._plan: dict[tuple[Direction, int], LineFault] = {}
         self._back_at: float | None = None
         for fault in faults:
@@ -198,7 +205,7 @@ class FaultLayer:
 
     def count(self, direction: Direction) -> int:
         """Return the number of bytes that have entered a direction."""
-        return self._channels[direction].count
+        return self._channel(direction).count
 
     def add(self, fault: LineFault) -> None:
         """Schedule one more fault."""
@@ -227,12 +234,11 @@ class FaultLayer:
         """Return the bytes that have arrived at the host."""
         self.advance(now)
         self._collect(now)
-        return self._channels[Direction.TO_HOST].take(now)
+        return self._to_host.take(now)
 
     def next_event(self) -> float | None:
         """Return the time of the next event; None if there is none."""
-        times = (self.next_on_line(), self._channels[Direction.TO_HOST].next_time())
-        return min((t for t in times if t is not None), default=None)
+        return _earlier(self.next_on_line(), self._to_host.next_time())
 
     def power_cycle(self, now: float) -> None:
         """Restart the board."""
@@ -240,12 +246,11 @@ class FaultLayer:
 
     def next_on_line(self) -> float | None:
         """Return the time of the next event, except bytes that only wait to be read by the host."""
-        times = [
-            self.emulator.next_event(),
-            self._channels[Direction.TO_DEVICE].next_time(),
-            self._back_at,
-        ]
-        return min((t for t in times if t is not None), default=None)
+        due = _earlier(self.emulator.next_event(), self._to_device.next_time())
+        return _earlier(due, self._back_at)
+
+    def _channel(self, direction: Direction) -> _Channel:
+        return self._to_device if direction is Direction.TO_DEVICE else self._to_host
 
     def _step(self, now: float) -> None:
         if self._back_at is not None and self._back_at <= now:
@@ -257,7 +262,7 @@ class FaultLayer:
         self._collect(now)
 
     def _deliver(self, now: float) -> None:
-        data = self._channels[Direction.TO_DEVICE].take(now)
+        data = self._to_device.take(now)
         if data:
             self.emulator.receive(data, now)
 
@@ -265,13 +270,14 @@ class FaultLayer:
         self._enter(Direction.TO_HOST, self.emulator.take_output(now), now)
 
     def _enter(self, direction: Direction, data: bytes, now: float) -> None:
-        channel = self._channels[direction]
+        if not data:
+            return
+        channel = self._channel(direction)
         numbers = range(channel.count, channel.count + len(data))
         planned = any(way is direction and byte in numbers for way, byte in self._plan)
         if not planned and self.plugged and channel.undisturbed:
             channel.count += len(data)
-            if data:
-                channel.put(data, now)
+            channel.put(data, now)
             return
         for byte in data:
             fault = self._plan.pop((direction, channel.count), None)
@@ -279,7 +285,7 @@ class FaultLayer:
             if fault is not None:
                 self.happened.append((now, fault))
                 if fault.kind is FaultKind.STALL:
-                    for each in self._channels.values():
+                    for each in (self._to_device, self._to_host):
                         each.hold_all(now + fault.duration)
                 elif fault.kind is FaultKind.RESET:
                     self._deliver(now)
@@ -291,8 +297,8 @@ class FaultLayer:
 
     def _hang_up(self, now: float, duration: float) -> None:
         self._deliver(now)
-        for channel in self._channels.values():
-            channel.clear()
+        self._to_device.clear()
+        self._to_host.clear()
         self._back_at = now + duration
         self.absences += 1
         if self.on_plug:

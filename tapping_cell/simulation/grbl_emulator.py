@@ -94,7 +94,7 @@ class GrblEmulator:
         """Whether the motors have torque."""
         return self._torque.on
 
-    def fall_asleep(self, now: float) -> None:
+    def enter_sleep(self, now: float) -> None:
         """Cut the motors and end any move, as ``$SLP`` from another sender does."""
         self._track.freeze(now)
         self._blocks.clear()
@@ -354,26 +354,26 @@ class GrblEmulator:
 
     def _system(self, text: str, now: float) -> None:
         idle = self._shown_state(now) in ("Idle", "Alarm", "Check")
-        say = self._output.put
+        send = self._output.put
         if text == "$$":
             for number, value in sorted(self._listed().items()):
                 real = number >= 100 or number in (11, 12, 24, 25, 27)
                 shown = f"{value:.3f}" if real else f"{value:g}"
-                say(f"${number}={shown}\r\n".encode(), now)
+                send(f"${number}={shown}\r\n".encode(), now)
         elif text == "$I":
             for line in self._variant.information:
-                say(line + b"\r\n", now)
+                send(line + b"\r\n", now)
         elif text == "$G":
-            say(f"[GC:{self._modal}]\r\n".encode(), now)
+            send(f"[GC:{self._modal}]\r\n".encode(), now)
         elif text == "$#":
             for system, place in self._systems.items():
-                say(f"[G{system}:{','.join(f'{v:.3f}' for v in place)}]\r\n".encode(), now)
-            say(f"[G92:{','.join(f'{v:.3f}' for v in self._shift)}]\r\n".encode(), now)
+                send(f"[G{system}:{','.join(f'{v:.3f}' for v in place)}]\r\n".encode(), now)
+            send(f"[G92:{','.join(f'{v:.3f}' for v in self._shift)}]\r\n".encode(), now)
         elif text == "$X":
             if self._state == "Alarm":
                 self._state = "Idle"
                 self._power(now)
-                say(b"[MSG:Caution: Unlocked]\r\n", now)
+                send(b"[MSG:Caution: Unlocked]\r\n", now)
         elif text == "$H":
             if not int(self._settings[22]) & 1:
                 raise Refused(5)
@@ -382,7 +382,7 @@ class GrblEmulator:
             self._home(now)
             return
         elif text == "$SLP":
-            self.fall_asleep(now)
+            self.enter_sleep(now)
         elif text.startswith("$J="):
             if self._shown_state(now) not in ("Idle", "Jog"):
                 raise Refused(9)

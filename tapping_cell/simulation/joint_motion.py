@@ -186,7 +186,8 @@ class AxisTrack:
 
     def moving(self, time: float) -> bool:
         """Return whether the motors move at ``time``."""
-        return self.last.start <= time < self.last.profile.end
+        last = self._pieces[-1]
+        return last.start <= time < last.profile.end
 
     def motors(self, time: float) -> Array:
         """Return the motor values at ``time``."""

@@ -111,7 +111,7 @@ class MarlinEmulator:
         """Return whether the axes move at ``time``."""
         return self._track.moving(time)
 
-    def fall_asleep(self, now: float) -> None:
+    def enter_sleep(self, now: float) -> None:
         """Cut the motors and end any move, as ``M84`` from another sender does."""
         self.advance(now)
         self._track.freeze(now)
@@ -156,7 +156,7 @@ class MarlinEmulator:
                     after(due)
                 self._work(due)
             else:
-                self._say("echo:busy: processing", due)
+                self._send_line("echo:busy: processing", due)
                 self._busy_at = due + BUSY_PERIOD
 
     def take_output(self, now: float) -> bytes:
@@ -199,7 +199,7 @@ class MarlinEmulator:
         self._commanded = np.zeros(AXES)
         self._shift: Array = np.zeros(AXES)
         for line in ("start", "Marlin 2.1.2.4", "echo: Last Updated: 2024-01-01"):
-            self._say(line, now)
+            self._send_line(line, now)
 
     def _power(self, now: float) -> None:
         """Enable the motors; they hold a quill that has sunk, but the step count is unchanged."""
@@ -220,7 +220,7 @@ class MarlinEmulator:
         elif self._idle_limit and now >= self._rests_since + self._idle_limit:
             self._torque.cut(self._rests_since + self._idle_limit)
 
-    def _say(self, text: str, now: float) -> None:
+    def _send_line(self, text: str, now: float) -> None:
         self._output.put(text.encode() + b"\n", now)
 
     # Received lines.
@@ -266,12 +266,12 @@ class MarlinEmulator:
         return reduce(lambda value, byte: value ^ byte, text.encode("ascii", "replace"), 0)
 
     def _line_error(self, why: str, now: float) -> None:
-        self._say(f"Error:{why}, Last Line: {self._last_number}", now)
-        self._say(f"Resend: {self._last_number + 1}", now)
-        self._say("ok", now)
+        self._send_line(f"Error:{why}, Last Line: {self._last_number}", now)
+        self._send_line(f"Resend: {self._last_number + 1}", now)
+        self._send_line("ok", now)
 
     def _kill(self, why: str, now: float) -> None:
-        self._say(f"Error:Printer halted. kill() called! {why}", now)
+        self._send_line(f"Error:Printer halted. kill() called! {why}", now)
         self._killed = True
         self._queue.clear()
         self._blocks.clear()
@@ -307,7 +307,7 @@ class MarlinEmulator:
                 if not self._running(now):
                     return
                 self._running = self._busy_at = None
-                self._say("ok", now + LINE_TIME)
+                self._send_line("ok", now + LINE_TIME)
             if not self._queue:
                 return
             self._run(self._queue.popleft(), now)
@@ -339,8 +339,8 @@ class MarlinEmulator:
             self._dwell(words.get("P", 0.0) / 1e3 + words.get("S", 0.0), now)
         else:
             if not self._setting(code, words, now):
-                self._say(f'echo:Unknown command: "{text}"', now)
-            self._say("ok", now + LINE_TIME)
+                self._send_line(f'echo:Unknown command: "{text}"', now)
+            self._send_line("ok", now + LINE_TIME)
 
     def _begin(self, done: Callable[[float], bool], now: float) -> None:
         """Delay a line's ``ok`` until ``done``; ``busy`` is sent meanwhile."""
@@ -362,27 +362,27 @@ class MarlinEmulator:
             counts = np.round((self._native(now) + self._shift) * self._steps).tolist()
             place = " ".join(f"{a}:{v:.2f}" for a, v in zip(letters, logical, strict=True))
             count = " ".join(f"{a}:{int(n)}" for a, n in zip(letters, counts, strict=True))
-            self._say(f"{place} Count {count}", now)
+            self._send_line(f"{place} Count {count}", now)
         elif code == "M115":
-            self._say(
+            self._send_line(
                 "FIRMWARE_NAME:Marlin 2.1.2.4 (Jan  1 2024 00:00:00) SOURCE_CODE_URL:"
                 "github.com/MarlinFirmware/Marlin PROTOCOL_VERSION:1.0 MACHINE_TYPE:Arm",
                 now,
             )
-            self._say("Cap:SERIAL_XON_XOFF:0", now)
-            self._say(f"Cap:EMERGENCY_PARSER:{int(self.machine.emergency_parser)}", now)
+            self._send_line("Cap:SERIAL_XON_XOFF:0", now)
+            self._send_line(f"Cap:EMERGENCY_PARSER:{int(self.machine.emergency_parser)}", now)
         elif code in ("M92", "M201", "M203") and not words:
             machine = self.machine
             values = {"M92": machine.steps, "M201": machine.acceleration, "M203": machine.max_rate}
             figures = zip(letters, values[code], strict=True)
-            self._say(f"echo:  {code}" + "".join(f" {a}{v:.2f}" for a, v in figures), now)
+            self._send_line(f"echo:  {code}" + "".join(f" {a}{v:.2f}" for a, v in figures), now)
         elif code == "M211" and not words:
             low, high = (
                 " ".join(f"{a}{v:.2f}" for a, v in zip(letters, ends, strict=True))
                 for ends in (self.machine.soft_low, self.machine.soft_high)
             )
             on = "ON" if self.machine.soft_endstops else "OFF"
-            self._say(f"Soft endstops: {on}  Min: {low}  Max: {high}", now)
+            self._send_line(f"Soft endstops: {on}  Min: {low}  Max: {high}", now)
         elif code == "M17":
             self._power(now)
         elif code in ("M18", "M84"):
@@ -415,7 +415,7 @@ class MarlinEmulator:
         delta = np.abs(target - self._commanded)
         length = float(np.linalg.norm(delta))
         if length == 0:
-            self._say("ok", now + LINE_TIME)
+            self._send_line("ok", now + LINE_TIME)
             return
         used = delta > 1e-9 * length
         parts = delta[used] / length

@@ -125,7 +125,7 @@ class Slide:
             scale = grip / np.maximum(speed, _STILL)
             fx, fy = scale * ux, scale * uy
         else:
-            fx, fy = self._against_the_grain(ux, uy, grip, law.grain - motion.theta)
+            fx, fy = self._anisotropic_force(ux, uy, grip, law.grain - motion.theta)
         push = law.friction * law.gravity
         drag_x, drag_y = push * float(fx.sum()), push * float(fy.sum())
         torque = push * float(self._x @ fy - self._y @ fx)
@@ -199,7 +199,7 @@ class Slide:
             grip = np.where(within, factor * grip, grip)
         return grip
 
-    def _against_the_grain(
+    def _anisotropic_force(
         self, ux: Array, uy: Array, grip: Array, grain: float
     ) -> tuple[Array, Array]:
         """Return the drag for direction-dependent friction: the limit curve is an ellipse, and the

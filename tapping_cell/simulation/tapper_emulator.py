@@ -252,8 +252,10 @@ class TapperEmulator:
 
     def next_event(self) -> float | None:
         """Return the time of the next change of state or transmission."""
-        times = [t for t in (self._next_internal(), self._output.next_time()) if t is not None]
-        return min(times) if times else None
+        internal, sent = self._next_internal(), self._output.next_time()
+        if internal is None or sent is None:
+            return sent if internal is None else internal
+        return min(internal, sent)
 
     def power_cycle(self, now: float) -> None:
         """Restart the board: the motor is switched off and the boot number increases."""

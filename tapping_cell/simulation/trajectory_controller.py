@@ -68,7 +68,7 @@ class TrajectoryController:
         self._runs = [_Run(now, (TrajectoryPoint(0.0, tuple(positions), still),))]
         self._blocked: tuple[float, Array] | None = None
         self._goal_active = False
-        self._progress = Progress(GoalState.UNTOLD)
+        self._progress = Progress(GoalState.UNREPORTED)
 
     def take(
         self,
@@ -101,7 +101,7 @@ class TrajectoryController:
         self._runs = [*self._runs[-3:], _Run(now, (start, *sorted_points))]
         self.taken += 1
         self._goal_active = as_goal
-        self._progress = Progress(GoalState.ACTIVE if as_goal else GoalState.UNTOLD)
+        self._progress = Progress(GoalState.ACTIVE if as_goal else GoalState.UNREPORTED)
         return ""
 
     def cancel(self, now: float) -> None:

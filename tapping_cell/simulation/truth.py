@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tapping_cell.configuration.objects import angle_floor_key, position_floor_key
 from tapping_cell.configuration.schema import choice, quantity, section, text
 
 
@@ -170,20 +171,8 @@ class ScatterTruth:
         "relative standard deviation of the launch spin", "", 0.0, 1.0, default=0.0
     )
     direction: float = quantity("standard deviation of the direction", "rad", 0.0, 0.5, default=0.0)
-    position_floor: float = quantity(
-        "standard deviation of the end of a tap, along and across, that remains for small taps",
-        "m",
-        0.0,
-        0.05,
-        default=0.0,
-    )
-    angle_floor: float = quantity(
-        "standard deviation of the rotation by a tap that remains for small rotations",
-        "rad",
-        0.0,
-        0.5,
-        default=0.0,
-    )
+    position_floor: float = position_floor_key()
+    angle_floor: float = angle_floor_key()
 
 
 @dataclass(frozen=True, slots=True)

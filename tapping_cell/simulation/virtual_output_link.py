@@ -74,7 +74,7 @@ class VirtualOutputLink:
     """
 
     name = "/robot/set_output"
-    rivals: tuple[str, ...] = ()
+    other_commanders: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -105,18 +105,20 @@ class VirtualOutputLink:
     @property
     def guard(self) -> InputLevel | None:
         """Level of the guard, published at ``rate`` Hz."""
-        told = self._told_at()
-        return None if told is None else InputLevel(self.device.guard_closed, told)
+        reported_at = self._last_report_at()
+        return None if reported_at is None else InputLevel(self.device.guard_closed, reported_at)
 
     @property
     def read_back(self) -> InputLevel | None:
         """Level of the output, published at ``rate`` Hz and at each change."""
-        told = self._told_at()
-        if not self.reads_back or told is None:
+        reported_at = self._last_report_at()
+        if not self.reads_back or reported_at is None:
             return None
-        changes = [at for at, _ in self.device.edges if told < at <= self._now()]
-        told = max([told, *changes])
-        return InputLevel(self.device.level(told) and not self.device.faults.broken_wire, told)
+        changes = [at for at, _ in self.device.edges if reported_at < at <= self._now()]
+        reported_at = max([reported_at, *changes])
+        return InputLevel(
+            self.device.level(reported_at) and not self.device.faults.broken_wire, reported_at
+        )
 
     @property
     def last_on(self) -> float:
@@ -183,7 +185,7 @@ class VirtualOutputLink:
     def answer(self, number: int) -> Answer:
         """Return the result of a request."""
         if self.interface != "service":
-            return Answer.UNTOLD
+            return Answer.UNREPORTED
         at, answer = self._answers[number]
         return answer if self.now() >= at else Answer.PENDING
 
@@ -205,11 +207,11 @@ class VirtualOutputLink:
         if not refused:
             device.set_at(effect, on)
         if not faults.lost_answers:
-            told = Answer.REFUSED if refused else Answer.DONE
-            self._answers[self._number] = (effect + device.latency, told)
+            result = Answer.REFUSED if refused else Answer.DONE
+            self._answers[self._number] = (effect + device.latency, result)
         return self._number
 
-    def _told_at(self) -> float | None:
+    def _last_report_at(self) -> float | None:
         """Return the time of the last input message; None before the first one."""
         faults = self.device.faults
         if math.isinf(self._opened):

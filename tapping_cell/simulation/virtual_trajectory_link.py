@@ -45,7 +45,7 @@ class VirtualTrajectoryLink:
     """
 
     name = "/scara_controller"
-    rivals: Sequence[str] = ()
+    other_commanders: Sequence[str] = ()
 
     def __init__(
         self,
@@ -152,7 +152,7 @@ class VirtualTrajectoryLink:
     def progress(self) -> Progress:
         """Return the state of the last trajectory."""
         progress = self.controller.progress(self.now())
-        return progress if self._by_action else Progress(GoalState.UNTOLD)
+        return progress if self._by_action else Progress(GoalState.UNREPORTED)
 
     def _listen(self) -> None:
         """Receive the states published since the last call."""

@@ -73,7 +73,7 @@ class Camera:
         self._track = Track(RestSettings())
         self._last: ObjectState | None = None
         self._sent_at = 0.0
-        self._told_silent_at = -math.inf
+        self._silence_reported_at = -math.inf
         scheduler.after(float(rng.uniform(0, PERIOD_S)), self._expose)
 
     def restart(self) -> None:
@@ -89,8 +89,8 @@ class Camera:
             return
         faults = self.faults
         if now < faults.lost_until:
-            if now - self._sent_at > SILENCE_LIMIT_S and now - self._told_silent_at > 0.4:
-                self._told_silent_at = now
+            if now - self._sent_at > SILENCE_LIMIT_S and now - self._silence_reported_at > 0.4:
+                self._silence_reported_at = now
                 self._send(self._state(self._ros_now(), CAMERA_SILENT))
             return
         self._sent_at = now

@@ -91,7 +91,7 @@ DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
 """Kinds of faults that delay or suppress messages."""
 COVERED = "the arm covers the object"
 """Condition that is not a fault but can also explain an error code."""
-HASTE = "the goal has a short time limit"
+SHORT_TIME_LIMIT = "the goal has a short time limit"
 CAMERA = frozenset({"camera", "object moved", "object turned"})
 
 EXPLAINED_BY: dict[int, frozenset[str]] = {
@@ -135,7 +135,11 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TOO_FEW_FRAMES: CAMERA | FREEZES | LINKS | ENDS,
     ErrorCode.CAMERA_SILENT: FREEZES | ENDS | LINKS | {"camera", "clock step"},
     ErrorCode.NOT_READY: DELAYS | FOREIGN,
-    ErrorCode.DEADLINE_EXCEEDED: DELAYS | FOREIGN | POWER | CAMERA | {"clock step", "guard", HASTE},
+    ErrorCode.DEADLINE_EXCEEDED: DELAYS
+    | FOREIGN
+    | POWER
+    | CAMERA
+    | {"clock step", "guard", SHORT_TIME_LIMIT},
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
 }

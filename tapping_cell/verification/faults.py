@@ -65,33 +65,33 @@ class Moment:
     times: int
 
 
-def told(topic: str, state: int) -> str:
+def moment_name(topic: str, state: int) -> str:
     """Return the name of the moment at which a node publishes a change to this state."""
     return f"{topic} {state}"
 
 
 MOMENTS = (
-    told("arm_state", ArmState.IDLE),
-    told("arm_state", ArmState.MOVING),
-    told("arm_state", ArmState.IN_POSITION),
-    told("arm_state", ArmState.WITHDRAWING),
-    told("tapper_state", TapperState.SAFE),
-    told("tapper_state", TapperState.CHARGING),
-    told("plan_state", PlanState.LOOKING),
-    told("plan_state", PlanState.PLACING),
-    told("plan_state", PlanState.SETTLING),
+    moment_name("arm_state", ArmState.IDLE),
+    moment_name("arm_state", ArmState.MOVING),
+    moment_name("arm_state", ArmState.IN_POSITION),
+    moment_name("arm_state", ArmState.WITHDRAWING),
+    moment_name("tapper_state", TapperState.SAFE),
+    moment_name("tapper_state", TapperState.CHARGING),
+    moment_name("plan_state", PlanState.LOOKING),
+    moment_name("plan_state", PlanState.PLACING),
+    moment_name("plan_state", PlanState.SETTLING),
 )
 ARM_ASKED, ARM_PROMISED = "hold_still asked", "hold_still answered"
 CHECKED, RELEASED = "last check", "released"
 OF_A_SHOT = (
-    told("plan_state", PlanState.PLACING),
-    told("arm_state", ArmState.MOVING),
-    told("tapper_state", TapperState.CHARGING),
-    told("tapper_state", TapperState.CHARGED),
-    told("arm_state", ArmState.IN_POSITION),
+    moment_name("plan_state", PlanState.PLACING),
+    moment_name("arm_state", ArmState.MOVING),
+    moment_name("tapper_state", TapperState.CHARGING),
+    moment_name("tapper_state", TapperState.CHARGED),
+    moment_name("arm_state", ArmState.IN_POSITION),
     ARM_ASKED,
     ARM_PROMISED,
-    told("tapper_state", TapperState.FIRING),
+    moment_name("tapper_state", TapperState.FIRING),
     CHECKED,
     RELEASED,
 )
@@ -104,7 +104,7 @@ class Fault:
     kind: str
     time: float
     strike: Callable[[Trial], None]
-    words: str = ""
+    description: str = ""
     moment: Moment | None = None
 
 
@@ -133,12 +133,12 @@ def draw_faults(
     faults = []
     for _ in range(number):
         kind = _pick(rng, kinds)
-        strike, words = trial.makers[kind](rng, trial)
+        strike, description = trial.makers[kind](rng, trial)
         if closest:
             time = draw_duration(rng, closest, CLOSE_S)
         else:
             time = float(rng.uniform(0.0, SPAN_S if moment is None else CLOSE_S))
-        faults.append(Fault(kind, time, strike, words, moment))
+        faults.append(Fault(kind, time, strike, description, moment))
     return sorted(faults, key=lambda fault: fault.time)
 
 
@@ -237,7 +237,7 @@ def _slow_topic(rng: np.random.Generator, trial: Trial) -> Made:
 
     def strike(t: Trial) -> None:
         t.network.faults.slow[topic, towards] = delay
-        t.scheduler.after(lasting, lambda: t.network.hasten(topic, towards))
+        t.scheduler.after(lasting, lambda: t.network.end_delay(topic, towards))
 
     return strike, f"{topic} to {towards} late by {delay:.2f} s for {lasting:.1f} s"
 
@@ -269,14 +269,14 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
     how = int(rng.integers(3))
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
+        last = max(t.checker.commands, default=0)
         number = (0, last, last + 1)[how]
         command = TapCommand(
             request=TapCommand.WITHDRAW if withdraw else TapCommand.TAP, tap_id=number
         )
         if not withdraw and last:
             # The command is a copy of the last one with another id than the planner's.
-            model = t.witness.commands[last]
+            model = t.checker.commands[last]
             command.strike_pose, command.striker_speed = model.strike_pose, model.striker_speed
             command.object_pose, command.predicted_pose = model.object_pose, model.predicted_pose
         now = t.clocks["tap_planner"].now().ros
@@ -295,15 +295,15 @@ def _foreign_outcome(rng: np.random.Generator, trial: Trial) -> Made:
     fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
+        last = max(t.checker.commands, default=0)
         if by_service:
             request = HoldStill.Request(tap_id=last, duration=0.0, key=1)
             t.network.call("hold_still", request, lambda _: None)
             return
-        told = TapperState(state=TapperState.SAFE, tap_id=last)
-        told.outcome = TapperState.FIRED if fired else TapperState.NOT_FIRED
-        told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
-        t.network.publish("somebody_else", "tapper_state", told)
+        forged = TapperState(state=TapperState.SAFE, tap_id=last)
+        forged.outcome = TapperState.FIRED if fired else TapperState.NOT_FIRED
+        forged.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
+        t.network.publish("somebody_else", "tapper_state", forged)
 
     return strike, "another node ends the arm's promise" if by_service else (
         f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
@@ -318,21 +318,21 @@ def _foreign_hold(rng: np.random.Generator, trial: Trial) -> Made:
     sends = rng.random() < 0.7
 
     def strike(t: Trial) -> None:
-        number = max(max(t.witness.commands, default=0) - back, 0)
+        number = max(max(t.checker.commands, default=0) - back, 0)
         for after, asked in ((0.0, duration), (later, 0.0)):
             request = HoldStill.Request(tap_id=number, duration=asked, key=7)
             t.scheduler.after(after, partial(t.network.call, "hold_still", request, lambda _: None))
         if sends:
             link = ("tap_command", "tapper_trigger")
             t.network.faults.slow[link] = late
-            t.scheduler.after(late, partial(t.network.hasten, *link))
+            t.scheduler.after(late, partial(t.network.end_delay, *link))
             t.scheduler.after(1.5 * later, partial(leave, t, number))
 
     def leave(t: Trial, number: int) -> None:
-        told = TapperState(state=TapperState.SAFE, tap_id=number)
-        told.outcome = TapperState.NOT_FIRED
-        told.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
-        t.network.publish("somebody_else", "tapper_state", told)
+        forged = TapperState(state=TapperState.SAFE, tap_id=number)
+        forged.outcome = TapperState.NOT_FIRED
+        forged.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
+        t.network.publish("somebody_else", "tapper_state", forged)
         _send_withdrawal(t, number)
 
     return strike, (
@@ -345,7 +345,7 @@ def _foreign_withdrawal(rng: np.random.Generator, trial: Trial) -> Made:
     """Another node withdraws the tap under way."""
 
     def strike(t: Trial) -> None:
-        _send_withdrawal(t, max(t.witness.commands, default=0))
+        _send_withdrawal(t, max(t.checker.commands, default=0))
 
     return strike, "a foreign WITHDRAW of the present tap"
 
@@ -367,26 +367,26 @@ def _foreign_flood(rng: np.random.Generator, trial: Trial) -> Made:
     late = float(rng.uniform(0.03, 0.6))
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
+        last = max(t.checker.commands, default=0)
         for step in range(number):
-            t.scheduler.after(step / FLOOD_HZ, partial(say, t, last))
+            t.scheduler.after(step / FLOOD_HZ, partial(send, t, last))
         if withdraws:
             t.scheduler.after((number - 0.5) / FLOOD_HZ, partial(leave, t, last))
 
     def leave(t: Trial, last: int) -> None:
         for topic in ("tap_command", "arm_state"):
             t.network.faults.slow[topic, "tapper_trigger"] = late
-            t.scheduler.after(late, partial(t.network.hasten, topic, "tapper_trigger"))
+            t.scheduler.after(late, partial(t.network.end_delay, topic, "tapper_trigger"))
         _send_withdrawal(t, last)
 
-    def say(t: Trial, last: int) -> None:
+    def send(t: Trial, last: int) -> None:
         message: TapperState | ArmState | PlanState | TapCommand
         if name == "tapper_state":
             message = TapperState(state=TapperState.SAFE, tap_id=last, outcome=outcome)
         elif name == "arm_state":
             message = ArmState(state=ArmState.IN_POSITION, tap_id=last, homed=True)
             if last:
-                message.tip_pose = t.witness.commands[last].strike_pose
+                message.tip_pose = t.checker.commands[last].strike_pose
         elif name == "plan_state":
             message = PlanState(state=PlanState.FIRING)
         else:
@@ -404,9 +404,9 @@ def _repeated_command(rng: np.random.Generator, trial: Trial) -> Made:
     """The last TAP arrives again unchanged, from a recording or because of the network."""
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
+        last = max(t.checker.commands, default=0)
         if last:
-            t.network.publish("somebody_else", "tap_command", t.witness.commands[last])
+            t.network.publish("somebody_else", "tap_command", t.checker.commands[last])
 
     return strike, "the last TAP once more"
 
@@ -421,16 +421,16 @@ def _slow_answer(rng: np.random.Generator, trial: Trial) -> Made:
     def strike(t: Trial) -> None:
         t.network.faults.slow.update(delays)
         for link in delays:
-            t.scheduler.after(lasting, partial(t.network.hasten, *link))
+            t.scheduler.after(lasting, partial(t.network.end_delay, *link))
 
-    words = " and ".join(f"{way} by {delay:.3f} s" for (_, way), delay in delays.items())
-    return strike, f"hold_still late: {words}, for {lasting:.1f} s"
+    description = " and ".join(f"{way} by {delay:.3f} s" for (_, way), delay in delays.items())
+    return strike, f"hold_still late: {description}, for {lasting:.1f} s"
 
 
 def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
     """A message is received by one node immediately and by the others late."""
     kind = _pick(rng, ONE_SIDED)
-    what, words = MAKERS[kind](rng, trial)
+    what, description = MAKERS[kind](rng, trial)
     first = _pick(rng, ("scara_arm", *NODES))
     late = float(rng.uniform(0.03, 0.6))
     silent = bool(rng.random() < 0.5)
@@ -447,12 +447,12 @@ def _heard_by_one(rng: np.random.Generator, trial: Trial) -> Made:
     def strike(t: Trial) -> None:
         for link in links:
             t.network.faults.slow[link] = late
-            t.scheduler.after(late, partial(t.network.hasten, *link))
+            t.scheduler.after(late, partial(t.network.end_delay, *link))
         t.note_kind(kind)
         what(t)
 
     echo = ", its own messages late too" if silent else ""
-    return strike, f"{words}; received {late:.3f} s late by all nodes except {first}{echo}"
+    return strike, f"{description}; received {late:.3f} s late by all nodes except {first}{echo}"
 
 
 def _motors_off(rng: np.random.Generator, trial: Trial) -> Made:
@@ -490,14 +490,14 @@ def _foreign_state(rng: np.random.Generator, trial: Trial) -> Made:
     of_arm = bool(rng.random() < 0.5)
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
+        last = max(t.checker.commands, default=0)
         node = "scara_arm" if of_arm else "tap_planner"
         message: ArmState | PlanState = (
             ArmState(
                 state=ArmState.IN_POSITION,
                 tap_id=last,
                 homed=True,
-                tip_pose=t.witness.commands[last].strike_pose if last else Pose3(),
+                tip_pose=t.checker.commands[last].strike_pose if last else Pose3(),
             )
             if of_arm
             else PlanState(state=PlanState.FIRING)
@@ -543,15 +543,15 @@ def _trajectory(rng: np.random.Generator, trial: Trial) -> Made:
 def _unheard_trajectory(rng: np.random.Generator, trial: Trial) -> Made:
     """The arm follows somebody else's trajectory, of which the planner hears too late, so that it
     commands a tap that the arm refuses."""
-    follow, words = _trajectory(rng, trial)
+    follow, description = _trajectory(rng, trial)
     late, lasting = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.5, 1.0))
 
     def strike(t: Trial) -> None:
         t.network.faults.slow["arm_state", "tap_planner"] = late
-        t.scheduler.after(lasting, partial(t.network.hasten, "arm_state", "tap_planner"))
+        t.scheduler.after(lasting, partial(t.network.end_delay, "arm_state", "tap_planner"))
         follow(t)
 
-    return strike, f"{words}, of which the planner hears {late:.2f} s late"
+    return strike, f"{description}, of which the planner hears {late:.2f} s late"
 
 
 def _clock_step(rng: np.random.Generator, trial: Trial) -> Made:
@@ -619,8 +619,10 @@ def _power(rng: np.random.Generator, trial: Trial) -> Made:
         layer.add(LineFault(FaultKind.HANG_UP, way, layer.count(way), 1, lasting))
         t.scheduler.after(0.5 * lasting, t.interrupt_arm_power)
 
-    words = f"the {name}'s board loses power"
-    return strike, words + (f", and its port is gone for {lasting:.2f} s" if unplugged else "")
+    description = f"the {name}'s board loses power"
+    return strike, description + (
+        f", and its port is gone for {lasting:.2f} s" if unplugged else ""
+    )
 
 
 def _camera(rng: np.random.Generator, trial: Trial) -> Made:

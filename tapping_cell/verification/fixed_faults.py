@@ -20,7 +20,7 @@ from tapping_cell.verification.faults import (
     Made,
     Maker,
     draw_duration,
-    told,
+    moment_name,
 )
 from tapping_cell.verification.fixed_cell import PhysicalFixedCell
 
@@ -44,10 +44,10 @@ def _foreign_command(rng: np.random.Generator, trial: Trial) -> Made:
     valid = float(rng.uniform(1.0, 10.0))
 
     def strike(t: Trial) -> None:
-        last = max(t.witness.commands, default=0)
+        last = max(t.checker.commands, default=0)
         if not last:
             return
-        model = t.witness.commands[last]
+        model = t.checker.commands[last]
         entry = next(one for one in t.cell.fixed_tappers.tappers if one.name == name)
         now = t.clocks["tap_planner"].now().ros
         command = TapCommand(
@@ -187,18 +187,18 @@ FIXED_AT_A_SHOT = (
     *("stop service", "guard", "clock step", "duplicates", "second client", "object turned"),
 )
 FIXED_OF_A_SHOT = (
-    told("plan_state", PlanState.PLACING),
-    told("tapper_state", TapperState.CHARGING),
-    told("tapper_state", TapperState.FIRING),
+    moment_name("plan_state", PlanState.PLACING),
+    moment_name("tapper_state", TapperState.CHARGING),
+    moment_name("tapper_state", TapperState.FIRING),
     CHECKED,
     RELEASED,
 )
 FIXED_MOMENTS = (
-    told("tapper_state", TapperState.SAFE),
-    told("tapper_state", TapperState.CHARGING),
-    told("plan_state", PlanState.LOOKING),
-    told("plan_state", PlanState.PLACING),
-    told("plan_state", PlanState.SETTLING),
+    moment_name("tapper_state", TapperState.SAFE),
+    moment_name("tapper_state", TapperState.CHARGING),
+    moment_name("plan_state", PlanState.LOOKING),
+    moment_name("plan_state", PlanState.PLACING),
+    moment_name("plan_state", PlanState.SETTLING),
 )
 STRIKERS = frozenset({"striker stays out", "striker blocked"})
 FIXED_CAUSES: dict[int, frozenset[str]] = {

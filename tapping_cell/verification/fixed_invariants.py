@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import TapCommand, TapperState
 from tapping_cell.verification.fixed_cell import FixedRelease, PhysicalFixedCell
-from tapping_cell.verification.invariants import CHECK_S, Witness
+from tapping_cell.verification.invariants import CHECK_S, InvariantChecker
 from tapping_cell.verification.physical_cell import Release
 
 OTHERS_ASKED_S = 0.1
@@ -23,7 +23,7 @@ LINE_POSITION_M, LINE_ANGLE_RAD = 0.005, 0.1
 
 
 @dataclass(slots=True)
-class FixedWitness(Witness):
+class FixedInvariantChecker(InvariantChecker):
     """Checks the tappers at fixed mounts. Times in s of the run."""
 
     unread_until: Callable[[], float] = lambda: -math.inf
@@ -35,7 +35,7 @@ class FixedWitness(Witness):
         return self.physical
 
     def _check_release(self, release: Release, earlier: list[Release]) -> None:
-        super(FixedWitness, self)._check_release(release, earlier)
+        super(FixedInvariantChecker, self)._check_release(release, earlier)
         assert isinstance(release, FixedRelease)
         shot = release.shot
         if release.others_charged:
@@ -94,7 +94,7 @@ class FixedWitness(Witness):
         self._check_charged(bool(charged))
 
     def _on_tapper_state(self, message: TapperState) -> None:
-        super(FixedWitness, self)._on_tapper_state(message)
+        super(FixedInvariantChecker, self)._on_tapper_state(message)
         now = self.scheduler.now
         claims_rest = message.state == TapperState.SAFE and message.mounts_proven
         if not claims_rest or message.away:

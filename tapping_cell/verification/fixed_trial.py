@@ -33,15 +33,15 @@ from tapping_cell.verification.fixed_faults import (
     FIXED_MOMENTS,
     FIXED_OF_A_SHOT,
 )
-from tapping_cell.verification.fixed_invariants import FixedWitness
+from tapping_cell.verification.fixed_invariants import FixedInvariantChecker
 from tapping_cell.verification.host import Program
 from tapping_cell.verification.serial_line import BusyLine, SerialLine
 from tapping_cell.verification.trial import (
     BAD_LINE_S,
     CLEAR_VIEW_S,
-    HEARS,
     RECOVERY_S,
     SERVES,
+    SUBSCRIPTIONS,
     Trial,
 )
 
@@ -83,7 +83,7 @@ class FixedTrial(Trial):
     """The complete positioning cell of one seed, with one board or two. Times in s of the run."""
 
     physical: PhysicalFixedCell
-    witness: FixedWitness
+    checker: FixedInvariantChecker
 
     devices = ("tapper_trigger",)
     nodes = ("tap_planner", "tapper_trigger")
@@ -100,10 +100,12 @@ class FixedTrial(Trial):
     def _make_physical(self, truth: TruthFile, seed: int) -> PhysicalFixedCell:
         return PhysicalFixedCell(self.scheduler, self.cell, truth, seed)
 
-    def _make_witness(self) -> FixedWitness:
-        witness = FixedWitness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
-        witness.unread_until = self._unread_until
-        return witness
+    def _make_checker(self) -> FixedInvariantChecker:
+        checker = FixedInvariantChecker(
+            self.scheduler, self.physical, self.clocks["tapper_trigger"]
+        )
+        checker.unread_until = self._unread_until
+        return checker
 
     def _unread_until(self) -> float:
         faults = [
@@ -145,7 +147,7 @@ class FixedTrial(Trial):
                 TapperDriver(line, draw_number=lambda below: int(draw.integers(below)))
                 for line in lines
             ]
-            options = TapperOptions(limits=PeerLimits(unseen=CLEAR_VIEW_S))
+            options = TapperOptions(limits=PeerLimits(unseen=CLEAR_VIEW_S, needs_camera=True))
             return TapperLogic(options), TapperBoards(drivers)
 
         return {
@@ -153,14 +155,14 @@ class FixedTrial(Trial):
                 lambda: (PlannerLogic(self.settings), None),
                 planner_connect,
                 cell,
-                HEARS["tap_planner"],
+                SUBSCRIPTIONS["tap_planner"],
                 SERVES["tap_planner"],
             ),
             "tapper_trigger": Program(
                 tapper,
                 lambda driver, patience, _: driver.connect(timeout=patience),
                 cell,
-                HEARS["tapper_trigger"],
+                SUBSCRIPTIONS["tapper_trigger"],
                 SERVES["tapper_trigger"],
                 lines,
             ),
@@ -182,15 +184,15 @@ class FixedTrial(Trial):
         """Do nothing: a mount does not follow the object."""
         command.strike_pose, command.predicted_pose = model.strike_pose, model.predicted_pose
 
-    def _publish_rivals(self, command: TapCommand, rival: TapCommand) -> None:
+    def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
         """Have two programs command two tappers with the same id."""
         entries = self.cell.fixed_tappers.tappers
         entry = entries[int(self.rng.integers(len(entries)))]
-        rival.tapper = entry.name
-        rival.strike_pose = to_message(
+        conflicting.tapper = entry.name
+        conflicting.strike_pose = to_message(
             Pose(*entry.position, entry.direction), self.cell.strike_height
         )
-        for node, message in (("second program", rival), ("program", command)):
+        for node, message in (("second program", conflicting), ("program", command)):
             self.network.publish(node, "tap_command", message)
 
     def _place_by_hand(self, pose: Pose) -> None:
@@ -216,9 +218,9 @@ class FixedTrial(Trial):
                 if not self._object_lost():
                     return
                 self.physical.world.place(Pose(0.0, 0.0, 0.0))
-                self.witness.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
+                self.checker.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
             elif tapper.state in (TapperState.STOPPED, TapperState.FAULT):
                 self.physical.press_clear_button()
-                self._give_word("tapper_trigger")
+                self._clear_stop("tapper_trigger")
                 self.call_service("tapper_trigger", "~/clear_fault")
-        self.witness.violate("no way back", f"tapper {self._last('tapper_state')}")
+        self.checker.violate("no way back", f"tapper {self._last('tapper_state')}")

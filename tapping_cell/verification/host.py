@@ -62,27 +62,35 @@ def copy_of(value: Any) -> Any:
     """Return a deep copy of a message."""
     kind: type = type(value)
     if kind is list:
-        return [copy_of(item) for item in value] if value and _names(type(value[0])) else value[:]
-    names = _names(kind)
-    if names is None:
+        return [copy_of(item) for item in value] if value and _parts(type(value[0])) else value[:]
+    parts = _parts(kind)
+    if parts is None:
         return value
     made: Any = object.__new__(kind)
-    for name in names:
-        item = getattr(value, name)
-        object.__setattr__(made, name, item if type(item) in _PLAIN else copy_of(item))
+    plain, others = parts
+    for name in plain:
+        _set(made, name, getattr(value, name))
+    for name in others:
+        _set(made, name, copy_of(getattr(value, name)))
     return made
 
 
-def _names(kind: type) -> tuple[str, ...] | None:
-    """Return the field names of a message class, or None for any other class."""
-    if kind not in _FIELDS:
-        known = is_dataclass(kind)
-        _FIELDS[kind] = tuple(item.name for item in fields(kind)) if known else None
-    return _FIELDS[kind]
+def _parts(kind: type) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    """Return the names of a message class's plain and of its other fields, or None for any other
+    class."""
+    if kind not in _PARTS:
+        known = fields(kind) if is_dataclass(kind) else ()
+        plain = tuple(item.name for item in known if item.type in _PLAIN)
+        others = tuple(item.name for item in known if item.type not in _PLAIN)
+        _PARTS[kind] = (plain, others) if is_dataclass(kind) else None
+    return _PARTS[kind]
 
 
-_FIELDS: dict[type, tuple[str, ...] | None] = {}
-_PLAIN = frozenset((int, float, str, bool, bytes))
+_set = object.__setattr__
+"""Sets a field, of a frozen class as well."""
+_PARTS: dict[type, tuple[tuple[str, ...], tuple[str, ...]] | None] = {}
+_PLAIN = frozenset(("int", "float", "str", "bool", "bytes"))
+"""Types of the fields that need no copy, as ``tapping_cell.messages`` names them."""
 
 
 @dataclass(slots=True)
@@ -180,7 +188,7 @@ class Process:
     # Life of the process
 
     @property
-    def lives(self) -> int:
+    def starts(self) -> int:
         """Number of starts and kills of the process so far."""
         return self._life
 
@@ -254,8 +262,8 @@ class Process:
     def shut_down(self) -> None:
         """Shut the process down as by SIGTERM."""
         if self.alive:
-            self._handle(lambda now: self.logic.on_lifecycle(Deactivated(), now))
-            self._handle(lambda now: self.logic.on_lifecycle(ShutDown(), now))
+            self._handle(self.logic.on_lifecycle, Deactivated())
+            self._handle(self.logic.on_lifecycle, ShutDown())
         self.kill()
 
     def request(
@@ -273,16 +281,17 @@ class Process:
         """
         if waits:
             self._answers[token] = answer
-        self._when_awake(
-            lambda: self._handle(lambda now: self.logic.on_request(service, request, token, now))
-        )
+        self._when_awake(lambda: self._handle(self.logic.on_request, service, request, token))
 
     # Received messages
 
     def _deliver(self, topic: str, message: Any) -> None:
         if not self.alive:
             return
-        self._when_awake(lambda: self._take(topic, message), topic)
+        if self._scheduler.now >= self.frozen_until:
+            self._take(topic, message)
+            return
+        self._inbox.append((topic, lambda: self._take(topic, message)))
         waiting = [place for place, (name, _) in enumerate(self._inbox) if name == topic]
         if len(waiting) > QUEUE:
             del self._inbox[waiting[0]]
@@ -290,9 +299,11 @@ class Process:
     def _take(self, topic: str, message: Any) -> None:
         if topic == "emergency_stop" and isinstance(message, Bool) and message.data:
             self._stop_publishers |= {
-                name for name, said in self._network.latched("emergency_stop").items() if said.data
+                name
+                for name, level in self._network.latched("emergency_stop").items()
+                if level.data
             }
-        self._handle(lambda now: self.logic.on_message(topic, message, now))
+        self._handle(self.logic.on_message, topic, message)
         self.on_handled(self.name, topic, message)
 
     def _serve(self, service: str) -> Callable[[Any, Callable[[Any], None]], None]:
@@ -317,11 +328,13 @@ class Process:
 
     # The machine and its effects
 
-    def _handle(self, call: Callable[[Now], Sequence[Effect]]) -> None:
+    def _handle(self, call: Callable[..., Sequence[Effect]], *arguments: Any) -> None:
+        """Call a handler of the machine with these arguments and the time, and act on its
+        effects."""
         if not self.alive:
             return
         try:
-            effects = call(self._clock.now())
+            effects = call(*arguments, self._clock.now())
         except Exception as error:  # a defect, which is handled as by the ROS host
             self.defects.append(f"{self.name}: {error!r}")
             effects = self.logic.on_defect(error, self._clock.now())
@@ -361,7 +374,7 @@ class Process:
     def _compute(self, job: Job, life: int) -> None:
         if life == self._life:
             ended = self._run(job, None)
-            self._when_awake(lambda: self._tell_end(ended))
+            self._when_awake(lambda: self._report_end(ended))
 
     def _run(self, job: Job, worker: Fiber | None) -> JobEnded:
         try:
@@ -379,9 +392,7 @@ class Process:
 
             def answered(response: Any | None) -> None:
                 if life == self._life:
-                    self._when_awake(
-                        lambda: self._handle(lambda now: self.logic.on_answer(token, response, now))
-                    )
+                    self._when_awake(lambda: self._handle(self.logic.on_answer, token, response))
 
             servers = self._network.servers(effect.service)
             if servers > 1:
@@ -389,7 +400,7 @@ class Process:
                 return
             self._network.call(effect.service, effect.request, answered, effect.timeout)
         elif isinstance(effect, AskStops):
-            self._scheduler.after(0.3, lambda: self._tell_stops(effect.token, life))
+            self._scheduler.after(0.3, lambda: self._report_stops(effect.token, life))
         elif isinstance(effect, KeepGoal):
             if not self.disk.full or effect.content is None:
                 self.disk.goal = effect.content
@@ -401,34 +412,34 @@ class Process:
         elif isinstance(effect, Feedback):
             pass
 
-    def _tell_stops(self, token: Any, life: int) -> None:
+    def _report_stops(self, token: Any, life: int) -> None:
         if life != self._life:
             return
         levels = self._network.latched("emergency_stop")
-        gone = tuple(sorted(self._stop_publishers - set(levels)))
-        answer = StopLevels(any(said.data for said in levels.values()), tuple(sorted(levels)), gone)
+        absent = tuple(sorted(self._stop_publishers - set(levels)))
+        answer = StopLevels(
+            any(level.data for level in levels.values()), tuple(sorted(levels)), absent
+        )
         if not answer.asserted:
             self._stop_publishers.clear()
-        self._when_awake(lambda: self._handle(lambda now: self.logic.on_answer(token, answer, now)))
+        self._when_awake(lambda: self._handle(self.logic.on_answer, token, answer))
 
     # Coming up, and ticks
 
     def _configure(self, life: int) -> None:
         """Configure a node without a device, which needs no waiting."""
         if life == self._life:
-            self._come_up(self._program.connect(None, 0.0, self._clock.now()), life)
+            self._finish_start(self._program.connect(None, 0.0, self._clock.now()), life)
 
-    def _come_up(self, connected: Any, life: int) -> None:
+    def _finish_start(self, connected: Any, life: int) -> None:
         if life != self._life:
             return
         self._connected = self._driver is not None
         age = self._scheduler.now - self.disk.goal_touched
         self._when_awake(
             lambda: self._handle(
-                lambda now: self.logic.on_lifecycle(
-                    Configured(self._program.cell, connected, self.disk.stop, self.disk.goal, age),
-                    now,
-                )
+                self.logic.on_lifecycle,
+                Configured(self._program.cell, connected, self.disk.stop, self.disk.goal, age),
             )
         )
         self.lifecycle(Activated())
@@ -440,7 +451,7 @@ class Process:
         if self._scheduler.now < self.frozen_until:
             self._tick = self._scheduler.at(self.frozen_until, lambda: self._on_tick(life))
             return
-        self._handle(lambda now: self.logic.on_tick(now))
+        self._handle(self.logic.on_tick)
         period = self.logic.tick_period
         self._tick = self._scheduler.after(period, lambda: self._on_tick(life))
 
@@ -456,9 +467,9 @@ class Process:
                 connected = self._program.connect(self._driver, patience, self._clock.now())
                 break
             except HardwareFault as fault:
-                self._tell_unreachable(fault)
+                self._report_unreachable(fault)
                 worker.wait_until(self._scheduler.now + RETRY_S)
-        self._come_up(connected, self._life)
+        self._finish_start(connected, self._life)
         while True:
             if not self._jobs:
                 worker.wait_until(math.inf)
@@ -468,13 +479,13 @@ class Process:
             self._running = None
             self._abandoned.discard(job.number)
             self._pause(worker)
-            self._tell_end(ended)
+            self._report_end(ended)
 
-    def _tell_unreachable(self, fault: HardwareFault) -> None:
-        self._handle(lambda now: self.logic.on_lifecycle(Unreachable(fault), now))
+    def _report_unreachable(self, fault: HardwareFault) -> None:
+        self._handle(self.logic.on_lifecycle, Unreachable(fault))
 
-    def _tell_end(self, event: JobEnded) -> None:
-        self._handle(lambda now: self.logic.on_job(event, now))
+    def _report_end(self, event: JobEnded) -> None:
+        self._handle(self.logic.on_job, event)
 
     def _pause(self, worker: Fiber) -> None:
         """Wait, in the worker, while the process is frozen."""
@@ -522,7 +533,7 @@ class _Context:
     def post(self, content: object) -> None:
         """Send a progress report to the machine."""
         event = JobProgress(self.job.number, content)
-        self.process._handle(lambda now: self.process.logic.on_job(event, now))
+        self.process._handle(self.process.logic.on_job, event)
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
         """Query the machine."""

@@ -44,7 +44,7 @@ HOMED_S = 3.0
 last new reading reported as homed, because bytes on the line may be that late."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner exceeds the deadline of a wait."""
-HEARD_S, CARRIED_S = 0.65, 2.5
+CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
 """Time after a report of a charged striker during which the arm must not begin to move, and time
 from the charging beyond which it need not wait any more."""
 ROUNDING_S = 1e-6
@@ -63,7 +63,7 @@ class Violation:
 
 
 @dataclass(slots=True)
-class Witness:
+class InvariantChecker:
     """Checks all messages and the ground truth against the invariants. Times in s of the run.
 
     ``stopped_at``: for each process, the time of a stop that has not been reset. ``ended_taps``:
@@ -78,7 +78,7 @@ class Witness:
     ended_taps: dict[int, float] = field(default_factory=dict)
     outcomes: dict[int, int] = field(default_factory=dict)
     stopped_at: dict[str, float] = field(default_factory=dict)
-    word_given: bool = True
+    motion_allowed: bool = True
     """Whether a person has allowed motion since the last crash, stop or loss of power."""
     hidden_since: float = math.inf
     moved_by_hand: tuple[float, Pose] | None = None
@@ -108,7 +108,7 @@ class Witness:
     planner_waits: bool = False
     """Whether the planner has shown, since the tapper's process received the last TAP, that it
     waits for its tap."""
-    camera_heard: float = math.inf
+    camera_received: float = math.inf
     """Time at which the tapper's process last received a usable observation."""
     seen_moving: bool = False
     """Whether the object moved in the last observation that the planner's process received."""
@@ -118,7 +118,7 @@ class Witness:
     """Time since which the arm has had no valid reference; inf while it has one."""
     unseen_by_tapper: float = 0.0
     """Maximum time for which the tapper itself accepts an unseen object."""
-    charge_heard: float = -math.inf
+    charge_received: float = -math.inf
     """Time at which the arm's process last received that the striker is charged."""
     _struck_until: float = -math.inf
     """Time at which the last released striker reaches the end of its stroke."""
@@ -187,9 +187,9 @@ class Witness:
         self._check_permit(release)
         self._check_last_check(release)
         self._check_time(release, command)
-        gone = release.time - self.planner_gone_since
-        if gone > ORPHAN_S:
-            self.violate("no planner", f"shot {shot} was released {gone:.2f} s after its planner")
+        absent = release.time - self.planner_gone_since
+        if absent > ORPHAN_S:
+            self.violate("no planner", f"shot {shot} was released {absent:.2f} s after its planner")
         silent = release.time - self.planner_received
         patience = HEARTBEAT_S if self.planner_waits else SILENCE_S
         if shot in self.planners and silent > patience + WINDOW_S:
@@ -198,7 +198,7 @@ class Witness:
                 f"shot {shot} was released {silent:.2f} s after the tapper last heard from the"
                 " planner that commanded it",
             )
-        blind = release.time - self.camera_heard
+        blind = release.time - self.camera_received
         if blind > HEARTBEAT_S + WINDOW_S:
             self.violate(
                 "camera silent",
@@ -315,10 +315,10 @@ class Witness:
                 f"shot {release.shot} was released {release.time - last:.3f} s after the tapper"
                 " had last received a pose of the object",
             )
-        for heard, pose in reversed(self.seen_by_tapper):
+        for received, pose in reversed(self.seen_by_tapper):
             if planned.distance_to(pose) <= BUMP_M and abs(planned.rotation_to(pose)) <= BUMP_RAD:
                 break
-            since = heard
+            since = received
         if release.time > since + WINDOW_S:
             self.violate(
                 "against what it saw",
@@ -332,10 +332,10 @@ class Witness:
         self._check_charged(self.physical.tapper_board.state in ("CHARGING", "CHARGED"))
 
     def _check_charged(self, charged: bool) -> None:
-        now = self.scheduler.now
         if not charged:
             self._charged_since = None
             return
+        now = self.scheduler.now
         if self._charged_since is None:
             self._charged_since = now
         elif now - self._charged_since > CHARGED_LIMIT_S:
@@ -365,7 +365,7 @@ class Witness:
                         f"the arm began to move {end - now:.3f} s before the end of its promise for"
                         f" tap {tap_id}, whose outcome is not known",
                     )
-            if not self.word_given:
+            if not self.motion_allowed:
                 self.violate(
                     "moved by itself",
                     "the arm began to move without a person's permission after a crash or a stop",
@@ -387,11 +387,11 @@ class Witness:
         if self._charged_since is None or self._arm[0] == ArmState.MOVING:
             return
         now = self.scheduler.now
-        heard = now - self.charge_heard
-        if heard < HEARD_S and now - self._charged_since < CARRIED_S:
+        age = now - self.charge_received
+        if age < CHARGE_AGE_S and now - self._charged_since < CARRIED_S:
             self.violate(
                 "carried charged",
-                f"the arm began to move with a charged striker, of which it had heard {heard:.2f} s"
+                f"the arm began to move with a charged striker, of which it had heard {age:.2f} s"
                 " before",
             )
 
@@ -399,7 +399,7 @@ class Witness:
 
     def lose_reference(self) -> None:
         """Record that the arm's board has lost its position, until the arm is homed."""
-        self.word_given = False
+        self.motion_allowed = False
         self.unhomed_since = min(self.unhomed_since, self.scheduler.now)
 
     def _check_basis(self, tap_id: int) -> None:

@@ -210,8 +210,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "moves in the flight of the striker",
         "tapping_cell.logic.tapper",
-        "self._let_arm_go(permit.RELEASED_S + struck.flight)",
-        "self._let_arm_go(permit.RELEASED_S)",
+        "self._release_arm(permit.RELEASED_S + struck.flight)",
+        "self._release_arm(permit.RELEASED_S)",
         kinds=("foreign withdrawal", "cancel", "heard by one"),
     ),
     Mutant(
@@ -284,7 +284,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "lets anybody end the arm's promise",
         "tapping_cell.logic.arm",
-        "if request.key and asker == self._promised_to and is_shorter:",
+        "if request.key and requester == self._promised_to and is_shorter:",
         "if is_shorter:",
         "R9",
         kinds=("foreign outcome",),
@@ -292,7 +292,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "a second promise takes the first one over",
         "tapping_cell.logic.arm",
-        "        if now.steady < self._promise_end and asker != self._promised_to:\n",
+        "        if now.steady < self._promise_end and requester != self._promised_to:\n",
         "        if False:\n",
         "R9",
         kinds=("foreign hold",),

@@ -89,7 +89,7 @@ class Network:
             if only in ("", link.subscriber):
                 self._send(link, topic, message)
 
-    def hasten(self, topic: str, towards: str) -> None:
+    def end_delay(self, topic: str, towards: str) -> None:
         """End the extra delay of a link."""
         self.faults.slow.pop((topic, towards), None)
 

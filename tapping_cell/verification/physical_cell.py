@@ -45,7 +45,7 @@ class PhysicalCell:
         self.releases: list[Release] = []
         self.on_release: Callable[[], None] = lambda: None
         self._scheduler = scheduler
-        self._looked_at: tuple[Pose, Joints] | None = None
+        self._captured: tuple[Pose, Joints] | None = None
         self._is_hidden = False
         self._curve = cell.file.tapper.curve()
         self.world = World(
@@ -111,8 +111,8 @@ class PhysicalCell:
     def _hidden(self, pose: Pose, time: float) -> bool:
         """Return whether the arm's silhouette in the camera view overlaps the object's top."""
         joints = self.joints(time)
-        if (pose, joints) != self._looked_at:
-            self._looked_at = pose, joints
+        if (pose, joints) != self._captured:
+            self._captured = pose, joints
             self._is_hidden = self._silhouette_meets(pose, joints)
         return self._is_hidden
 

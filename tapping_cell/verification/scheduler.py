@@ -1,8 +1,9 @@
 """Discrete-event scheduler in virtual time, with threads of which only one runs at a time.
 
-Drivers block, so each driver runs in its own thread, a *fiber*. A fiber runs only while the
-scheduler waits for it, and returns control whenever it waits. Because nothing runs concurrently,
-the order of events depends only on the seed.
+Drivers block, so each driver runs in its own thread, a *fiber*. When a fiber waits, its thread
+processes the following events itself until one of them resumes another fiber. So threads are
+switched only between two fibers, which is slow while other processes use the core. Because nothing
+runs concurrently, the order of events depends only on the seed.
 """
 
 from __future__ import annotations
@@ -33,11 +34,14 @@ class Killed(BaseException):
 class Timer:
     """An event that is due at ``time`` (s) and can be cancelled."""
 
-    __slots__ = ("action", "time")
+    __slots__ = ("action", "fiber", "in_main", "time")
 
-    def __init__(self, time: float, action: Action) -> None:
+    def __init__(self, time: float, action: Action, in_main: bool, fiber: Fiber | None) -> None:
         self.time = time
         self.action: Action | None = action
+        self.in_main = in_main
+        self.fiber = fiber
+        """Fiber that continues after the action."""
 
     def cancel(self) -> None:
         """Cancel the event."""
@@ -54,19 +58,29 @@ class Scheduler:
         self._queue: list[tuple[float, int, Timer]] = []
         self._numbers = count()
         self._at_once = 0
+        self._until = 0.0
+        self._done: Callable[[], bool] = lambda: False
+        self._finished = False
+        self._main = threading.get_ident()
         self._baton = threading.Lock()
         self._baton.acquire()
         self._failure: BaseException | None = None
 
-    def at(self, time: float, action: Action) -> Timer:
-        """Schedule ``action`` at ``time``, or immediately if that time has passed."""
-        timer = Timer(max(time, self.now), action)
+    def at(
+        self, time: float, action: Action, in_main: bool = False, fiber: Fiber | None = None
+    ) -> Timer:
+        """Schedule ``action`` at ``time``, or immediately if that time has passed.
+
+        ``in_main``: run the action outside all fibers, which is necessary if it kills one.
+        ``fiber``: the fiber that continues after the action.
+        """
+        timer = Timer(max(time, self.now), action, in_main, fiber)
         heapq.heappush(self._queue, (timer.time, next(self._numbers), timer))
         return timer
 
-    def after(self, delay: float, action: Action) -> Timer:
+    def after(self, delay: float, action: Action, in_main: bool = False) -> Timer:
         """Schedule ``action`` in ``delay`` s."""
-        return self.at(self.now + delay, action)
+        return self.at(self.now + delay, action, in_main)
 
     def run(self, until: float, done: Callable[[], bool] = lambda: False) -> None:
         """Process events up to the time ``until``, or until ``done()`` is true after an event.
@@ -74,32 +88,82 @@ class Scheduler:
         Raises:
             HangError: too many events occurred at the same time.
         """
-        while self._queue and self._queue[0][0] <= until and not done():
-            time, _, timer = heapq.heappop(self._queue)
-            action = timer.action
-            if action is None:
-                continue
-            self._at_once = self._at_once + 1 if time <= self.now else 0
-            if self._at_once > MOST_EVENTS_AT_ONCE:
-                raise HangError(f"{self._at_once} events at {self.now:.3f} s")
-            self.now = time
-            action()
-            self.after_event()
+        self._until, self._done, self._finished = until, done, False
+        while not self._finished:
+            fiber = self._process(in_main=True)
+            if fiber is not None:
+                fiber.baton.release()
+                self._baton.acquire()
+            self._raise_failure()
         if not done() and math.isfinite(until):
             self.now = max(self.now, until)
 
-    # Fibers
+    def _process(self, in_main: bool) -> Fiber | None:
+        """Process events until a fiber continues, and return it; None: the main thread continues.
 
-    def switch_to(self, fiber: Fiber) -> None:
-        """Run a fiber until it waits or ends; re-raise its exception, if any."""
-        fiber.baton.release()
-        self._baton.acquire()
+        ``in_main``: whether this is the main thread.
+        """
+        queue, done = self._queue, self._done
+        try:
+            while queue and queue[0][0] <= self._until and not done():
+                time, _, timer = queue[0]
+                action = timer.action
+                if timer.in_main and not in_main and action is not None:
+                    return None
+                heapq.heappop(queue)
+                if action is None:
+                    continue
+                self._at_once = self._at_once + 1 if time <= self.now else 0
+                if self._at_once > MOST_EVENTS_AT_ONCE:
+                    raise HangError(f"{self._at_once} events at {self.now:.3f} s")
+                self.now = time
+                action()
+                if timer.fiber is not None and not timer.fiber.ended:
+                    return timer.fiber
+                self.after_event()
+        except BaseException as failure:
+            self._failure = failure
+        else:
+            self._finished = True
+        return None
+
+    def _raise_failure(self) -> None:
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
 
-    def switch_back(self, failure: BaseException | None = None) -> None:
-        """Return control from a fiber to the event that started it."""
+    # Fibers
+
+    def pass_on(self, fiber: Fiber, failure: BaseException | None = None) -> None:
+        """End the event that continued ``fiber``, and process events until it continues again.
+
+        Return at once if the fiber has ended. ``failure``: the exception that ended it.
+        """
+        heir = None
+        try:
+            if failure is not None:
+                raise failure
+            self.after_event()
+        except BaseException as error:
+            self._failure = error
+        else:
+            heir = self._process(in_main=False)
+        if heir is fiber:
+            return
+        (self._baton if heir is None else heir.baton).release()
+        if not fiber.ended:
+            fiber.baton.acquire()
+
+    def end(self, fiber: Fiber) -> None:
+        """Let a fiber that is to end run until it has ended; re-raise its exception, if any."""
+        if threading.get_ident() != self._main:
+            raise RuntimeError("only an event in the main thread may end a fiber")
+        fiber.baton.release()
+        self._baton.acquire()
+        self._raise_failure()
+
+    def ended(self, failure: BaseException | None) -> None:
+        """Return control from a fiber that has ended to ``end``."""
         self._failure = failure
         self._baton.release()
 
@@ -132,9 +196,9 @@ class Fiber:
         """
         self._wake = None
         if math.isfinite(time):
-            self._wake = self._scheduler.at(max(time, self.frozen_until), self._resume)
-        self._scheduler.switch_back()
-        self.baton.acquire()
+            self._continue_at(max(time, self.frozen_until))
+        if not self._killed:
+            self._scheduler.pass_on(self)
         if self._killed:
             raise Killed
 
@@ -142,7 +206,7 @@ class Fiber:
         """Continue the fiber now, or when it is no longer frozen, whatever it waits for."""
         if self._wake is not None:
             self._wake.cancel()
-        self._wake = self._scheduler.at(self.frozen_until, self._resume)
+        self._continue_at(self.frozen_until)
 
     def freeze(self, until: float) -> None:
         """Freeze the fiber's process: the fiber does not continue before ``until``."""
@@ -151,18 +215,19 @@ class Fiber:
             self.wake()
 
     def kill(self) -> None:
-        """End the waiting fiber."""
+        """End the waiting fiber; call this method in the main thread, outside all fibers."""
         if self.ended or self._killed:
             return
         self._killed = True
         if self._wake is not None:
             self._wake.cancel()
-        self._scheduler.switch_to(self)
+        self._scheduler.end(self)
 
-    def _resume(self) -> None:
+    def _continue_at(self, time: float) -> None:
+        self._wake = self._scheduler.at(time, self._woken, fiber=self)
+
+    def _woken(self) -> None:
         self._wake = None
-        if not self.ended:
-            self._scheduler.switch_to(self)
 
     def _run(self) -> None:
         self.baton.acquire()
@@ -175,4 +240,7 @@ class Fiber:
         except BaseException as error:
             failure = error
         self.ended = True
-        self._scheduler.switch_back(failure)
+        if self._killed:
+            self._scheduler.ended(failure)
+        else:
+            self._scheduler.pass_on(self, failure)

@@ -45,7 +45,7 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
-from tapping_cell.verification.causes import COVERED, HASTE, explains, longest_effect
+from tapping_cell.verification.causes import COVERED, SHORT_TIME_LIMIT, explains, longest_effect
 from tapping_cell.verification.faults import (
     ALL,
     ARM_ASKED,
@@ -62,10 +62,10 @@ from tapping_cell.verification.faults import (
     Mix,
     Moment,
     draw_faults,
-    told,
+    moment_name,
 )
 from tapping_cell.verification.host import HostClock, Process, Program, copy_of
-from tapping_cell.verification.invariants import Violation, Witness
+from tapping_cell.verification.invariants import InvariantChecker, Violation
 from tapping_cell.verification.network import Network, Quality
 from tapping_cell.verification.physical_cell import PhysicalCell
 from tapping_cell.verification.scheduler import HangError, Scheduler
@@ -81,7 +81,7 @@ QUALITIES = {
     "markers": Quality(latched=True),
     "camera/pose": Quality(latched=True),
 }
-HEARS = {
+SUBSCRIPTIONS = {
     "tap_planner": (
         "goal_pose",
         "object_state",
@@ -120,19 +120,19 @@ NOTICED_S = 0.7
 """Maximum time from the end of that limit to a release, for delayed messages and the board's firing
 window."""
 GOAL_TIME_LIMIT_S = 120.0
-SHARE_IN_HASTE, HASTE_S = 0.2, (4.0, 25.0)
+SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (4.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit."""
 SHARE_OF_ONE_FRAME = 0.25
 """Fraction of the runs whose planner decides on a single frame of the object at rest."""
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
-SHARE_OF_RIVALS = 0.1
+SHARE_OF_CONFLICTS = 0.1
 """Fraction of these taps for which a second program commands another tap with the same id."""
 PROGRAM_PATIENCE_S, PROGRAM_EXPIRY_S = 12.0, 10.0
 """Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 GOAL_SLACK_S = 5.0
 """Maximum time from a goal's time limit to its end, if the planner's process is alive."""
-STOP_WORD_S = 0.1
+STOP_DELIVERY_S = 0.1
 """Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
 BAD_LINE_S = 15.0
 """Time allowed after a fault of a serial line to detect it and to open the line again."""
@@ -224,11 +224,11 @@ class Trial:
         self.network = Network(self.scheduler, np.random.default_rng([seed, 2]), QUALITIES)
         self.joint_names = Joints._fields
         self.arm_covers = self._covers()
-        self.in_haste = bool(self.rng.random() < SHARE_IN_HASTE)
+        self.short_time_limit = bool(self.rng.random() < SHARE_OF_SHORT_LIMITS)
         """Whether goals have a short time limit, which ends some of them without any fault."""
         self.settings = PlannerSettings(
-            goal_time_limit=float(self.rng.uniform(*HASTE_S))
-            if self.in_haste
+            goal_time_limit=float(self.rng.uniform(*SHORT_LIMIT_S))
+            if self.short_time_limit
             else GOAL_TIME_LIMIT_S,
             frames_needed=1 if self.rng.random() < SHARE_OF_ONE_FRAME else 5,
         )
@@ -239,10 +239,10 @@ class Trial:
             "tapper_trigger": self._computers["drivers"],
             "camera_pose": self._computers["camera"],
         }
-        self.witness = self._make_witness()
-        self.witness.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
-        self.witness.unseen_by_tapper = COVERED_S if self.arm_covers else CLEAR_VIEW_S
-        self.witness.deadlines = {
+        self.checker = self._make_checker()
+        self.checker.unseen_limit = NOTICED_S + (COVERED_S if self.arm_covers else CLEAR_VIEW_S)
+        self.checker.unseen_by_tapper = COVERED_S if self.arm_covers else CLEAR_VIEW_S
+        self.checker.deadlines = {
             PlanState.PLACING: self.settings.place_deadline,
             PlanState.FIRING: self.settings.fire_deadline,
             PlanState.SETTLING: self.settings.withdraw_deadline,
@@ -250,7 +250,7 @@ class Trial:
         self.network.on_publish = self._on_publish
         self.network.on_call = self._on_call
         self.network.on_answer = self._on_answer
-        self.scheduler.after_event = self.witness.after_event
+        self.scheduler.after_event = self.checker.after_event
         self.physical.on_release = lambda: self._reached(RELEASED)
         self.processes = {
             name: Process(
@@ -288,13 +288,13 @@ class Trial:
         self._taken: set[int] = set()
         """Ids of the taps whose command the tapper's process has handled."""
         self._struck: list[tuple[float, str]] = []
-        self._blamed = 0
+        self._checked_tap = 0
         """Id of the last tap that was reported with TAPPER_FAULT."""
         self._struck_before = False
         """Whether the previous goal or tap had faults, which may last into the next one."""
         self._moments: Counter[str] = Counter()
         self._states: dict[str, int] = {}
-        self._last_words: dict[tuple[str, str], str] = {}
+        self._last_reports: dict[tuple[str, str], str] = {}
         self.network.publish("panel", "emergency_stop", Bool(data=False))
         lens = PoseStamped()
         place = lens.pose.position
@@ -309,8 +309,8 @@ class Trial:
     def _make_physical(self, truth: TruthFile, seed: int) -> PhysicalCell:
         return PhysicalCell(self.scheduler, self.cell, truth, seed)
 
-    def _make_witness(self) -> Witness:
-        return Witness(self.scheduler, self.physical, self.clocks["tapper_trigger"])
+    def _make_checker(self) -> InvariantChecker:
+        return InvariantChecker(self.scheduler, self.physical, self.clocks["tapper_trigger"])
 
     def _covers(self) -> bool:
         """Draw whether the arm can cover the object."""
@@ -372,7 +372,7 @@ class Trial:
                 TapperOptions(limits=limits, draw_key=lambda: int(draw.integers(1, 2**63)))
             ), driver
 
-        limits = PeerLimits(unseen=unseen)
+        limits = PeerLimits(unseen=unseen, needs_camera=True)
         programs: dict[
             str, tuple[Callable[[], tuple[Logic, Any]], Callable[..., Any], tuple[SerialLine, ...]]
         ] = {
@@ -385,7 +385,7 @@ class Trial:
             ),
         }
         return {
-            name: Program(make, connect, cell, HEARS[name], SERVES[name], own)
+            name: Program(make, connect, cell, SUBSCRIPTIONS[name], SERVES[name], own)
             for name, (make, connect, own) in programs.items()
         }
 
@@ -398,22 +398,22 @@ class Trial:
             for number in range(goals):
                 self._work_on_a_goal(number)
                 for _ in range(int(self.rng.poisson(PROGRAM_TAPS))):
-                    if not self.witness.violations:
+                    if not self.checker.violations:
                         self._work_on_a_tap()
-                if self.witness.violations:
+                if self.checker.violations:
                     break
         except HangError as hang:
-            self.witness.violate("hang", str(hang))
-        self.witness.at_the_end()
+            self.checker.violate("hang", str(hang))
+        self.checker.at_the_end()
         for process in self.processes.values():
             for defect in process.defects:
-                self.witness.violate("defect", defect)
+                self.checker.violate("defect", defect)
             process.kill()
             self.report.by_node[f"freeze {process.name}"] += process.freezes
         for process in self._seconds:
             process.kill()
         self.report.releases = len(self.physical.releases)
-        self.report.violations = self.witness.violations
+        self.report.violations = self.checker.violations
         self.report.cell_seconds = self.scheduler.now
         return self.report
 
@@ -453,7 +453,7 @@ class Trial:
         self.report.faults.update(fault.kind for fault in faults)
         goal = self.next_goal(number)
         planner = self.processes["tap_planner"]
-        lives = planner.lives
+        starts = planner.starts
         began = self.scheduler.now
         self._result = None
         self._note(f"goal {number}: {goal}")
@@ -462,12 +462,12 @@ class Trial:
         self._moments.clear()
         for fault in faults:
             if fault.moment is None:
-                self.scheduler.at(began + fault.time, partial(self._strike, fault))
+                self.scheduler.at(began + fault.time, partial(self._strike, fault), in_main=True)
         limit = began + self.settings.goal_time_limit + GOAL_SLACK_S
         self.scheduler.run(limit, lambda: self._result is not None)
         if self._result is None:
-            if planner.lives == lives:
-                self.witness.violate(
+            if planner.starts == starts:
+                self.checker.violate(
                     "goal without an end", f"goal {number} has not ended; {planner.logic.state}"
                 )
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
@@ -483,16 +483,16 @@ class Trial:
         quiet = quiet and began > self.disturbed_until
         if self._observe(self.scheduler.now) is None:
             struck.add(COVERED)
-        if self.in_haste and not in_time:
-            struck.add(HASTE)
+        if self.short_time_limit and not in_time:
+            struck.add(SHORT_TIME_LIMIT)
         if result.error_code > 0 and not self._is_explained(result.error_code, struck):
-            self.witness.violate(
+            self.checker.violate(
                 "untrue cause",
                 f"goal {number} ended with code {result.error_code} ({result.error_msg}), which"
                 f" is explained by none of the injected faults: {', '.join(sorted(struck)) or '-'}",
             )
-        if quiet and result.error_code and HASTE not in struck:
-            self.witness.violate(
+        if quiet and result.error_code and SHORT_TIME_LIMIT not in struck:
+            self.checker.violate(
                 "failed without a fault", f"code {result.error_code}: {result.error_msg}"
             )
         self.report.outcomes.append(
@@ -520,18 +520,20 @@ class Trial:
         self._note(f"a program's tap {command.tap_id}")
         self._waiting_faults, self._result = list(faults), None
         self._moments.clear()
-        if self._faulty and self.rng.random() < SHARE_OF_RIVALS:
+        if self._faulty and self.rng.random() < SHARE_OF_CONFLICTS:
             # A second program uses the same id for another tap.
-            rival = copy_of(command)
+            conflicting = copy_of(command)
             self._note("a second program's tap with the same id")
             self.note_kind("second client")
-            self._publish_rivals(command, rival)
+            self._publish_conflicting(command, conflicting)
         else:
             self.network.publish("program", "tap_command", command)
 
         def over() -> bool:
-            told = self._last("tapper_state")
-            return told is not None and told.tap_id == command.tap_id and told.outcome != 0
+            reported = self._last("tapper_state")
+            return (
+                reported is not None and reported.tap_id == command.tap_id and reported.outcome != 0
+            )
 
         self.scheduler.run(self.scheduler.now + PROGRAM_PATIENCE_S, over)
         self.scheduler.run(self.scheduler.now + 0.5 * float(self.rng.random()))
@@ -543,20 +545,20 @@ class Trial:
         self._struck_before = bool(faults)
         self.recover()
 
-    def _publish_rivals(self, command: TapCommand, rival: TapCommand) -> None:
+    def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
         """Have the arm receive only one of two commands with the same id, and the tapper only the
         other."""
-        rival.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
-        self.network.publish("second program", "tap_command", rival, only="tapper_trigger")
+        conflicting.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
+        self.network.publish("second program", "tap_command", conflicting, only="tapper_trigger")
         self.network.publish("program", "tap_command", command, only="scara_arm")
 
     def _program_tap(self) -> TapCommand | None:
         """Return the last tap, transferred to the observed pose of the object; None if unseen."""
-        last = max(self.witness.commands, default=0)
+        last = max(self.checker.commands, default=0)
         seen = self._last("object_state")
         if not last or seen is None or not (seen.visible and seen.at_rest):
             return None
-        model = self.witness.commands[last]
+        model = self.checker.commands[last]
         there = from_message(seen.pose.pose) @ from_message(model.object_pose).inverse()
         now = self.clocks["tap_planner"].now().ros
         command = TapCommand(
@@ -593,7 +595,7 @@ class Trial:
         return {kind for at, kind in self._struck if now - at <= longest_effect(kind, code)}
 
     def _strike(self, fault: Fault) -> None:
-        self._note(f"FAULT {fault.words}")
+        self._note(f"FAULT {fault.description}")
         self.note_kind(fault.kind)
         fault.strike(self)
 
@@ -634,7 +636,7 @@ class Trial:
         else:
             self.processes[node].freeze(duration)
             if node == "scara_arm":
-                self.witness.arm_frozen_until = self.processes[node].frozen_until
+                self.checker.arm_frozen_until = self.processes[node].frozen_until
 
     def kill(self, node: str, away: float) -> None:
         """Kill a process; it restarts after ``away`` s."""
@@ -667,9 +669,9 @@ class Trial:
     def _lost_process(self, node: str) -> None:
         self.note_kind(f"end of {node}")
         if node == "scara_arm":
-            self.witness.word_given = False
+            self.checker.motion_allowed = False
         if node == "tap_planner":
-            self.witness.planner_gone_since = self.scheduler.now
+            self.checker.planner_gone_since = self.scheduler.now
         if node == "tap_planner" and self._result is None:
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
 
@@ -677,7 +679,7 @@ class Trial:
         if not self.processes[node].alive:
             self.processes[node].start()
             if node == "tap_planner":
-                self.witness.planner_gone_since = math.inf
+                self.checker.planner_gone_since = math.inf
 
     def start_second(self, node: str, lasting: float) -> None:
         """Start a second instance of a node, as by mistake, and kill it after ``lasting`` s.
@@ -697,20 +699,20 @@ class Trial:
         second.on_log = self._on_log
         self._seconds.append(second)
         second.start()
-        self.scheduler.after(lasting, second.kill)
+        self.scheduler.after(lasting, second.kill, in_main=True)
 
     def hide_object(self, duration: float) -> None:
         """Hide the object, as by a hand, for ``duration`` s."""
         now = self.scheduler.now
         if now >= self._hidden_until:
-            self.witness.hidden_since = now
+            self.checker.hidden_since = now
         self._hidden_until = max(self._hidden_until, now + duration)
         self.camera.faults.hidden_until = self._hidden_until
         self.scheduler.at(self._hidden_until, self._uncover)
 
     def _uncover(self) -> None:
         if self.scheduler.now >= self._hidden_until:
-            self.witness.hidden_since = math.inf
+            self.checker.hidden_since = math.inf
 
     def move_object(self, shift: Pose, duration: float = 0.0) -> None:
         """Move the object by hand, within the central area of the table; ``duration`` in s."""
@@ -722,7 +724,7 @@ class Trial:
     def _shift_object(self, shift: Pose) -> None:
         now = self.scheduler.now
         before = self.physical.object_pose(now)
-        self.witness.moved_by_hand = (now, before)
+        self.checker.moved_by_hand = (now, before)
         self._place_by_hand(
             Pose(before.x + shift.x, before.y + shift.y, before.theta + shift.theta)
         )
@@ -736,27 +738,27 @@ class Trial:
         """Hold the emergency stop of the panel for ``duration`` s."""
         self._pressed_until = max(self._pressed_until, self.scheduler.now + duration)
         self.network.publish("panel", "emergency_stop", Bool(data=True))
-        self.witness.held_since = min(self.witness.held_since, self.scheduler.now)
-        self.scheduler.after(0.6 * duration, self._be_impatient)
+        self.checker.held_since = min(self.checker.held_since, self.scheduler.now)
+        self.scheduler.after(0.6 * duration, self._recover_too_early)
         self.scheduler.at(self._pressed_until, self._release_emergency_stop)
 
     def _release_emergency_stop(self) -> None:
         if self.scheduler.now >= self._pressed_until:
-            self.witness.held_since = math.inf
+            self.checker.held_since = math.inf
             self.network.publish("panel", "emergency_stop", Bool(data=False))
 
-    def _be_impatient(self) -> None:
+    def _recover_too_early(self) -> None:
         """Call clear_fault and home while the emergency stop is held, which must have no effect."""
         for node in self.devices:
             self.call_service(node, "~/clear_fault")
-        self.scheduler.after(1.0, self._home_impatiently)
+        self.scheduler.after(1.0, self._home_too_early)
 
-    def _home_impatiently(self) -> None:
-        if math.isinf(self.witness.held_since):
+    def _home_too_early(self) -> None:
+        if math.isinf(self.checker.held_since):
             # The stop was released meanwhile, so these calls of a person are valid.
             for node in self.devices:
-                self._give_word(node)
-            self.witness.word_given = True
+                self._clear_stop(node)
+            self.checker.motion_allowed = True
         if "scara_arm" in self.devices:
             self.call_service("scara_arm", "~/home")
 
@@ -775,15 +777,15 @@ class Trial:
         if self.cell.arm.dialect == "marlin":
             self.interrupt_arm_power()
             return
-        self.physical.arm_board.fall_asleep(self.scheduler.now)
+        self.physical.arm_board.enter_sleep(self.scheduler.now)
         self.physical.arm_line.schedule()
-        self.witness.lose_reference()
+        self.checker.lose_reference()
 
     def interrupt_arm_power(self) -> None:
         """Interrupt the power of the arm's board, which loses its position."""
         self.physical.arm_board.power_cycle(self.scheduler.now)
         self.physical.arm_line.schedule()
-        self.witness.lose_reference()
+        self.checker.lose_reference()
 
     def turn_tapper_motor_off(self, duration: float) -> None:
         """Switch the tapper's motor off for ``duration`` s, so that its steps have no effect."""
@@ -794,25 +796,26 @@ class Trial:
 
         self.note_kind("motors off at the tapper")
         switch(False)
-        self.witness.motor_weak_until = math.inf
+        self.checker.motor_weak_until = math.inf
         self.scheduler.after(duration, lambda: switch(True))
 
     def call_stop(self, node: str) -> None:
         """Call a node's service ``stop``."""
         process = self.processes[node]
-        if process.alive and self.scheduler.now >= process.frozen_until:
+        if process.alive:
             self.report.by_node[f"stop {node}"] += 1
             self.note_kind(f"stop of {node}")
-            self.witness.stopped_at.setdefault(node, self.scheduler.now)
+        if process.alive and self.scheduler.now >= process.frozen_until:
+            self.checker.stopped_at.setdefault(node, self.scheduler.now)
             if node == "scara_arm":
-                self.witness.word_given = False
+                self.checker.motion_allowed = False
         self.call_service(node, "~/stop")
 
     def call_service(self, node: str, service: str) -> None:
         """Call a node's service without arguments, as a person does."""
         process = self.processes[node]
         if service == "~/home":
-            self.witness.ask_to_move()
+            self.checker.ask_to_move()
         if process.alive and process.logic is not None:
             self._token += 1
             process.request(service, Trigger.Request(), ("person", self._token), lambda _: None)
@@ -832,24 +835,24 @@ class Trial:
             if arm.state == arm_states.IDLE and tapper.state == tapper_states.SAFE:
                 if self._object_lost():
                     self.physical.world.place(Pose(0.0, 0.0, 0.0))
-                    self.witness.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
+                    self.checker.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
                     continue
                 return
             if tapper.state in (tapper_states.STOPPED, tapper_states.FAULT):
                 self.physical.press_clear_button()
-                self._give_word("tapper_trigger")
+                self._clear_stop("tapper_trigger")
                 self.call_service("tapper_trigger", "~/clear_fault")
             if arm.state in (arm_states.STOPPED, arm_states.FAULT):
-                self._give_word("scara_arm")
+                self._clear_stop("scara_arm")
                 self.call_service("scara_arm", "~/clear_fault")
             elif arm.state == arm_states.NOT_HOMED:
-                self.witness.word_given = True
+                self.checker.motion_allowed = True
                 self.call_service("scara_arm", "~/home")
         arm, tapper = self._last("arm_state"), self._last("tapper_state")
-        self.witness.violate("no way back", f"arm {arm}, tapper {tapper}")
+        self.checker.violate("no way back", f"arm {arm}, tapper {tapper}")
 
-    def _give_word(self, node: str) -> None:
-        self.witness.stopped_at.pop(node, None)
+    def _clear_stop(self, node: str) -> None:
+        self.checker.stopped_at.pop(node, None)
 
     def _object_lost(self) -> bool:
         pose = self.physical.object_pose(self.scheduler.now)
@@ -866,27 +869,31 @@ class Trial:
 
     def _on_publish(self, node: str, topic: str, message: Any) -> None:
         if self._tracing and topic not in ("markers", "joint_states"):
-            words = f"{node} -> {topic} {_short(message)}"
-            if self._last_words.get((node, topic)) != words:
-                self._last_words[node, topic] = words
-                self._note(words)
-        self.witness.on_publish(node, topic, message)
+            text = f"{node} -> {topic} {_short(message)}"
+            if self._last_reports.get((node, topic)) != text:
+                self._last_reports[node, topic] = text
+                self._note(text)
+        self.checker.on_publish(node, topic, message)
         if topic == "tapper_state" and node == "tapper_trigger":
-            self._check_blame(message)
+            self._check_fault_report(message)
         states = ("arm_state", "tapper_state", "plan_state")
         if topic in states and self._states.get(topic) != message.state:
             self._states[topic] = message.state
-            self._reached(told(topic, message.state))
+            self._reached(moment_name(topic, message.state))
 
-    def _check_blame(self, message: TapperState) -> None:
+    def _check_fault_report(self, message: TapperState) -> None:
         """Check that an injected fault explains a tap not fired because of TAPPER_FAULT."""
-        blamed = message.error_code == ErrorCode.TAPPER_FAULT
-        if not blamed or message.outcome != TapperState.NOT_FIRED or message.tap_id == self._blamed:
+        is_fault = message.error_code == ErrorCode.TAPPER_FAULT
+        if (
+            not is_fault
+            or message.outcome != TapperState.NOT_FIRED
+            or message.tap_id == self._checked_tap
+        ):
             return
-        self._blamed = message.tap_id
+        self._checked_tap = message.tap_id
         struck = self._causes(message.error_code)
         if not self._is_explained(message.error_code, struck):
-            self.witness.violate(
+            self.checker.violate(
                 "untrue cause",
                 f"tap {message.tap_id} was not fired ('{message.error_msg}'), which is explained by"
                 f" none of the injected faults: {', '.join(sorted(struck)) or '-'}",
@@ -898,7 +905,7 @@ class Trial:
         for fault in list(self._waiting_faults):
             if fault.moment == Moment(name, self._moments[name]):
                 self._waiting_faults.remove(fault)
-                self.scheduler.after(fault.time, partial(self._strike, fault))
+                self.scheduler.after(fault.time, partial(self._strike, fault), in_main=True)
 
     def _on_call(self, service: str, request: Any) -> None:
         if service == "hold_still" and request.duration > 0:
@@ -907,49 +914,49 @@ class Trial:
     def _on_answer(self, node: str, service: str, request: Any, response: Any) -> None:
         if node != "scara_arm":
             return
-        self.witness.on_answer(service, request, response)
+        self.checker.on_answer(service, request, response)
         if service == "hold_still" and request.duration > 0:
             self._reached(ARM_PROMISED)
 
     def _on_asked(self, process: str, job: str, answer: Any) -> None:
-        self.witness.on_asked(process, job, answer)
+        self.checker.on_asked(process, job, answer)
         if job == "fire":
             self._reached(CHECKED)
 
     def _on_handled(self, process: str, topic: str, message: Any) -> None:
         now = self.scheduler.now
         if process == "scara_arm" and self._may_move_arm(topic, message):
-            self.witness.ask_to_move()
+            self.checker.ask_to_move()
         if process == "tapper_trigger" and topic == "plan_state":
-            self.witness.planner_received = now
+            self.checker.planner_received = now
             if message.state in TAPPING:
-                self.witness.planner_waits = True
+                self.checker.planner_waits = True
         if process == "tapper_trigger" and topic == "object_state":
             if message.error_code not in BLIND:
-                self.witness.camera_heard = now
+                self.checker.camera_received = now
             if message.visible:
-                self.witness.seen_by_tapper.append((now, from_message(message.pose.pose)))
+                self.checker.seen_by_tapper.append((now, from_message(message.pose.pose)))
         if process == "tap_planner" and topic == "object_state" and message.visible:
-            self.witness.seen_moving = not message.at_rest
+            self.checker.seen_moving = not message.at_rest
         if process == "scara_arm" and topic == "tapper_state" and message.state in CHARGED:
-            self.witness.charge_heard = now
+            self.checker.charge_received = now
         if topic == "emergency_stop" and message.data:
-            self.witness.stopped_at.setdefault(process, now)
+            self.checker.stopped_at.setdefault(process, now)
             if process == "tapper_trigger":
                 self._expect_stop_on_wire()
             if process == "scara_arm":
-                self.witness.word_given = False
+                self.checker.motion_allowed = False
         if (
             topic == "tap_command"
             and process == "tapper_trigger"
             and message.request == TapCommand.TAP
         ):
             self._taken.add(message.tap_id)
-            self.witness.planner_waits = False
-            self.witness.taken_by_tapper.setdefault(message.tap_id, []).append(message)
+            self.checker.planner_waits = False
+            self.checker.taken_by_tapper.setdefault(message.tap_id, []).append(message)
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
         if withdrawn and process == "tapper_trigger" and message.tap_id in self._taken:
-            self.witness.ended_taps.setdefault(message.tap_id, now)
+            self.checker.ended_taps.setdefault(message.tap_id, now)
 
     def _may_move_arm(self, topic: str, message: Any) -> bool:
         """Return whether a message may make the arm move; a withdrawal without a tap id may not."""
@@ -959,26 +966,26 @@ class Trial:
 
     def _expect_stop_on_wire(self) -> None:
         """Check that a stop received by the tapper's process reaches its board immediately."""
-        line, told = self.physical.tapper_line, self.scheduler.now
+        line, received_at = self.physical.tapper_line, self.scheduler.now
         struck = line.layer.happened
-        if not line.is_open or (struck and struck[-1][0] > told - BAD_LINE_S):
+        if not line.is_open or (struck and struck[-1][0] > received_at - BAD_LINE_S):
             return
 
         def check() -> None:
-            failed = struck and struck[-1][0] > told - BAD_LINE_S
-            failed = failed or self.tapper_power_lost_at > told
-            cleared = "tapper_trigger" not in self.witness.stopped_at
+            failed = struck and struck[-1][0] > received_at - BAD_LINE_S
+            failed = failed or self.tapper_power_lost_at > received_at
+            cleared = "tapper_trigger" not in self.checker.stopped_at
             if not failed and not cleared and self.physical.tapper_board.state != "STOPPED":
-                self.witness.violate("stop not passed on", "the board did not receive a stop")
+                self.checker.violate("stop not passed on", "the board did not receive a stop")
 
-        self.scheduler.after(STOP_WORD_S, check)
+        self.scheduler.after(STOP_DELIVERY_S, check)
 
     def _on_log(self, process: str, sentence: str) -> None:
         self._note(f"{process}: {sentence}")
 
-    def _note(self, words: str) -> None:
+    def _note(self, entry: str) -> None:
         if self._tracing:
-            self.report.trace.append(f"{self.scheduler.now:12.6f} {words}")
+            self.report.trace.append(f"{self.scheduler.now:12.6f} {entry}")
 
 
 def _short(message: Any) -> str:

@@ -9,7 +9,7 @@ from tapping_cell.vision.markers.detection import (
     ReferenceMarker,
 )
 from tapping_cell.vision.observation import Observation, Problem
-from tapping_cell.vision.other_objects import Turns, marker_ids
+from tapping_cell.vision.other_objects import RoundRobin, marker_ids
 from tapping_cell.vision.outline.shape import Dot, ObjectOutline, OutlineError
 from tapping_cell.vision.rest_detection import RestSettings
 from tapping_cell.vision.table.fit import TableSettings
@@ -30,9 +30,9 @@ __all__ = [
     "ReferenceMap",
     "ReferenceMarker",
     "RestSettings",
+    "RoundRobin",
     "TableSettings",
     "TrackerSettings",
-    "Turns",
     "View",
     "annotate",
     "marker_ids",

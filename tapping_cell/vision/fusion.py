@@ -34,7 +34,7 @@ def fuse_information(p: Array, information: Array) -> tuple[Array, Array]:
         error = relative - mean
         square = (np.matmul(information, error[..., None])[..., 0] * error).sum(axis=1)
         weight = np.minimum(1.0, _HUBER / np.sqrt(np.maximum(square, 1e-24)))
-        if before is not None and np.array_equal(weight, before):
+        if before is not None and (weight == before).all():
             break
         total = (weight @ rows).reshape(3, 3)
         mean = np.linalg.solve(total, weight @ pulls)

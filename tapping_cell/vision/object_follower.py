@@ -23,7 +23,7 @@ from tapping_cell.vision.observation import Observation, Problem
 from tapping_cell.vision.rest_detection import Motion, RestSettings, Track
 from tapping_cell.vision.table.tracker import CROSS, TableTracker, pose_changes
 
-Trouble = tuple[Problem, str]
+Failure = tuple[Problem, str]
 """Reason for a missing pose, and the sentence that explains it."""
 
 Aim = tuple[Array, NDArray[np.bool_]]
@@ -32,7 +32,7 @@ Aim = tuple[Array, NDArray[np.bool_]]
 _INSTANT = 1.5e-4
 """Standard deviation (s) of the time to which a motion-blurred frame corresponds. Measured: 0.05 to
 0.13 ms in the middle of a slide, up to 0.6 ms if the slide begins or ends within the exposure."""
-_JUDGED_AGAIN = 0.003, 0.03
+_RECHECK_LIMITS = 0.003, 0.03
 """Displacement (m) of an object at rest, and of a moving object, after which the systematic error
 is computed again."""
 _UNSEEN = 0.1
@@ -91,10 +91,10 @@ class ObjectFollower(ABC):
     def __init__(self, height: float, rest: RestSettings) -> None:
         self.height = height
         self.wants_search = True
-        self.trouble: Trouble | None = None
+        self.failure: Failure | None = None
         self.track = Track(rest)
         self._last: tuple[float, Array, Array] | None = None
-        self._vain_since: float | None = None
+        self._searching_since: float | None = None
         self._judged: tuple[int, Array, Array, Array] | None = None
 
     # -- implemented by subclasses
@@ -124,7 +124,7 @@ class ObjectFollower(ABC):
         """Receive the detections in the whole image of the next frame."""
 
     @abstractmethod
-    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Failure:
         """Return pose (3,) and covariance (3, 3) in the working view, or why there is no pose."""
 
     @abstractmethod
@@ -141,8 +141,8 @@ class ObjectFollower(ABC):
 
     def lost(self, stamp: float) -> bool:
         """Return whether the object was never found or has been missing for a while."""
-        vain = self._vain_since is not None and stamp - self._vain_since > _LOST
-        return self._last is None or vain
+        expired = self._searching_since is not None and stamp - self._searching_since > _LOST
+        return self._last is None or expired
 
     def expected(self, stamp: float) -> Array | None:
         """Predict the object's pose (3,) from its last pose and velocity."""
@@ -161,8 +161,8 @@ class ObjectFollower(ABC):
         """Measure the object in this frame and evaluate the result."""
         answer = self.measure(frame)
         if isinstance(answer[0], Problem):
-            if self._vain_since is None:
-                self._vain_since = frame.stamp
+            if self._searching_since is None:
+                self._searching_since = frame.stamp
             return nothing(frame.stamp, frame.table, answer[0], str(answer[1]))
         pose, covariance = answer[0], np.asarray(answer[1])
         if not frame.references_seen and not self.track.stays(pose, covariance):
@@ -173,7 +173,7 @@ class ObjectFollower(ABC):
                 "no reference markers are seen in this frame and the object seems to have "
                 "moved: possibly the camera moved instead",
             )
-        self._vain_since = None
+        self._searching_since = None
         motion = self.track.add(frame.stamp, pose, covariance)
         self._last = (frame.stamp, pose, self.track.heading(frame.stamp, pose, motion))
         return self._good(frame, motion)
@@ -200,7 +200,7 @@ class ObjectFollower(ABC):
 
     def _good(self, frame: Frame, motion: Motion) -> Observation:
         pose = self._through_newest(frame, motion.pose)
-        again = _JUDGED_AGAIN[int(motion.rest_since is None)]
+        again = _RECHECK_LIMITS[int(motion.rest_since is None)]
         error, shared = self._calibration(frame.table, pose, again)
         pose = pose - error
         extra, sentence = self.extra_uncertainty(frame)

@@ -29,11 +29,11 @@ def marker_ids(seen: Sequence[ObjectMarker | ObjectOutline]) -> frozenset[int]:
     return frozenset(marker.id for marker in markers)
 
 
-class Turns:
+class RoundRobin:
     """Selects which of several objects to measure in a frame."""
 
     def __init__(self, count: int) -> None:
-        self._looked = [-math.inf] * count
+        self._measured_at = [-math.inf] * count
 
     def due(self, stamp: float, always: Collection[int] = ()) -> list[int]:
         """Return the indices of the objects to measure in the frame with this stamp (s).
@@ -42,11 +42,11 @@ class Turns:
         has passed.
         """
         chosen = set(always)
-        if self._looked:
-            number = min(range(len(self._looked)), key=lambda each: self._looked[each])
+        if self._measured_at:
+            number = min(range(len(self._measured_at)), key=lambda each: self._measured_at[each])
             # Measure also if the stamp goes backwards, because the tracker reports such a frame.
-            if not 0.0 <= stamp - self._looked[number] < PERIOD:
+            if not 0.0 <= stamp - self._measured_at[number] < PERIOD:
                 chosen.add(number)
         for number in chosen:
-            self._looked[number] = stamp
+            self._measured_at[number] = stamp
         return sorted(chosen)

@@ -118,7 +118,7 @@ class Track:
         self._recent: deque[tuple[float, Array, Array]] = deque(maxlen=self.settings.longest)
         self._resting = _Resting(self.settings.memory)
         self._rest_since: float | None = None
-        self._strayed = 0
+        self._outliers = 0
         self._fused: tuple[Array, Array] = (np.zeros(3), np.zeros((3, 3)))
 
     def add(self, stamp: float, pose: Array, covariance: Array) -> Motion:
@@ -127,7 +127,7 @@ class Track:
         if self._recent and stamp - self._recent[-1][0] > s.gap:
             self.clear()
         if self.stays(pose, covariance):
-            self._strayed = 0
+            self._outliers = 0
             self._recent.append((stamp, pose, covariance))
             self._resting.append(pose, covariance)
             fused, spread = self._fuse()
@@ -135,8 +135,8 @@ class Track:
         if self._rest_since is not None:
             # A single frame off the rest pose is not fused and does not end the rest; a second such
             # frame in succession ends it.
-            self._strayed += 1
-            if self._strayed == 1:
+            self._outliers += 1
+            if self._outliers == 1:
                 velocity = self._step_velocity(stamp, pose)
                 return Motion(pose, covariance + self._beginning(pose), 1, velocity, None)
             self._begin()

@@ -40,7 +40,9 @@ class TrackerSettings:
     marker's apparent and configured side. ``dark`` and ``bright`` are grey levels. ``other_ids``
     are the markers of other objects that use the object's dictionary. Once ``settled_frames`` are
     fused, an unchanged frame is measured only every ``settled_period`` (s) and otherwise gets the
-    last pose; if the period is 0, every frame is measured.
+    last pose; if the period is 0, every frame is measured. Any other object that was found is
+    measured at least every ``others_period`` (s), and in every frame until ``settled_frames`` are
+    fused. ``others_period`` plus the time between frames must be less than ``rest.gap``.
     """
 
     audit_period: float = 1.0
@@ -53,6 +55,7 @@ class TrackerSettings:
     other_ids: frozenset[int] = frozenset()
     settled_frames: int = 30
     settled_period: float = 0.2
+    others_period: float = 0.4
     table: TableSettings = field(default_factory=TableSettings)
     rest: RestSettings = field(default_factory=RestSettings)
 
@@ -92,6 +95,7 @@ class PoseTracker:
         self._measured_at = -math.inf
         self._resting_since: tuple[float | None, ...] = ()
         self._seen: dict[int, Observation] = {}
+        self._others_measured_at: dict[int, float] = {}
 
     @property
     def view(self) -> View | None:
@@ -108,25 +112,44 @@ class PoseTracker:
         return self.update_several(image, stamp, ())[0]
 
     def update_several(
-        self, image: Image, stamp: float, others: Collection[int]
+        self,
+        image: Image,
+        stamp: float,
+        others: Collection[int],
+        *,
+        every_frame: bool = False,
     ) -> tuple[Observation, dict[int, Observation]]:
         """Process one frame as :meth:`update` does, and measure some of the other objects in it.
 
         ``others`` are the indices of these objects, from 0. The result also includes any object
-        that was lost and is found again in this frame.
+        that was lost and is found again in this frame, and objects that are due because of the
+        settings. ``every_frame``: measure the frame even if it is unchanged, because somebody waits
+        for a longer observation.
         """
         refusal = self._gate.refuse(image, stamp)
         if refusal is not None:
             empty = nothing(stamp, self.table, *refusal)
             return empty, dict.fromkeys(others, empty)
-        last = self._last
+        others = {*others, *self._moving_others()}
+        last = None if every_frame else self._last
         if last is not None and self._settled(stamp, others) and self._change.unchanged(image):
             known = {number: replace(self._seen[number], stamp=stamp) for number in others}
             return replace(last, stamp=stamp), known
         observation, found = self._judge(image, stamp, others)
         self._seen.update(found)
+        self._others_measured_at.update(dict.fromkeys(found, stamp))
         self._watch_settled(image, observation)
         return observation, found
+
+    def _moving_others(self) -> list[int]:
+        """Return the other objects that are seen but have not been at rest for long."""
+        enough = self.settings.settled_frames
+        return [n for n, seen in self._seen.items() if seen.visible and seen.frames_fused < enough]
+
+    def _overdue(self, number: int, stamp: float) -> bool:
+        """Return whether another object that was found must be measured in a measured frame."""
+        age = stamp - self._others_measured_at.get(number, -math.inf)
+        return self._others[number].found and age >= self.settings.others_period
 
     def _settled(self, stamp: float, others: Collection[int]) -> bool:
         """Return whether an unchanged frame need not be measured for the object and ``others``."""
@@ -152,9 +175,9 @@ class PoseTracker:
         view = self.view
         settled = observation.frames_fused >= self.settings.settled_frames
         self._last = observation if settled and not self._references.suspect else None
-        lying = [(self._object, observation)]
-        lying += [(self._others[n], seen) for n, seen in self._seen.items() if seen.visible]
-        since = tuple(seen.at_rest_since for _, seen in lying)
+        tracked = [(self._object, observation)]
+        tracked += [(self._others[n], seen) for n, seen in self._seen.items() if seen.visible]
+        since = tuple(seen.at_rest_since for _, seen in tracked)
         if view is None or observation.pose is None or None in since:
             self._resting_since = ()
         elif since == self._resting_since:
@@ -162,7 +185,7 @@ class PoseTracker:
         else:
             self._resting_since = since
             regions = [*view.project(self.table.points)]
-            for follower, seen in lying:
+            for follower, seen in tracked:
                 assert seen.pose is not None, "an object seen at rest has a pose"
                 outline = follower.outline(np.array(seen.pose))
                 regions.append(view.project(outline, follower.height))
@@ -177,7 +200,9 @@ class PoseTracker:
         numbers = [
             number
             for number, follower in enumerate(self._others)
-            if number in others or (not follower.found and follower.detected(stamp))
+            if number in others
+            or self._overdue(number, stamp)
+            or (not follower.found and follower.detected(stamp))
         ]
         followers = [self._object, *(self._others[number] for number in numbers)]
         aims = [follower.aim(stamp, self._working) for follower in followers]
@@ -186,9 +211,9 @@ class PoseTracker:
         state = self._update_table(image, edges, rows, stamp)
         unseen = stamp - self._references_seen
         refused = table_refusal(state, self.table, unseen, self.settings.references_timeout)
-        trouble = self._object.trouble
-        if state is TableState.UNKNOWN and trouble and trouble[0] is Problem.MIRRORED_MARKER:
-            refused = trouble
+        failure = self._object.failure
+        if state is TableState.UNKNOWN and failure and failure[0] is Problem.MIRRORED_MARKER:
+            refused = failure
         if refused is not None:
             if state in (TableState.SUSPECT, TableState.TOO_FAR, TableState.CONTRADICTED):
                 self._clear_tracks()

@@ -30,13 +30,13 @@ def cpu_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def watch(process: int, look: object = None) -> tuple[float, list[float]]:
-    """Per cent of a core, and what ``look`` said every tenth of a second."""
+def watch(process: int, sample: object = None) -> tuple[float, list[float]]:
+    """Per cent of a core, and what ``sample`` said every tenth of a second."""
     began, used, seen = time.monotonic(), cpu_seconds(process), []
     while time.monotonic() < began + SECONDS:
         time.sleep(0.1)
-        if callable(look):
-            seen.append(look())
+        if callable(sample):
+            seen.append(sample())
     return 100 * (cpu_seconds(process) - used) / (time.monotonic() - began), seen
 
 

@@ -87,14 +87,14 @@ def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
             assert abs(float(row[f"measured_{axis}"]) - float(row[f"true_{axis}"])) < 0.2
     assert (folder / "cell.png").stat().st_size > 20_000
     assert "goal reached" in output and "tap 1" in output
-    the_bag_tells_the_run(folder, len(rows))
+    check_bag(folder, len(rows))
     assert f"Goal reached in {len(rows)} tap" in (folder / "report.html").read_text()
     again = start(folder)
     output, _ = again.communicate(timeout=150)
     assert again.returncode == 2 and "already contains a run" in " ".join(output.split())
 
 
-def the_bag_tells_the_run(folder: Path, taps: int) -> None:
+def check_bag(folder: Path, taps: int) -> None:
     """The bag opens with ROS's types and holds the run from before its first tap."""
     with AnyReader([folder / "bag"]) as reader:
         first = {}

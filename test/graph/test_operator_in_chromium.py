@@ -194,14 +194,14 @@ def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
     page.ready()
     names = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
     # On a busy machine a node may warn that it cannot keep up: the page must show what it says.
-    said: dict[str, set[tuple[str, str]]] = {name: set() for name in names}
+    logged: dict[str, set[tuple[str, str]]] = {name: set() for name in names}
 
     def on_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
             level = {DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning"}.get(status.level)
             name = status.name.split("/")[-1]
-            if level and name in said:
-                said[name].add(
+            if level and name in logged:
+                logged[name].add(
                     (f"active, {level}", "" if status.message == "ok" else status.message)
                 )
 
@@ -210,7 +210,7 @@ def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
         lambda: node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
     )
     page.wait(
-        lambda: all(page.node_row(name) in said[name] for name in names),
+        lambda: all(page.node_row(name) in logged[name] for name in names),
         "every node is active, with its own words",
     )
     # In the client's own thread: another one destroys it under the hands of the executor.

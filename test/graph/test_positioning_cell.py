@@ -18,10 +18,10 @@ def test_the_demo_reaches_a_goal_without_an_arm(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tapping_cell", "demo", "--out", str(folder), *options]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=280)
     assert ended.returncode == 0, ended.stdout + ended.stderr
-    told = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    assert told["reached"]
-    assert told["true_residual"]["distance_mm"] <= 1.0
-    assert abs(told["true_residual"]["rotation_deg"]) <= 1.0
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary["reached"]
+    assert summary["true_residual"]["distance_mm"] <= 1.0
+    assert abs(summary["true_residual"]["rotation_deg"]) <= 1.0
     assert not (folder / "logs" / "scara_arm.log").exists()
     # On a busy machine the emulated board may answer late, which is told and recovered from.
     for log in (folder / "logs").glob("*.log"):

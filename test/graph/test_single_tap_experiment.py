@@ -44,8 +44,8 @@ def test_an_experiment_is_stopped_resumed_and_read(tmp_path: Path) -> None:
     status, output, errors = end(process)
     assert status == 130, errors
     folder = found[0].parent
-    said = json.loads(output)
-    assert Path(said["folder"]) == folder and said["error_msg"] == "interrupted"
+    result = json.loads(output)
+    assert Path(result["folder"]) == folder and result["error_msg"] == "interrupted"
     kept = read_experiment(folder)
     assert kept.left_out == () and 1 <= len(kept.trials) <= 2
 

@@ -60,7 +60,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(tmp_path: Path) -> None:
         cell(tmp_path, domains[0], names[0], seed=4) as first,
         cell(tmp_path, domains[1], names[1], seed=5) as second,
     ):
-        talks = [
+        clients = [
             subprocess.Popen(
                 (*CELL, "goal", *goal, "--namespace", name, "--wait", "90", "--json"),
                 env=environment,
@@ -70,7 +70,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(tmp_path: Path) -> None:
             )
             for goal, name, environment in zip(goals, names, (first, second), strict=True)
         ]
-        answers = [json.loads(talk.communicate(timeout=170)[0]) for talk in talks]
+        answers = [json.loads(client.communicate(timeout=170)[0]) for client in clients]
         terminals = {
             terminal for process, terminal in arm_terminals().items() if process not in before
         }

@@ -140,7 +140,7 @@ def attacked_cell(folder: Path, machine: TapperMachine | None = None) -> Iterato
         return nodes
 
     parameters: dict[str, dict[str, object]] = {
-        "tapper_trigger": {"port": folder / "tapper"},
+        "tapper_trigger": {"port": folder / "tapper", "needs_camera": False},
         "scara_arm": {"port": folder / "arm", "home_on_activate": True},
     }
     with (

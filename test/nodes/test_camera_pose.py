@@ -128,11 +128,11 @@ def test_a_resting_object_is_measured_and_every_picture_is_answered(cell: Cell) 
 
 
 def test_where_the_camera_is_turns_a_pixel_into_a_place_on_the_table(cell: Cell) -> None:
-    told = cell.bench.listen(PoseStamped, "camera/pose", LATCHED)
+    received = cell.bench.listen(PoseStamped, "camera/pose", LATCHED)
     cell.show(20)
-    cell.bench.wait(lambda: told, "camera/pose")
-    assert told[-1].header.frame_id == "table"
-    view = View(load_cell().camera, camera_from_message(told[-1].pose))
+    cell.bench.wait(lambda: received, "camera/pose")
+    assert received[-1].header.frame_id == "table"
+    view = View(load_cell().camera, camera_from_message(received[-1].pose))
     height = load_cell().object.height
     pixel = cell.renderer.view.project([TRUE.x, TRUE.y], height)
     assert np.hypot(*(view.on_plane(pixel, height) - (TRUE.x, TRUE.y))) < 0.001
@@ -144,13 +144,13 @@ def test_a_moving_object_is_not_called_at_rest(cell: Cell) -> None:
     assert not any(state.at_rest for state in moving[4:])
 
 
-@pytest.mark.parametrize("trouble", ["encoding", "size", "bytes"])
-def test_an_unusable_picture_is_refused_in_words(cell: Cell, trouble: str) -> None:
+@pytest.mark.parametrize("problem", ["encoding", "size", "bytes"])
+def test_an_unusable_picture_is_refused_in_words(cell: Cell, problem: str) -> None:
     cell.show(5)
     picture = images.to_message(cell.renderer.render(TRUE), "mono8")
-    if trouble == "encoding":
+    if problem == "encoding":
         picture.encoding = "32FC1"
-    elif trouble == "size":
+    elif problem == "size":
         picture = images.to_message(cell.renderer.render(TRUE)[:480, :640].copy(), "mono8")
     else:
         picture.data = picture.data[:1000]
@@ -212,31 +212,31 @@ def test_a_calibration_of_another_resolution_is_refused(cell: Cell) -> None:
     assert "640 x 512" in last.error_msg
 
 
-@pytest.mark.parametrize("trouble", ["binning", "region of interest"])
-def test_a_calibration_of_other_pixels_is_refused(cell: Cell, trouble: str) -> None:
-    if trouble == "binning":
+@pytest.mark.parametrize("problem", ["binning", "region of interest"])
+def test_a_calibration_of_other_pixels_is_refused(cell: Cell, problem: str) -> None:
+    if problem == "binning":
         cell.info.binning_x = cell.info.binning_y = 2
     else:
         cell.info.roi.x_offset, cell.info.roi.width, cell.info.roi.height = 100, 640, 480
     last = cell.show(5)[-1]
     assert last.error_code == ErrorCode.CAMERA_NOT_CALIBRATED
-    assert trouble in last.error_msg
+    assert problem in last.error_msg
 
 
 def test_a_covered_reference_is_told_in_the_diagnostics(cell: Cell) -> None:
-    told = cell.bench.listen(DiagnosticArray, "/diagnostics")
+    received = cell.bench.listen(DiagnosticArray, "/diagnostics")
     cell.show(20)
     marker = load_cell().references.markers[0]
     corners = 0.03 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) + [marker.x, marker.y]
     cover = Occluder(np.column_stack([corners, np.full(4, 0.01)]))
     words = f"reference marker {marker.id} is not seen"
 
-    def said() -> bool:
+    def reported() -> bool:
         picture = images.to_message(cell.renderer.render(TRUE, occluders=[cover]), "mono8")
         assert cell.send(picture).visible
-        return any(words in status.message for array in told for status in array.status)
+        return any(words in status.message for array in received for status in array.status)
 
-    cell.bench.wait(said, words)
+    cell.bench.wait(reported, words)
 
 
 def test_covered_references_are_told_by_the_state(cell: Cell) -> None:
@@ -245,20 +245,20 @@ def test_covered_references_are_told_by_the_state(cell: Cell) -> None:
         corners = 0.04 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) + [marker.x, marker.y]
         covers.append(Occluder(np.column_stack([corners, np.full(4, 0.01)])))
 
-    def told() -> bool:
+    def reported() -> bool:
         picture = cell.renderer.render(TRUE, occluders=covers)
         state = cell.send(images.to_message(picture, "mono8"))
         assert not state.visible
         return state.error_code == ErrorCode.REFERENCES_NOT_SEEN and "reference" in state.error_msg
 
-    cell.bench.wait(told, "the references are missing")
+    cell.bench.wait(reported, "the references are missing")
 
 
 def test_a_second_copy_of_the_objects_marker_is_told_by_the_state(cell: Cell) -> None:
     places = cell.renderer.view.project([[TRUE.x, TRUE.y], [-TRUE.x, -TRUE.y]], 0.012)
     (x, y), (left, top) = np.rint(places).astype(int)
 
-    def told() -> bool:
+    def reported() -> bool:
         picture = cell.renderer.render(TRUE)
         marker = picture[y - 60 : y + 60, x - 60 : x + 60]
         picture[top - 60 : top + 60, left - 60 : left + 60] = marker
@@ -266,7 +266,7 @@ def test_a_second_copy_of_the_objects_marker_is_told_by_the_state(cell: Cell) ->
         assert not state.visible
         return state.error_code == ErrorCode.MARKER_AMBIGUOUS and "marker" in state.error_msg
 
-    cell.bench.wait(told, "the marker is seen twice")
+    cell.bench.wait(reported, "the marker is seen twice")
 
 
 def test_two_objects_in_one_picture() -> None:
@@ -345,7 +345,7 @@ def test_compressed_pictures_are_measured_as_well() -> None:
         assert b.probe is not None
         states = b.listen(ObjectState, "object_state", LATCHED)
         publisher = PicturePublisher(b.probe, 95)
-        b.wait(publisher.listeners, "the node listens")
+        b.wait(publisher.subscribers, "the node listens")
         info = images.to_camera_info(configuration.camera)
         stamp = b.probe.get_clock().now() - Duration(seconds=5.0)
         for number in range(40):

@@ -38,6 +38,7 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
     promised: dict[int, float] = {}
     path = tmp_path / "tapper"
     command = [sys.executable, "-m", MODULES["tapper_trigger"], "--ros-args", "-p", f"port:={path}"]
+    command += ["-p", "needs_camera:=false"]
     with PseudoTerminal(device, path), bench(lambda: [], {}) as b:
         node = b.probe
         assert node is not None
@@ -70,9 +71,9 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
 
                 def step(tap_id: int = tap_id) -> bool:
                     nonlocal frozen
-                    told = ArmState(state=ArmState.IN_POSITION, tap_id=tap_id, homed=True)
-                    told.header.stamp = node.get_clock().now().to_msg()
-                    arm.publish(told)
+                    message = ArmState(state=ArmState.IN_POSITION, tap_id=tap_id, homed=True)
+                    message.header.stamp = node.get_clock().now().to_msg()
+                    arm.publish(message)
                     if freeze_at and not frozen:
                         frozen = True
                         time.sleep(max(freeze_at[0] - time.monotonic(), 0.0))

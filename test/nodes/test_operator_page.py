@@ -93,7 +93,7 @@ class Cell:
             f"ws://{self.address}/live", headers={"Origin": f"http://{self.address}"}
         )
         browser = Browser(await websocket_connect(asked))
-        await browser.say({"do": "hello"})
+        await browser.send({"do": "hello"})
         try:
             yield browser
         finally:
@@ -108,7 +108,7 @@ class Browser:
     answers: list[Any] = field(default_factory=list)
     """Answers that came before they were asked for: their order is nobody's promise."""
 
-    async def say(self, content: dict[str, object]) -> None:
+    async def send(self, content: dict[str, object]) -> None:
         await self.connection.write_message(json.dumps(content))
 
     async def receive(self, wanted: Callable[[Any], bool]) -> Any:
@@ -200,16 +200,16 @@ def test_every_page_sees_the_taps_also_one_that_joins_late(cell: Cell) -> None:
                 await first.state(lambda s, n=number: len(s["taps"]) == n)
             lost = tap(3, Pose(math.nan, math.nan, math.nan))
             cell.publish("plan_state", plan(PlanState.FAILED, goal, taps=3, last=lost))
-            told = (await first.state(lambda s: len(s["taps"]) == 3))["taps"]
+            shown = (await first.state(lambda s: len(s["taps"]) == 3))["taps"]
             async with cell.open() as second:
-                assert (await second.state(lambda s: s["taps"]))["taps"] == told
+                assert (await second.state(lambda s: s["taps"]))["taps"] == shown
             cell.publish("plan_state", plan(PlanState.LOOKING, Pose(0.0, 0.0, 0.0)))
             await first.state(lambda s: s["taps"] == [])
-        assert told[0]["commanded"] == [20.0, -10.0, 5.73]
-        assert told[0]["predicted"] == [19.0, -10.0, 5.73]
-        assert told[0]["measured"] == [20.0, -10.0, 8.59]
-        assert told[0]["remaining"] == [10.0, 2.86] and told[0]["speed"] == 800
-        assert told[2]["measured"] == [None] * 3 and told[2]["remaining"] == [None] * 2
+        assert shown[0]["commanded"] == [20.0, -10.0, 5.73]
+        assert shown[0]["predicted"] == [19.0, -10.0, 5.73]
+        assert shown[0]["measured"] == [20.0, -10.0, 8.59]
+        assert shown[0]["remaining"] == [10.0, 2.86] and shown[0]["speed"] == 800
+        assert shown[2]["measured"] == [None] * 3 and shown[2]["remaining"] == [None] * 2
 
     play(scenario)
 
@@ -237,9 +237,9 @@ def test_nodes_and_devices_are_told_in_words(cell: Cell) -> None:
             fault = ArmState(state=ArmState.FAULT, error_code=ErrorCode.ARM_ALARM)
             fault.error_msg = "the arm hit an end switch"
             cell.publish("arm_state", fault)
-            told = await page.state(lambda s: s["mode"] == "fault")
-            assert told["sentence"] == "the arm hit an end switch (503)"
-            assert told["log"][-1]["text"] == told["sentence"]
+            shown = await page.state(lambda s: s["mode"] == "fault")
+            assert shown["sentence"] == "the arm hit an end switch (503)"
+            assert shown["log"][-1]["text"] == shown["sentence"]
             silent = await page.state(lambda s: s["arm"]["state"] == "silent")
             assert silent["object"]["sentence"]
             assert silent["runs_hint"] == "Runs are not recorded: run_recorder is not running."
@@ -256,7 +256,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
     colours[:] = (200, 30, 60)
     height = load_cell().object.height
 
-    def listeners() -> int:
+    def subscribers() -> int:
         return int(probe.count_subscribers("/camera/image_annotated"))
 
     def show() -> None:
@@ -280,7 +280,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
                 return found
 
     async def scenario() -> None:
-        assert listeners() == 0
+        assert subscribers() == 0
         async with cell.open() as page:
             frame = await asyncio.wait_for(pictures(page), PATIENCE_S)
             number, _, age = PICTURE_HEADER.unpack(frame[:20])
@@ -292,23 +292,23 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
                 await asyncio.sleep(0.1)
             with pytest.raises(asyncio.TimeoutError):
                 await asyncio.wait_for(page.receive(lambda m: isinstance(m, bytes)), 0.5)
-            await page.say({"do": "seen", "number": number})
+            await page.send({"do": "seen", "number": number})
             again = await asyncio.wait_for(pictures(page), PATIENCE_S)
             assert PICTURE_HEADER.unpack(again[:20])[0] > number
             await ghost(page)
-        cell.bench.wait(lambda: listeners() == 0, "nobody listens when nobody looks")
+        cell.bench.wait(lambda: subscribers() == 0, "nobody listens when nobody looks")
 
     async def ghost(page: Browser) -> None:
         """A pixel of the picture is the place on the table that the camera sees there."""
         wanted = Pose(0.08, -0.05, 0.6)
         pixel = view.project([[wanted.x, wanted.y]], height)[0]
         u, v = (pixel + 0.5) / (camera.width, camera.height)
-        await page.say({"do": "move", "number": 7, "u": u, "v": v, "angle": 30.0})
+        await page.send({"do": "move", "number": 7, "u": u, "v": v, "angle": 30.0})
         answer = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "ghost")
         assert answer["number"] == 7 and answer["refusal"] == ""
         assert (answer["x"], answer["y"]) == pytest.approx((80.0, -50.0), abs=0.05)
         assert answer["angle"] == 30.0
-        await page.say({"do": "place", "number": 8, "x": 400, "y": 0, "angle": 0})
+        await page.send({"do": "place", "number": 8, "x": 400, "y": 0, "angle": 0})
         answer = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "ghost")
         assert "(103)" in answer["refusal"] and "400.0 mm" in answer["refusal"]
 
@@ -332,11 +332,11 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
 
     async def scenario() -> None:
         async with cell.open() as page:
-            await page.say({"do": "stop"})
+            await page.send({"do": "stop"})
             assert (await page.answer("stop"))["ok"]
             cell.bench.wait(lambda: [m.data for m in received] == [True], "the stop")
             await asyncio.sleep(1.0)
-            await page.say({"do": "clear"})
+            await page.send({"do": "clear"})
             answers = [await page.answer("clear"), await page.answer("clear")]
             assert {(a["ok"], a["text"]) for a in answers} == {
                 (True, "scara_arm: clearing"),
@@ -344,10 +344,10 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
             }
             cell.bench.wait(lambda: [m.data for m in received] == [True, False], "the latch ends")
             for name in ("cancel", "home", "press_button"):
-                await page.say({"do": name})
+                await page.send({"do": name})
                 answer = await page.answer(name)
                 assert answer["ok"] is False and "does not answer" in answer["text"]
-            await page.say({"do": "goal", "x": 0, "y": 0, "angle": 0})
+            await page.send({"do": "goal", "x": 0, "y": 0, "angle": 0})
             assert "start tap_planner" in (await page.answer("goal"))["text"]
             cell.publish("arm_state", ArmState(state=ArmState.STOPPED))
             held = StopState(stopped=True, sources=["emergency_stop of /panel"])
@@ -374,19 +374,19 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
         async def scenario() -> None:
             async with cell.open() as page:
                 await page.state(lambda s: s["plan"]["state"] == "idle")
-                await page.say({"do": "goal", "x": 400, "y": 0, "angle": 0})
+                await page.send({"do": "goal", "x": 400, "y": 0, "angle": 0})
                 assert (await page.answer("goal"))["text"] == "goal sent"
                 refused = await page.answer("goal")
                 assert refused["ok"] is False and refused["text"].endswith("(103)")
                 assert "400.0 mm" in refused["text"]
                 log = (await page.state(lambda s: len(s["log"]) >= 2))["log"]
                 assert log[-1]["text"] == f"goal refused: {refused['text']}"
-                await page.say({"do": "cancel"})
+                await page.send({"do": "cancel"})
                 assert "no goal of an action" in (await page.answer("cancel"))["text"]
-                await page.say({"do": "goal", "x": 50, "y": 0, "angle": 10})
+                await page.send({"do": "goal", "x": 50, "y": 0, "angle": 10})
                 assert (await page.answer("goal"))["text"] == "goal sent"
                 await page.state(lambda s: s["plan"]["busy"])
-                await page.say({"do": "cancel"})
+                await page.send({"do": "cancel"})
                 assert (await page.answer("cancel"))["ok"]
                 ended = await page.answer("goal")
                 assert ended["text"] == f"the goal was canceled ({ErrorCode.GOAL_CANCELED})"
@@ -434,33 +434,33 @@ def test_several_objects_are_placed_preset_and_sent_as_one_arrangement(tmp_path:
                     lambda m: isinstance(m, dict) and m["type"] == "welcome"
                 )
                 assert welcome["objects"] == [own, other]
-                await page.say({"do": "preset", "preset": "swap", "objects": [own, other]})
+                await page.send({"do": "preset", "preset": "swap", "objects": [own, other]})
                 assert "is not seen" in (await page.answer("arrange"))["text"]
                 cell.publish("object_states", states)
                 shown = await page.state(lambda s: s["arrangement"]["objects"][1]["pose"])
                 assert shown["arrangement"]["objects"][1]["pose"] == [100.0, 50.0, 57.3]
-                await page.say({"do": "preset", "preset": "swap", "objects": [own, other]})
+                await page.send({"do": "preset", "preset": "swap", "objects": [own, other]})
                 preset = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "preset")
                 assert preset["goals"] == [[own, 100.0, 50.0, 57.3], [other, -100.0, 0.0, 0.0]]
-                await page.say({"do": "preset", "preset": "star", "objects": [own, other]})
+                await page.send({"do": "preset", "preset": "star", "objects": [own, other]})
                 assert "known are line" in (await page.answer("arrange"))["text"]
                 # Two goals in one place: the planner's own refusal, with both names.
                 goals = [{"object": n, "x": 20, "y": 0, "angle": 0} for n in (own, other)]
-                await page.say({"do": "arrange", "goals": goals})
+                await page.send({"do": "arrange", "goals": goals})
                 assert (await page.answer("arrange"))["text"] == "arrangement sent"
                 refused = await page.answer("arrange")
                 assert not refused["ok"] and refused["text"].endswith("(115)")
                 assert own in refused["text"] and other in refused["text"]
                 goals[1]["x"] = -150
-                await page.say({"do": "arrange", "goals": goals})
+                await page.send({"do": "arrange", "goals": goals})
                 state = await page.state(lambda s: s["arrangement"]["active"])
                 assert set(state["arrangement"]["progress"]) == {own, other}
-                await page.say({"do": "cancel"})
+                await page.send({"do": "cancel"})
                 assert (await page.answer("cancel"))["ok"]
                 state = await page.state(lambda s: not s["arrangement"]["active"])
-                told = state["arrangement"]["progress"][other]
-                assert told["state"] == "not reached" and told["taps"] == 0
-                await page.say(
+                shown = state["arrangement"]["progress"][other]
+                assert shown["state"] == "not reached" and shown["taps"] == 0
+                await page.send(
                     {"do": "place", "number": 1, "object": "x", "x": 0, "y": 0, "angle": 0}
                 )
                 answer = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "ghost")
@@ -532,7 +532,7 @@ def test_stop_has_a_path_that_full_and_busy_pages_cannot_block(cell: Cell) -> No
             opened = [await pages.enter_async_context(cell.open()) for _ in range(MOST_PAGES)]
             for page in opened:
                 for number in range(50):
-                    await page.say({"do": "place", "number": number, "x": 0, "y": 0, "angle": 0})
+                    await page.send({"do": "place", "number": number, "x": 0, "y": 0, "angle": 0})
             async with cell.open() as late:  # there is no room for another page
                 assert await late.connection.read_message() is None
             assert await asyncio.to_thread(press_stop, cell, port) == 200
@@ -585,7 +585,7 @@ def test_on_the_network_the_page_wants_its_token_and_other_sites_are_kept_out() 
                 await websocket_connect(asked)
             async with cell.open() as page:  # refused as well: the page says hello without it
                 with contextlib.suppress(WebSocketClosedError):
-                    await page.say({"do": "hello", "token": token})
+                    await page.send({"do": "hello", "token": token})
                 assert await page.connection.read_message() is None
 
         play(scenario)

@@ -31,10 +31,10 @@ class Other:
         self._node = bench.probe
         self.pose = pose
         self._publisher = self._node.create_publisher(ObjectState, "other_objects", 10)
-        self._node.create_timer(0.1, self._say)
+        self._node.create_timer(0.1, self._publish)
         bench.wait(lambda: self._publisher.get_subscription_count() == 1, "the planner listens")
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         pose = self.pose
         state = ObjectState(object_id=NAME, visible=pose is not None)
         state.header.stamp = self._node.get_clock().now().to_msg()

@@ -20,7 +20,7 @@ from rclpy.duration import Duration
 from ros_output import RosOutput
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState, PlanState, TapCommand
-from tapping_cell_msgs.msg import TapperState as Told
+from tapping_cell_msgs.msg import TapperState as TapperMessage
 from tapping_cell_msgs.srv import HoldStill
 
 from tapping_cell.configuration.files import shared_folder
@@ -65,7 +65,7 @@ class Cell:
 
     bench: Bench
     robot: RosOutput
-    states: list[Told]
+    states: list[TapperMessage]
     file: Path
 
     def __post_init__(self) -> None:
@@ -91,7 +91,7 @@ class Cell:
         self.bench.wait(
             lambda: (
                 self.states
-                and self.states[-1].state == Told.SAFE
+                and self.states[-1].state == TapperMessage.SAFE
                 and self.commands.get_subscription_count() == 1
                 and self.arm.get_subscription_count() == 1
                 and self.clear.service_is_ready()
@@ -105,21 +105,21 @@ class Cell:
         message.header.frame_id = "table"
         message.expiry = (self.node.get_clock().now() + Duration(seconds=20)).to_msg()
         self.commands.publish(message)
-        self.bench.wait(lambda: self._told_well(tap_id), f"tap {tap_id} ends")
+        self.bench.wait(lambda: self._tap_ended(tap_id), f"tap {tap_id} ends")
 
-    def _told_well(self, tap_id: int) -> bool:
+    def _tap_ended(self, tap_id: int) -> bool:
         now = self.node.get_clock().now().to_msg()
         arm = ArmState(state=ArmState.IN_POSITION, tap_id=tap_id, homed=True)
         plan = PlanState(tap_id=tap_id)
         seen = ObjectState(visible=True, at_rest=True)
-        for said in (arm, plan, seen):
-            said.header.stamp = now
+        for each in (arm, plan, seen):
+            each.header.stamp = now
         self.plan.publish(plan)
         self.camera.publish(seen)
         self.arm.publish(arm)
         time.sleep(0.03)
         last = self.states[-1]
-        return bool(last.tap_id == tap_id and last.outcome != Told.NONE)
+        return bool(last.tap_id == tap_id and last.outcome != TapperMessage.NONE)
 
     def call(self, client: Any) -> Any:
         future = client.call_async(Trigger.Request())
@@ -138,7 +138,7 @@ def output(folder: Path, interface: str, reads_back: bool = True) -> Iterator[Ce
 
     with bench(make, {"tapper_trigger": {"cell_file": file}}) as b:
         try:
-            yield Cell(b, made[0], b.listen(Told, "tapper_state", LATCHED), file)
+            yield Cell(b, made[0], b.listen(TapperMessage, "tapper_state", LATCHED), file)
         finally:
             made[0].close()
 
@@ -152,7 +152,7 @@ def test_a_tap_is_one_pulse_and_read_back(tmp_path: Path, interface: str) -> Non
             cell.tap(tap_id)
             pulses = cell.robot.pulses()
             assert len(pulses) == tap_id - first + 1
-            if cell.states[-1].outcome == Told.FIRED and 0.006 < pulses[-1] < 0.05:
+            if cell.states[-1].outcome == TapperMessage.FIRED and 0.006 < pulses[-1] < 0.05:
                 break
         else:
             raise AssertionError(f"no tap is as commanded: {pulses}, {cell.states[-1].error_msg}")
@@ -165,15 +165,15 @@ def test_without_a_read_back_it_is_unknown_and_a_stop_latches(tmp_path: Path) ->
         cell.ready()
         tap_id = int(time.time())
         cell.tap(tap_id)
-        assert cell.states[-1].outcome == Told.UNKNOWN
+        assert cell.states[-1].outcome == TapperMessage.UNKNOWN
         assert cell.states[-1].error_code == ErrorCode.TAPPER_OUTCOME_UNKNOWN
         assert len(cell.robot.pulses()) == 1
         assert cell.call(cell.stop).success
-        cell.bench.wait(lambda: cell.states[-1].state == Told.STOPPED, "it is stopped")
+        cell.bench.wait(lambda: cell.states[-1].state == TapperMessage.STOPPED, "it is stopped")
         assert cell.call(cell.clear).success
         cell.ready()
         cell.tap(tap_id + 1)
-        assert cell.states[-1].outcome == Told.UNKNOWN
+        assert cell.states[-1].outcome == TapperMessage.UNKNOWN
         assert len(cell.robot.pulses()) == 2
 
 
@@ -183,10 +183,10 @@ def test_an_open_guard_and_silence_are_told_and_nothing_is_switched(tmp_path: Pa
         cell.robot.guard_closed = False
         cell.bench.wait(lambda: not cell.states[-1].interlock_closed, "the guard is open")
         cell.tap(int(time.time()))
-        assert cell.states[-1].outcome == Told.NOT_FIRED
+        assert cell.states[-1].outcome == TapperMessage.NOT_FIRED
         assert cell.states[-1].error_code == ErrorCode.TAPPER_INTERLOCK_OPEN
         cell.robot.silent = True
-        cell.bench.wait(lambda: cell.states[-1].state == Told.DISCONNECTED, "it is lost")
+        cell.bench.wait(lambda: cell.states[-1].state == TapperMessage.DISCONNECTED, "it is lost")
         assert any("has been silent" in state.error_msg for state in cell.states)
         cell.robot.silent, cell.robot.guard_closed = False, True
         cell.ready()

@@ -44,7 +44,7 @@ def listen(b: Bench) -> tuple[list[Image], list[CameraInfo], list[DiagnosticArra
     )
 
 
-def says(diagnostics: list[DiagnosticArray], words: str) -> bool:
+def reports(diagnostics: list[DiagnosticArray], words: str) -> bool:
     return any(words in status.message for array in diagnostics for status in array.status)
 
 
@@ -53,7 +53,7 @@ def test_a_folder_is_sent_with_its_calibration_and_rising_stamps(tmp_path):
     with bench(lambda: [OverheadCamera()], parameters(folder, loop=True, exposure=0.01)) as b:
         pictures, infos, diagnostics = listen(b)
         b.wait(lambda: len(pictures) >= 9 and infos, "nine pictures")
-        b.wait(lambda: says(diagnostics, "1a.png"), "the broken picture is named")
+        b.wait(lambda: reports(diagnostics, "1a.png"), "the broken picture is named")
         pictures = list(pictures)  # those that came before ``now`` is read
         now = b.probe.get_clock().now().nanoseconds
     seen = [int(np.median(images.to_grey(p))) for p in pictures]
@@ -69,7 +69,7 @@ def test_the_end_of_a_folder_is_said_and_not_begun_again(tmp_path):
     folder = write(tmp_path / "shots")
     with bench(lambda: [OverheadCamera()], parameters(folder)) as b:
         pictures, _, diagnostics = listen(b)
-        b.wait(lambda: says(diagnostics, "no more images"), "the end is said")
+        b.wait(lambda: reports(diagnostics, "no more images"), "the end is reported")
         b.wait(lambda: len(diagnostics) >= 4, "two more seconds")
         levels = [int(np.median(images.to_grey(picture))) for picture in pictures]
     assert len(levels) == len(set(levels)), "an image was sent twice"
@@ -81,7 +81,7 @@ def test_a_source_that_goes_away_comes_back(tmp_path):
         pictures, _, diagnostics = listen(b)
         b.wait(lambda: len(pictures) >= 3, "pictures")
         shutil.move(folder, tmp_path / "away")
-        b.wait(lambda: says(diagnostics, "there is no camera"), "the loss is said")
+        b.wait(lambda: reports(diagnostics, "there is no camera"), "the loss is said")
         count = len(pictures)
         shutil.move(tmp_path / "away", folder)
         b.wait(lambda: len(pictures) > count + 3, "images again")
@@ -91,13 +91,13 @@ def test_no_source_is_said():
     given: dict[str, dict[str, object]] = {"overhead_camera": {"source": '""', "frame_rate": 30.0}}
     with bench(lambda: [OverheadCamera()], given) as b:
         _, _, diagnostics = listen(b)
-        b.wait(lambda: says(diagnostics, "the parameter source is empty"), "it is said")
+        b.wait(lambda: reports(diagnostics, "the parameter source is empty"), "it is said")
 
 
 def test_a_node_waits_for_a_source_that_is_not_there_yet(tmp_path):
     with bench(lambda: [OverheadCamera()], parameters(tmp_path / "shots", loop=True)) as b:
         pictures, _, diagnostics = listen(b)
-        b.wait(lambda: says(diagnostics, "there is no camera"), "said")
+        b.wait(lambda: reports(diagnostics, "there is no camera"), "said")
         write(tmp_path / "shots")
         b.wait(lambda: len(pictures) >= 3, "pictures")
 
@@ -107,5 +107,5 @@ def test_pictures_of_another_size_than_the_calibration_are_not_sent(tmp_path, si
     folder = write(tmp_path / "shots", size)
     with bench(lambda: [OverheadCamera()], parameters(folder, loop=True)) as b:
         pictures, _, diagnostics = listen(b)
-        b.wait(lambda: says(diagnostics, "640 x 480"), "refused in words")
+        b.wait(lambda: reports(diagnostics, "640 x 480"), "refused in words")
         assert not pictures

@@ -185,8 +185,8 @@ def test_silent_joint_states_are_told_and_a_return_is_found(cell: Cell) -> None:
     cell.controller.silent = True
     cell.wait_state(ArmState.DISCONNECTED)
     assert cell.last.error_code == ErrorCode.ARM_NOT_CONNECTED
-    told = " ".join(state.error_msg for state in cell.states)
-    assert "joint_state_broadcaster" in told
+    errors = " ".join(state.error_msg for state in cell.states)
+    assert "joint_state_broadcaster" in errors
     refused = cell.call("hold_still", HoldStill.Request(tap_id=100, duration=0.2))
     assert not refused.granted
     cell.controller.silent = False

@@ -18,7 +18,7 @@ from harness import Bench, bench
 from rich.console import Console
 from sensor_msgs.msg import JointState
 from tapping_cell_msgs.msg import ArmState, ErrorCode, ObjectState
-from test_tap_series import Told
+from test_tap_series import ScriptedClient
 from trajectory_msgs.msg import JointTrajectory
 
 from tapping_cell.calibration import arm, tapper
@@ -66,7 +66,7 @@ class HeldMarker:
         self._joints = node.create_publisher(JointState, "joint_states", 10)
         self._object = node.create_publisher(ObjectState, "object_state", LATCHED)
         node.create_subscription(JointTrajectory, "joint_trajectory", self._on_move, COMMAND)
-        node.create_timer(0.02, self._say)
+        node.create_timer(0.02, self._publish)
 
     def _on_move(self, message: JointTrajectory) -> None:
         with self._lock:
@@ -79,7 +79,7 @@ class HeldMarker:
             self._visible = not self.blind and self.unseen == 0
             self.unseen = max(self.unseen - 1, 0)
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         with self._lock:
             now = self._node.get_clock().now().to_msg()
             arm = ArmState(state=ArmState.IDLE, homed=True, error_msg=self._error)
@@ -178,7 +178,7 @@ def test_energies_are_within_the_tapper_and_mixed_over_the_range() -> None:
     assert Counter(rest) == Counter(every) - Counter(every[:12])
 
 
-class ToldOfTaps(Told):
+class ScriptedTapClient(ScriptedClient):
     """As told; what a recording asks besides."""
 
     simulated = True
@@ -194,7 +194,7 @@ class ToldOfTaps(Told):
 def recorded(answers: list[str | int], path: Path) -> np.ndarray:
     energies = [0.001 * number for number in range(1, 4)]
     growing = GrowingCsv(path, tapper_recording.HEADER, resume=False)
-    client = cast(SingleTapClient, ToldOfTaps(answers))
+    client = cast(SingleTapClient, ScriptedTapClient(answers))
     tapper_recording._make(CELL, client, energies, growing, QUIET)
     return read_csv(path, tapper.RECORD_COLUMNS).columns("energy", "distance")
 

@@ -75,11 +75,11 @@ def test_every_topic_and_service_of_the_nodes_stands_in_the_page() -> None:
         b.wait(lambda: set(NODES) <= set(node.get_node_names()), "every node is seen")
         topics = {name for name, _ in node.get_topic_names_and_types()}
         services = {name for name, _ in node.get_service_names_and_types()}
-    told = set(re.findall(r"^\| `/?([\w/]+)` \|", section("Topics"), re.MULTILINE))
+    documented = set(re.findall(r"^\| `/?([\w/]+)` \|", section("Topics"), re.MULTILINE))
     ours = {name.lstrip("/") for name in topics if not re.search(r"/_|rosout|_event", name)}
     ours -= {"probe", "parameter_events"}
     actions = {"arrange_objects", "position_object", "single_tap"}
-    assert ours == told - actions - {"confirm_tap", "hold_still", "reset_world"}
+    assert ours == documented - actions - {"confirm_tap", "hold_still", "reset_world"}
     private = {name for name in services if re.search(r"/(home|stop|clear_\w+|press_\w+)$", name)}
     for name in private:
         assert f"`~/{name.rsplit('/', 1)[1]}`" in PAGE, name

@@ -218,10 +218,10 @@ def test_ctrl_c_in_mid_goal_leaves_the_tables_and_no_traceback(tmp_path: Path) -
             fake.plan(fake.goal(), PlanState.PLACING)
             fake.bench.wait(lambda: is_written(tmp_path / "runs"), "it records")
             process.send_signal(signal.SIGINT)
-            _, said = process.communicate(timeout=120)
+            _, output = process.communicate(timeout=120)
         finally:
             process.kill()
-    assert process.returncode == 0 and "Traceback" not in said, said
+    assert process.returncode == 0 and "Traceback" not in output, output
     (folder,) = (tmp_path / "runs").iterdir()
     assert read_run(folder).outcome == "unfinished"
     assert read_bag(folder / "bag").whole

@@ -255,10 +255,10 @@ def test_diagnostics_tell_of_port_firmware_homing_and_the_line(cell: Cell) -> No
         return {entry.key: entry.value for entry in ours[-1].values} if ours else {}
 
     cell.bench.wait(values, "diagnostics")
-    told = values()
-    assert told["port"] == str(cell.terminal.path)
-    assert told["firmware"].startswith("Marlin 2.1") and told["homed"] == "True"
-    assert {"retries", "resends", "timeouts", "bad lines", "last error"} <= set(told)
+    reported = values()
+    assert reported["port"] == str(cell.terminal.path)
+    assert reported["firmware"].startswith("Marlin 2.1") and reported["homed"] == "True"
+    assert {"retries", "resends", "timeouts", "bad lines", "last error"} <= set(reported)
 
 
 def test_a_pulled_cable_is_noticed_and_mended(cell: Cell) -> None:

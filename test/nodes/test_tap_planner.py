@@ -61,14 +61,14 @@ class Actors:
     lost_when_fired: bool = False
     visible: bool = True
     at_rest: bool = True
-    camera_talks: bool = True
-    arm_talks: bool = True
+    camera_active: bool = True
+    arm_active: bool = True
     arm_arrives: bool = True
     arm_withdraws: bool = True
     arm_state: int = ArmState.IDLE
     arm_error: tuple[int, str] = (0, "")
     tapper_answers: int | None = TapperState.FIRED
-    tapper_talks: bool = True
+    tapper_active: bool = True
     references: tuple[int, ...] = tuple(range(101, 109))
     commands: list[TapCommand] = field(default_factory=list)
     plans: list[PlanState] = field(default_factory=list)
@@ -86,7 +86,7 @@ class Actors:
         self.goals = node.create_publisher(PoseStamped, "goal_pose", COMMAND)
         node.create_subscription(TapCommand, "tap_command", self._on_command, COMMAND)
         self.plans = self.bench.listen(PlanState, "plan_state", LATCHED)
-        node.create_timer(0.03, self._say)
+        node.create_timer(0.03, self._publish)
 
     def _on_command(self, command: TapCommand) -> None:
         with self._lock:
@@ -104,11 +104,11 @@ class Actors:
             elif self.arm_withdraws:
                 self.arm_state = ArmState.IDLE
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         with self._lock:
             now = self._node.get_clock().now().to_msg()
             tap_id = self._tap.tap_id if self._tap is not None else 0
-            if self.camera_talks:
+            if self.camera_active:
                 seen = ObjectState(
                     visible=self.visible, at_rest=self.at_rest, frames_fused=30, object_id="disk"
                 )
@@ -117,7 +117,7 @@ class Actors:
                 seen.references_used = list(self.references)
                 seen.pose.covariance = covariance_to_message(np.diag([1e-10, 1e-10, 1e-8]))
                 self._object.publish(seen)
-            if self.arm_talks:
+            if self.arm_active:
                 code, sentence = self.arm_error
                 idle = self.arm_state == ArmState.IDLE
                 arm = ArmState(
@@ -130,7 +130,7 @@ class Actors:
                 )
                 arm.header.stamp = now
                 self._arm.publish(arm)
-            if self.tapper_talks:
+            if self.tapper_active:
                 self._tapper.publish(
                     TapperState(
                         state=TapperState.SAFE,
@@ -207,9 +207,9 @@ def test_a_goal_of_any_publisher_is_taken_once(actors: Actors, profile: QoSProfi
     reports = actors.bench.listen(GoalReport, "goal_report", LATCHED)
     probe.destroy_publisher(actors.goals)
     actors.goals = probe.create_publisher(PoseStamped, "goal_pose", profile)
-    heard_by = 2 if profile is COMMAND else 1
+    subscribers = 2 if profile is COMMAND else 1
     actors.bench.wait(
-        lambda: actors.plans and actors.goals.get_subscription_count() == heard_by, "the planner"
+        lambda: actors.plans and actors.goals.get_subscription_count() == subscribers, "the planner"
     )
     time.sleep(0.3)
     message = PoseStamped(pose=to_message(GOAL))

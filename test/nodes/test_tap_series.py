@@ -38,7 +38,7 @@ FRICTION = 1.7
 
 
 @dataclass
-class Told:
+class ScriptedClient:
     """A client whose taps end as told: "ok", "miss", "lost", or with a code and no tap."""
 
     answers: list[str | int]
@@ -104,7 +104,7 @@ class Told:
         return
 
 
-def series(client: Told, folder: Path, design: Design = DESIGN) -> TapSeries:
+def series(client: ScriptedClient, folder: Path, design: Design = DESIGN) -> TapSeries:
     return TapSeries(
         cast(SingleTapClient, client),
         folder,
@@ -118,7 +118,7 @@ def series(client: Told, folder: Path, design: Design = DESIGN) -> TapSeries:
 
 
 def test_each_trial_is_on_disk_before_the_next(tmp_path: Path) -> None:
-    client = Told(["ok"] * 3)
+    client = ScriptedClient(["ok"] * 3)
     for number, done in enumerate(series(client, tmp_path).run(), start=1):
         assert done.trial.trial == number
         assert len(read_trials(tmp_path).trials) == number
@@ -130,7 +130,7 @@ def test_each_trial_is_on_disk_before_the_next(tmp_path: Path) -> None:
 
 
 def test_what_is_no_use_is_recorded_by_name_and_made_again(tmp_path: Path) -> None:
-    made = list(series(Told(["ok", "miss", "lost", "ok", "ok"]), tmp_path).run())
+    made = list(series(ScriptedClient(["ok", "miss", "lost", "ok", "ok"]), tmp_path).run())
     assert [done.trial.outcome for done in made] == ["ok", "missed", "lost", "ok", "ok"]
     read = read_trials(tmp_path)
     assert [trial.outcome for trial in read.trials] == ["ok", "missed", "lost", "ok", "ok"]
@@ -138,26 +138,28 @@ def test_what_is_no_use_is_recorded_by_name_and_made_again(tmp_path: Path) -> No
 
 
 def test_a_run_that_goes_wrong_again_and_again_is_given_up(tmp_path: Path) -> None:
-    client = Told(["ok"] + ["miss"] * 9)
+    client = ScriptedClient(["ok"] + ["miss"] * 9)
     with pytest.raises(SeriesStopped, match="only 1 of 6 trials are usable"):
         list(series(client, tmp_path).run())
     assert len(client.answers) == 4
 
 
 def test_without_room_the_object_is_brought_to_the_middle(tmp_path: Path) -> None:
-    client = Told([ErrorCode.TAP_LEAVES_TABLE, "ok", "ok", "ok"], pose=Pose(0.2, 0.1, 0.4))
+    client = ScriptedClient(
+        [ErrorCode.TAP_LEAVES_TABLE, "ok", "ok", "ok"], pose=Pose(0.2, 0.1, 0.4)
+    )
     assert len(list(series(client, tmp_path).run())) == 3
     assert client.goals == [Pose(0.0, 0.0, 0.4)]
 
 
 def test_without_room_in_the_middle_it_stops_with_the_planners_words(tmp_path: Path) -> None:
     with pytest.raises(SeriesStopped, match="TAP_LEAVES_VIEW: so it was told") as stopped:
-        list(series(Told([ErrorCode.TAP_LEAVES_VIEW]), tmp_path).run())
+        list(series(ScriptedClient([ErrorCode.TAP_LEAVES_VIEW]), tmp_path).run())
     assert stopped.value.code == ErrorCode.TAP_LEAVES_VIEW
 
 
 def test_an_object_that_cannot_be_brought_back_stops_it(tmp_path: Path) -> None:
-    client = Told([ErrorCode.NO_TAP_FOUND], Pose(0.2, 0.1, 0.0), ErrorCode.ARM_TIMEOUT)
+    client = ScriptedClient([ErrorCode.NO_TAP_FOUND], Pose(0.2, 0.1, 0.0), ErrorCode.ARM_TIMEOUT)
     with pytest.raises(SeriesStopped, match="brought back") as stopped:
         list(series(client, tmp_path).run())
     assert stopped.value.code == ErrorCode.ARM_TIMEOUT
@@ -165,14 +167,14 @@ def test_an_object_that_cannot_be_brought_back_stops_it(tmp_path: Path) -> None:
 
 def test_a_passing_trouble_is_waited_for_but_not_for_ever(tmp_path: Path) -> None:
     passing = int(ErrorCode.OBJECT_NOT_SEEN)
-    client = Told([passing, passing, "ok", passing, passing, "ok", "ok"])
+    client = ScriptedClient([passing, passing, "ok", passing, passing, "ok", "ok"])
     assert len(list(series(client, tmp_path / "a").run())) == 3
     with pytest.raises(SeriesStopped, match="OBJECT_NOT_SEEN"):
-        list(series(Told([passing] * 5), tmp_path / "b").run())
+        list(series(ScriptedClient([passing] * 5), tmp_path / "b").run())
 
 
 def test_a_fault_stops_it_at_once(tmp_path: Path) -> None:
-    client = Told(["ok", ErrorCode.TAPPER_INTERLOCK_OPEN, "ok"])
+    client = ScriptedClient(["ok", ErrorCode.TAPPER_INTERLOCK_OPEN, "ok"])
     with pytest.raises(SeriesStopped, match="TAPPER_INTERLOCK_OPEN"):
         list(series(client, tmp_path).run())
     assert client.answers == ["ok"]
@@ -180,9 +182,9 @@ def test_a_fault_stops_it_at_once(tmp_path: Path) -> None:
 
 
 def test_it_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
-    first = series(Told(["ok", "lost"]), tmp_path)
+    first = series(ScriptedClient(["ok", "lost"]), tmp_path)
     made = first.run()
     next(made), next(made)
-    second = series(Told(["ok", "ok"]), tmp_path)
+    second = series(ScriptedClient(["ok", "ok"]), tmp_path)
     second.trials.extend(read_trials(tmp_path).trials)
     assert [done.trial.trial for done in second.run()] == [3, 4]

@@ -167,7 +167,7 @@ class Peer:
         self.driver.home(HomingStrategy.MANUAL_POSE)
         return self.driver
 
-    def trouble(self, name: str) -> None:
+    def inject(self, name: str) -> None:
         """One of the printer's own ways to misbehave."""
         self.printer.write(f"!!DEBUG:{name}\n".encode())
 
@@ -229,7 +229,7 @@ def test_octoprints_printer_is_understood_and_moved(peer: Peer) -> None:
 )
 def test_octoprints_printer_misbehaves_and_the_moves_come_about(peer: Peer, name: str) -> None:
     driver = peer.ready()
-    peer.trouble(name)
+    peer.inject(name)
     for goal in ((0.3, 0.5, -0.02, 0.4), (0.1, 0.2, -0.01, 0.1), (0.2, 0.3, -0.02, 0.0)):
         assert np.allclose(driver.move_to(goal).joints, goal, atol=1e-3)
     counters = driver.line_counters
@@ -238,7 +238,7 @@ def test_octoprints_printer_misbehaves_and_the_moves_come_about(peer: Peer, name
 
 def test_a_fatal_error_of_octoprints_printer_is_an_alarm(peer: Peer) -> None:
     driver = peer.ready()
-    peer.trouble("trigger_fatal_error_marlin")
+    peer.inject("trigger_fatal_error_marlin")
     with pytest.raises(HardwareFault) as caught:
         driver.move_to((0.3, 0.5, -0.02, 0.4))
     assert caught.value.reason is FaultReason.ALARM and not driver.homed
@@ -248,7 +248,7 @@ def test_a_fatal_error_of_octoprints_printer_is_an_alarm(peer: Peer) -> None:
 
 def test_octoprints_printer_that_restarts_must_be_homed_again(peer: Peer) -> None:
     driver = peer.ready()
-    peer.trouble("reset")
+    peer.inject("reset")
     with pytest.raises(HardwareFault):
         for _ in range(3):
             driver.move_to((0.3, 0.5, -0.02, 0.4))

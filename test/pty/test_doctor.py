@@ -46,9 +46,9 @@ def test_a_cell_that_is_set_up_is_all_green(
 ) -> None:
     path, _ = a_cell(tmp_path, plug, dialect)
     assert main(["doctor", "--cell", str(path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["ok"]
-    assert {row["device"] for row in told["findings"]} == {"arm", "tapper"}
+    report = json.loads(capsys.readouterr().out)
+    assert report["ok"]
+    assert {row["device"] for row in report["findings"]} == {"arm", "tapper"}
 
 
 def test_a_difference_is_named_with_its_command_and_stored_after_a_yes(

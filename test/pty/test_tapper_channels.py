@@ -53,7 +53,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     return loaded
 
 
-class Twin:
+class BoardPair:
     """The firmware's logic and the emulated board, both with coils, told the same."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
@@ -93,9 +93,9 @@ class Twin:
         data = b"@%s*%04X\n" % (body, binascii.crc_hqx(body, 0xFFFF))
         self.library.host_receive(data, len(data), START_MS + self.now)
         self.emulator.receive(data, self.now / 1e3)
-        said = self.emulator.take_output(self.now / 1e3 + 1e-6).decode()
-        told = self.library.host_output().decode()
-        return bodies(told), bodies(said)
+        emulated = self.emulator.take_output(self.now / 1e3 + 1e-6).decode()
+        firmware = self.library.host_output().decode()
+        return bodies(firmware), bodies(emulated)
 
     def fail(self, kind: str, channel: int, on: bool) -> None:
         bit = 1 << channel
@@ -134,30 +134,32 @@ events = st.one_of(
 def test_firmware_and_emulator_answer_alike_with_channels(
     library: ctypes.CDLL, script: list[tuple[object, ...]]
 ) -> None:
-    twin = Twin(library)
-    twin.run(EDGE_MS)
+    boards = BoardPair(library)
+    boards.run(EDGE_MS)
     for words in ("HELLO", "MODE,RUN", "HOME"):
-        told, said = twin.ask(words)
-        assert told == said
-        twin.run(1)
+        firmware, emulated = boards.ask(words)
+        assert firmware == emulated
+        boards.run(1)
     shot = 0
     for event in script:
-        twin.run(int(str(event[1])) if event[0] == "wait" else EDGE_MS)
+        boards.run(int(str(event[1])) if event[0] == "wait" else EDGE_MS)
         match event:
             case ("charge", channel):
                 shot += 1
-                told, said = twin.ask(f"CHARGE,{shot},5000,3000,{channel}")
+                firmware, emulated = boards.ask(f"CHARGE,{shot},5000,3000,{channel}")
             case ("fire", channel):
-                told, said = twin.ask(f"FIRE,{shot},{START_MS + twin.now + 40},{channel}")
+                firmware, emulated = boards.ask(
+                    f"FIRE,{shot},{START_MS + boards.now + 40},{channel}"
+                )
             case ("say", words):
-                told, said = twin.ask(str(words))
+                firmware, emulated = boards.ask(str(words))
             case ("fail", kind, channel, on):
-                if twin.emulator.coils.next_event() is None:  # not in mid-flight
-                    twin.fail(str(kind), int(str(channel)), bool(on))
+                if boards.emulator.coils.next_event() is None:  # not in mid-flight
+                    boards.fail(str(kind), int(str(channel)), bool(on))
                 continue
             case _:
-                told, said = twin.ask("STATUS")
-        assert told == said, event
+                firmware, emulated = boards.ask("STATUS")
+        assert firmware == emulated, event
 
 
 class Line:

@@ -114,7 +114,7 @@ EDGE_MS = 8
 """Nothing is compared so near to a change of state: the boards' loops run once a millisecond."""
 
 
-class Twin:
+class BoardPair:
     """The firmware's logic and the emulated tapper, told the same."""
 
     def __init__(self, library: ctypes.CDLL, place: int) -> None:
@@ -208,26 +208,26 @@ class Twin:
 def test_firmware_and_emulator_answer_alike(
     library: ctypes.CDLL, place: int, script: list[tuple[object, ...]]
 ) -> None:
-    twin = Twin(library, place)
+    boards = BoardPair(library, place)
     start: list[tuple[object, ...]] = [("frame", 7, 1, "HELLO"), ("frame", 7, 1, "MODE,RUN")]
     homing: list[tuple[object, ...]] = [("frame", 7, 1, "HOME"), ("wait", 250)]
     for event in start + homing + script:
-        twin.run(int(str(event[1])) if event[0] == "wait" else EDGE_MS)
+        boards.run(int(str(event[1])) if event[0] == "wait" else EDGE_MS)
         library.host_forget_output()
-        twin.emulator.take_output(twin.now / 1e3 + 1e-6)
-        twin.do(event)
-        compare(twin, event)
-        twin.run(EDGE_MS)
+        boards.emulator.take_output(boards.now / 1e3 + 1e-6)
+        boards.do(event)
+        compare(boards, event)
+        boards.run(EDGE_MS)
         library.host_forget_output()
-        twin.emulator.take_output(twin.now / 1e3 + 1e-6)
-        twin.do(("frame", 7, 1, "STATUS"))
-        compare(twin, event)
+        boards.emulator.take_output(boards.now / 1e3 + 1e-6)
+        boards.do(("frame", 7, 1, "STATUS"))
+        compare(boards, event)
 
 
-def compare(twin: Twin, event: tuple[object, ...]) -> None:
-    said = twin.emulator.take_output(twin.now / 1e3 + 1e-6).decode()
-    told = twin.library.host_output().decode()
-    assert strip_version(told) == strip_version(said), (event, twin.now)
+def compare(boards: BoardPair, event: tuple[object, ...]) -> None:
+    emulated = boards.emulator.take_output(boards.now / 1e3 + 1e-6).decode()
+    firmware = boards.library.host_output().decode()
+    assert strip_version(firmware) == strip_version(emulated), (event, boards.now)
 
 
 def strip_version(text: str) -> list[str]:
@@ -272,7 +272,7 @@ class Board:
                 _, at, place = line.split()
                 self.times.put((int(at), float(place)))
 
-    def tell(self, order: str) -> None:
+    def command(self, order: str) -> None:
         """An order, which has been obeyed when this returns."""
         assert self.process.stdin is not None
         self.process.stdin.write(order + "\n")
@@ -331,9 +331,9 @@ def fire(driver: TapperDriver, shot: int) -> FireResult:
 
 
 def press_clear(board: Board, duration: float = 0.6) -> None:
-    board.tell("clear 1")
+    board.command("clear 1")
     board.rest(duration)
-    board.tell("clear 0")
+    board.command("clear 0")
     board.rest(0.01)
 
 
@@ -384,7 +384,7 @@ def test_the_driver_fires_the_real_firmware_once(board: Board) -> None:
 
 @needs_simavr
 def test_the_real_firmware_does_not_move_before_it_is_asked_and_homes_truly(board: Board) -> None:
-    board.tell("push 0")
+    board.command("push 0")
     place = board.place()
     driver = connected(board)
     board.rest(0.4)
@@ -394,7 +394,7 @@ def test_the_real_firmware_does_not_move_before_it_is_asked_and_homes_truly(boar
     driver.charge(1, 0.01)
     assert stored(board.place()) == pytest.approx(0.01, rel=0.03)
     # A reset with the spring drawn: the place is unknown, whatever the steps counted.
-    board.tell("reset")
+    board.command("reset")
     with fault(FaultReason.BOARD_RESET):
         driver.status()
     assert driver.connect().state is State.UNHOMED
@@ -410,8 +410,8 @@ def test_the_real_firmware_does_not_move_before_it_is_asked_and_homes_truly(boar
 def test_the_real_firmware_is_not_homed_with_a_dead_motor_or_switch(
     board: Board, wrong: str
 ) -> None:
-    board.tell("push 0")
-    board.tell(wrong)
+    board.command("push 0")
+    board.command(wrong)
     driver = connected(board)
     with fault(FaultReason.HOMING_FAILED):
         driver.charge(1, 0.001)
@@ -422,12 +422,12 @@ def test_the_real_firmware_is_not_homed_with_a_dead_motor_or_switch(
 def test_the_real_firmware_notices_missed_steps(board: Board) -> None:
     driver = connected(board)
     driver.home()
-    board.tell("motor 0")
+    board.command("motor 0")
     with fault(FaultReason.POSITION_LOST):
         driver.charge(1, 0.01)
-    board.tell("motor 1")
+    board.command("motor 1")
     driver.charge(2, 0.01)
-    board.tell("lose 32")
+    board.command("lose 32")
     driver.discharge()
     board.rest(0.8)
     assert driver.status().state is State.UNHOMED
@@ -443,13 +443,13 @@ def test_the_real_firmware_discharges(board: Board) -> None:
     assert driver.status().state is State.SAFE and abs(board.place()) <= NEAR
     assert fire(driver, 1).outcome is FireOutcome.NOT_FIRED
     driver.charge(2, 0.002)
-    board.tell("interlock 0")
+    board.command("interlock 0")
     assert fire(driver, 2).outcome is FireOutcome.NOT_FIRED
     with fault(FaultReason.INTERLOCK):
         driver.charge(3, 0.002)
     with fault(FaultReason.INTERLOCK):
         driver.home()
-    board.tell("interlock 1")
+    board.command("interlock 1")
     driver.charge(3, 0.002)
     assert driver.discharge().state is State.DISCHARGING
     board.rest(0.4)
@@ -470,20 +470,20 @@ def test_the_real_firmwares_stop_wants_a_press_after_it(board: Board) -> None:
     press_clear(board, 0.2)  # too short
     with fault(FaultReason.NEEDS_PERSON):
         driver.clear()
-    board.tell("clear 1")
+    board.command("clear 1")
     board.rest(0.7)
     with fault(FaultReason.NEEDS_PERSON):  # held down
         driver.clear()
-    board.tell("clear 0")
+    board.command("clear 0")
     board.rest(0.01)
     assert driver.clear().state is State.SAFE
     # By wire: no press counts while it is open, and the carriage is homed again.
     driver.charge(2, 0.002)
-    board.tell("stop 1")
+    board.command("stop 1")
     press_clear(board)
     with fault(FaultReason.NEEDS_PERSON):
         driver.clear()
-    board.tell("stop 0")
+    board.command("stop 0")
     press_clear(board)
     assert driver.clear().state is State.UNHOMED
     driver.charge(3, 0.002)
@@ -502,7 +502,7 @@ def test_the_real_firmware_keeps_shot_numbers_until_a_person_forgets_them(board:
 
     def reset(release_by: float) -> bool:
         if not asked:
-            board.tell("reset")
+            board.command("reset")
         asked.append(release_by)
         return True
 
@@ -528,10 +528,10 @@ def test_the_real_firmware_in_set_up_mode(board: Board) -> None:
     with fault(FaultReason.NOT_ENABLED):
         driver.charge(1, 0.006)
     assert driver.charge(1, 0.005).state is State.CHARGED
-    board.tell("enabling 1")
+    board.command("enabling 1")
     driver.discharge()
     driver.charge(2, 0.006)
-    board.tell("enabling 0")
+    board.command("enabling 0")
     assert fire(driver, 2).outcome is FireOutcome.NOT_FIRED
     assert board.pulses() == []
 

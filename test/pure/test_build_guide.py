@@ -53,7 +53,7 @@ def test_the_guide_lists_the_netlist() -> None:
     rows = re.findall(
         r"^\| (D\d+) \| (P[BD]\d) \| `(\w+)` \| (\w+) \| (.*) \|$", GUIDE, re.MULTILINE
     )
-    told = [
+    expected = [
         (
             pin.name,
             pin.port,
@@ -63,7 +63,7 @@ def test_the_guide_lists_the_netlist() -> None:
         )
         for pin in build_figures.PINS
     ]
-    assert rows == told
+    assert rows == expected
 
 
 def test_the_guide_has_the_dimensions_of_the_cell_file() -> None:

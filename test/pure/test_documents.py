@@ -23,10 +23,10 @@ def test_the_reference_pages_are_up_to_date(page: Path) -> None:
 
 
 def test_every_page_is_pointed_at() -> None:
-    told = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     for page in PAGES:
         if page.parent != ROOT and "images" not in page.parts:
-            assert page.name in told, f"nothing points at {page.relative_to(ROOT)}"
+            assert page.name in text, f"nothing points at {page.relative_to(ROOT)}"
 
 
 def test_every_room_stands_in_the_architecture_page() -> None:

@@ -70,13 +70,13 @@ class MadeRun:
     code: int = 0
     sentence: str = ""
     refused: bool = False
-    told_end: bool = True
+    end_reported: bool = True
     truth_off: float = 0.0001
     truth: bool = True
     namespace: str = ""
     seen_before: bool = True
     """Whether the recorder received an observation before the first tap."""
-    troubles: list[tuple[float, int, str]] = field(default_factory=list)
+    errors: list[tuple[float, int, str]] = field(default_factory=list)
     tolerance: tuple[float, float] = (0.001, math.radians(1.0))
 
     def write(self, folder: Path) -> Path:
@@ -97,7 +97,7 @@ class MadeRun:
         }
         text = blank(KINDS[NOTES])
         text.data = json.dumps(notes)
-        self.say(NOTES, -2.0, text)
+        self.write_message(NOTES, -2.0, text)
         if self.seen_before:
             self.see(self.stops[0], -1.0)
         records = []
@@ -107,21 +107,21 @@ class MadeRun:
                 zip(self.stops, self.stops[1:], strict=False), start=1
             ):
                 records.append(self.tap(index, before, after))
-        for at, code, sentence in self.troubles:
+        for at, code, sentence in self.errors:
             arm = blank(KINDS["arm_state"])
             set_stamp(arm.header.stamp, at)
             arm.error_code, arm.error_msg = code, sentence
-            self.say("arm_state", at, arm)
+            self.write_message("arm_state", at, arm)
         end = 10.0 * len(records) + 1.0
         self.see(self.stops[-1], end - 0.1)
-        if self.told_end:
+        if self.end_reported:
             if not self.refused:
                 self.plan(end, self.state, records)
-            self.say("goal_report", end, self.report(end, records))
+            self.write_message("goal_report", end, self.report(end, records))
         self.bag.close()
         return folder
 
-    def say(self, name: str, at: float, message: Any) -> None:
+    def write_message(self, name: str, at: float, message: Any) -> None:
         data = TYPES._store_with(KINDS[name]).serialize_cdr(message, KINDS[name])
         self.bag.write(f"{self.namespace}/{name}", round(1e9 * (BEGAN + at)), bytes(data))
 
@@ -130,12 +130,12 @@ class MadeRun:
         set_stamp(seen.header.stamp, at)
         seen.visible = seen.at_rest = True
         set_pose(seen.pose.pose, pose)
-        self.say("object_state", at, seen)
+        self.write_message("object_state", at, seen)
         if self.truth:
             true = blank(KINDS["ground_truth"])
             set_stamp(true.header.stamp, at + 0.01)
             set_pose(true.pose, Pose(pose.x + self.truth_off, pose.y, pose.theta))
-            self.say("ground_truth", at, true)
+            self.write_message("ground_truth", at, true)
         picture = blank(KINDS[PICTURES])
         set_stamp(picture.header.stamp, at)
         image = np.full((768, 960, 3), 90, dtype=np.uint8)
@@ -143,7 +143,7 @@ class MadeRun:
             image, (480 + round(1000 * pose.x), 384 - round(1000 * pose.y)), 80, (200,) * 3, -1
         )
         picture.format, picture.data = "jpeg", cv2.imencode(".jpg", image)[1].reshape(-1)
-        self.say(PICTURES, at, picture)
+        self.write_message(PICTURES, at, picture)
 
     def plan(self, at: float, state: int, records: list[Any]) -> None:
         plan = blank(KINDS["plan_state"])
@@ -156,14 +156,14 @@ class MadeRun:
             plan.last_tap = records[-1]
         if state > 6:
             plan.error_code, plan.error_msg = self.code, self.sentence
-        self.say("plan_state", at, plan)
+        self.write_message("plan_state", at, plan)
 
     def tap(self, number: int, before: Pose, after: Pose) -> Any:
         at = 10.0 * (number - 1)
         command = blank(KINDS["tap_command"])
         set_stamp(command.header.stamp, at + 2.0)
         command.tap_id = 100 + number
-        self.say("tap_command", at + 2.0, command)
+        self.write_message("tap_command", at + 2.0, command)
         for offset, state in ((1.0, 2), (2.0, 4), (4.0, 5), (5.0, 6), (7.0, 2)):
             self.plan(at + offset, state, [])
         record = blank(OURS + "TapRecord")
@@ -193,7 +193,7 @@ class MadeRun:
             arm = blank(KINDS["arm_state"])
             set_stamp(arm.header.stamp, at + offset)
             arm.state, arm.tip_pose.position.z = arm_state, height
-            self.say("arm_state", at + offset, arm)
+            self.write_message("arm_state", at + offset, arm)
         set_stamp(record.fired_at, at + 4.5)
         set_stamp(record.at_rest_at, at + 5.5)
         self.see(after, at + 5.5)

@@ -28,7 +28,7 @@ class RosController(Node):
         self.sent: list[JointTrajectory] = []
         self._states = self.create_publisher(JointState, "/robot/joint_states", 10)
         self.create_subscription(JointTrajectory, f"/{name}/joint_trajectory", self._take, 10)
-        self.create_timer(1 / STATE_RATE, self._tell)
+        self.create_timer(1 / STATE_RATE, self._publish)
         self._executor_here = SingleThreadedExecutor()
         self._executor_here.add_node(self)
         self._ended = threading.Event()
@@ -62,7 +62,7 @@ class RosController(Node):
         if refusal:
             self.get_logger().error(f"trajectory refused: {refusal}")
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         if self.silent:
             return
         with self.lock:

@@ -37,7 +37,7 @@ class RosOutput(Node):
         self._read_back = (
             self.create_publisher(Bool, "/robot/output_is_on", 10) if reads_back else None
         )
-        self.create_timer(1 / RATE, self._tell)
+        self.create_timer(1 / RATE, self._publish)
         self._executor_here = SingleThreadedExecutor()
         self._executor_here.add_node(self)
         self._ended = threading.Event()
@@ -57,7 +57,7 @@ class RosOutput(Node):
         if level != self.level:
             self.level = level
             self.edges.append((time.monotonic(), level))
-            self._tell()
+            self._publish()
 
     def pulses(self) -> list[float]:
         """Lengths of the pulses so far, s."""
@@ -80,7 +80,7 @@ class RosOutput(Node):
         while not self._ended.is_set():
             self._executor_here.spin_once(timeout_sec=0.2)
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         if self.silent:
             return
         self._guard.publish(Bool(data=self.guard_closed))

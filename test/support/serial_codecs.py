@@ -159,8 +159,8 @@ def tapper_out(data: bytes) -> None:
     board = TapperEmulator()
     board.receive(frame, 0.0)
     replies, _ = _decode_all(tapper_protocol.decode, board.take_output(1.0))
-    told = [(r.session, r.sequence) for r in replies if isinstance(r, tapper_protocol.Reply)]
-    if told != [(session, sequence)]:
+    keys = [(r.session, r.sequence) for r in replies if isinstance(r, tapper_protocol.Reply)]
+    if keys != [(session, sequence)]:
         raise Broken(f"{frame!r} was answered with {replies}")
 
 

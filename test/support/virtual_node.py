@@ -19,7 +19,7 @@ from tapping_cell.verification.host import HostClock, Process, Program
 from tapping_cell.verification.network import Network
 from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.verification.serial_line import SerialLine
-from tapping_cell.verification.trial import HEARS, QUALITIES, SERVES
+from tapping_cell.verification.trial import QUALITIES, SERVES, SUBSCRIPTIONS
 
 PATIENCE_S = 60.0
 PROBE = "probe"
@@ -52,7 +52,7 @@ class VirtualNode:
             lambda: make(lines if several else line),
             connect,
             cell or load_cell(),
-            HEARS[name],
+            SUBSCRIPTIONS[name],
             SERVES[name],
             tuple(lines),
         )
@@ -114,6 +114,6 @@ class VirtualNode:
         self.wait(lambda: answers, f"{service} answers")
         return answers[0]
 
-    def said(self) -> Sequence[str]:
+    def reported_errors(self) -> Sequence[str]:
         """Defects that the node met, in words: there are to be none."""
         return self.process.defects

@@ -124,12 +124,12 @@ def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
     """Reject a cell file that is not the running cell's, because it would give wrong postures."""
     assert client.arm_state is not None
     tip = cell.arm.geometry().forward(here)
-    thought = cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
-    told = from_message(client.arm_state.tip_pose)
-    if thought.distance_to(told) > _SAME_TIP:
+    computed = cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
+    reported = from_message(client.arm_state.tip_pose)
+    if computed.distance_to(reported) > _SAME_TIP:
         raise CalibrationRefused(
-            f"the tip is at {session.pose_text(thought)} according to {cell.path}, but at "
-            f"{session.pose_text(told)} according to the running cell; give the running cell's "
+            f"the tip is at {session.pose_text(computed)} according to {cell.path}, but at "
+            f"{session.pose_text(reported)} according to the running cell; give the running cell's "
             "own file with --cell"
         )
 

@@ -37,11 +37,12 @@ from tapping_cell.calibration.mounts import (
     fit_mount,
 )
 from tapping_cell.calibration.yaml_edit import numbers_text, with_entry
+from tapping_cell.cli.measured_taps import measured_taps
 from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.report.run import TapRow
-from tapping_cell.report.run_folder import TAPS, read_run
+from tapping_cell.report.run_folder import TAPS
 from tapping_cell.se2 import Pose
 
 
@@ -130,18 +131,7 @@ def read_taps(paths: Sequence[Path], cell: Cell) -> Taps:
 def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
     taps: list[TapRow] = []
     for folder in folders:
-        run_ = read_run(folder)
-        if run_.object_name != cell.object.name:
-            raise RecordError(
-                f"{folder} is a run of '{run_.object_name}', but the object file is of "
-                f"'{cell.object.name}'; give the object that was tapped (--object)"
-            )
-        # An unmeasured pose is NaN.
-        taps += [
-            tap
-            for tap in run_.taps
-            if tap.outcome == "fired" and tap.tapper and math.isfinite(tap.measured.x)
-        ]
+        taps += [tap for tap in measured_taps(folder, cell.object.name) if tap.tapper]
     if not taps:
         raise RecordError(
             f"the {len(folders)} run folders contain no fired tap of a named tapper; give runs of "

@@ -186,7 +186,7 @@ def _from_images(
         made=now(),
         inputs=fingerprints([*paths, camera_path]),
         observations=int(result.seen.sum()),
-        left_out=len(result.strays),
+        left_out=len(result.outliers),
         residual=result.rms,
         residual_of="root mean square reprojection error of the corners, pixels",
         uncertainty=largest,
@@ -196,7 +196,7 @@ def _from_images(
             for m, row in zip(references.markers, result.deviations.tolist(), strict=True)
             for name, value in zip(("x", "y", "theta"), row, strict=True)
         },
-        notes=(*notes, *unseen, *stray_lines(result), *result.warnings),
+        notes=(*notes, *unseen, *outlier_lines(result), *result.warnings),
     )
     return references, record, result
 
@@ -275,10 +275,11 @@ def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceM
     return scaled(references, wanted / apart), wanted / apart
 
 
-def stray_lines(result: TableCalibration) -> list[str]:
+def outlier_lines(result: TableCalibration) -> list[str]:
     """Return a message for every marker that was excluded from an image."""
     return [
-        f"left out: marker {s.marker} in {s.image}, {s.error:.1f} pixels off" for s in result.strays
+        f"left out: marker {s.marker} in {s.image}, {s.error:.1f} pixels off"
+        for s in result.outliers
     ]
 
 

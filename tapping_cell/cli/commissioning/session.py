@@ -101,7 +101,7 @@ class Session:
 
     # Other verbs
 
-    def verb(self, *words: str) -> dict[str, Any]:
+    def verb(self, *arguments: str) -> dict[str, Any]:
         """Run a verb that prints one JSON object, and return this object.
 
         Raises:
@@ -112,12 +112,12 @@ class Session:
         out, err = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             try:
-                status = main(words)
+                status = main(arguments)
             except SystemExit as ended:
                 status = int(ended.code or 0)
         if status:
-            said = " ".join(err.getvalue().split()) or " ".join(out.getvalue().split())
-            raise StepFailed(f"{' '.join(words[:2])} failed: {said.removeprefix('error: ')}")
+            output = " ".join(err.getvalue().split()) or " ".join(out.getvalue().split())
+            raise StepFailed(f"{' '.join(arguments[:2])} failed: {output.removeprefix('error: ')}")
         text = out.getvalue()
         found: dict[str, Any] = json.loads(text) if text.lstrip().startswith("{") else {}
         return found
@@ -166,7 +166,7 @@ class _Enabling(ClientNode):
         self._held = set_up and not session.hardware
         self._publisher = self.node.create_publisher(Bool, enabling.TOPIC, COMMAND)
         self._over = threading.Event()
-        self._heart = threading.Thread(target=self._beat, daemon=True)
+        self._heart = threading.Thread(target=self._send_heartbeats, daemon=True)
 
     def __enter__(self) -> _Enabling:
         super().__enter__()
@@ -178,7 +178,7 @@ class _Enabling(ClientNode):
         self._heart.join()
         super().__exit__(*error)
 
-    def _beat(self) -> None:
+    def _send_heartbeats(self) -> None:
         while self._held and not self._over.wait(HEARTBEAT_S):
             self._publisher.publish(Bool(data=True))
 

@@ -292,7 +292,7 @@ def object_at_rest(session: Session) -> Proof:
         places: list[Pose] = []
         seen_at: set[int] = set()
 
-        def looked() -> bool:
+        def measured() -> bool:
             seen = client.object_state
             if seen is not None and seen.visible and seen.at_rest and not seen.error_code:
                 stamp = seen.header.stamp.sec * 10**9 + seen.header.stamp.nanosec
@@ -301,7 +301,7 @@ def object_at_rest(session: Session) -> Proof:
                     places.append(from_message(seen.pose.pose))
             return len(places) >= OBSERVATIONS
 
-        wait(looked, READY_S, f"{OBSERVATIONS} measurements of the object at rest", graph)
+        wait(measured, READY_S, f"{OBSERVATIONS} measurements of the object at rest", graph)
     spread = float(np.hypot(np.std([p.x for p in places]), np.std([p.y for p in places])))
     if spread > REST_SPREAD:
         raise StepFailed(

@@ -1,8 +1,10 @@
 """Pose measurement node: receives images and publishes the object's pose with its covariance.
 
 Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are measured in
-turn; the object that ``plan_state`` names is measured in every image. Each measurement is published
-on ``other_objects``, and the latest states of all objects on ``object_states``.
+turn; the object that ``plan_state`` names, and every object that has not been at rest for long, is
+measured in every image. While the planner waits for observations, every object is measured in every
+image. Each measurement is published on ``other_objects``, and the latest states of all objects on
+``object_states``.
 """
 
 from __future__ import annotations
@@ -45,8 +47,8 @@ from tapping_cell.vision import (
     Observation,
     PoseTracker,
     Problem,
+    RoundRobin,
     TrackerSettings,
-    Turns,
     annotate,
     marker_ids,
 )
@@ -76,7 +78,7 @@ CODES = {
 
 WATCH_PERIOD_S = 0.05
 """Period of the check for missing images."""
-SILENCE_TOLD_EVERY = 5
+MISSED_LOG_PERIOD = 5
 """Number of failed checks between two reports of a silent camera."""
 CAMERA_PERIOD_S = 1.0
 """Period at which the camera pose is published."""
@@ -141,7 +143,7 @@ class CameraPose(CellNode[Parameters]):
         super().__init__("camera_pose", Parameters)
         self._cell: Cell | None = None
         self._other_files: tuple[ObjectFile, ...] = ()
-        self._turns = Turns(0)
+        self._turns = RoundRobin(0)
         self._tracker: PoseTracker | None = None
         self._camera: CameraModel | None = None
         self._calibration: tuple[object, ...] = ()
@@ -150,10 +152,11 @@ class CameraPose(CellNode[Parameters]):
         self._unanswered_since = 0.0
         self._goal: Pose | None = None
         self._tapped = ""
+        self._awaited = False
         self._other_states: list[ObjectState] = []
         self._received = time.monotonic()
         self._missed = 0
-        self._camera_told_at = 0.0
+        self._camera_published_at = 0.0
         self._backlog = Backlog()
         self._frames = 0
         self._busy_seconds = 0.0
@@ -208,14 +211,15 @@ class CameraPose(CellNode[Parameters]):
             "dropped frames": self._backlog.passed_over,
             "milliseconds a picture": f"{1000 * self._busy_seconds / max(1, self._frames):.2f}",
         }
-        trouble = self._last.error_msg or self._notice or self._backlog.sentence
-        if self._last.error_code or trouble:
-            return DiagnosticStatus.WARN, trouble, values
+        warning = self._last.error_msg or self._notice or self._backlog.sentence
+        if self._last.error_code or warning:
+            return DiagnosticStatus.WARN, warning, values
         return DiagnosticStatus.OK, "ok", values
 
     def _on_plan_state(self, message: PlanState) -> None:
         busy = message.state not in (PlanState.IDLE, PlanState.CANCELED)
         self._tapped = message.object_id if busy else ""
+        self._awaited = message.state == PlanState.LOOKING
         self._goal = from_message(message.goal.pose) if busy else None
 
     def _on_camera_info(self, message: CameraInfo) -> None:
@@ -242,7 +246,7 @@ class CameraPose(CellNode[Parameters]):
         settings = TrackerSettings(other_ids=marker_ids([seen, *others]))
         self._late = 0
         self._tracker = PoseTracker(camera, cell.references, seen, settings, others)
-        self._turns = Turns(len(others))
+        self._turns = RoundRobin(len(others))
 
     def _on_image(self, message: Image, info: dict[str, int]) -> None:
         self._received = time.monotonic()
@@ -268,7 +272,7 @@ class CameraPose(CellNode[Parameters]):
     def _answer(self, message: Image) -> None:
         began = time.perf_counter()
         if self._tracker is None:
-            self._say_no_camera(message)
+            self._report_no_camera(message)
             return
         stamp = seconds(message.header.stamp)
         if stamp <= 0.0:
@@ -295,17 +299,19 @@ class CameraPose(CellNode[Parameters]):
             self._refuse(message, ErrorCode.IMAGE_INVALID, str(error))
             return
         tapped = [n for n, file in enumerate(self._other_files) if file.name == self._tapped]
-        due = self._turns.due(stamp, tapped)
-        observation, others = self._tracker.update_several(grey, stamp, due)
+        due = self._turns.due(stamp, range(len(self._other_files)) if self._awaited else tapped)
+        observation, others = self._tracker.update_several(
+            grey, stamp, due, every_frame=self._awaited
+        )
         self._publish(message, observation)
         self._count_late(observation)
-        self._tell_camera(message)
+        self._publish_camera(message)
         self._frames += 1
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
         self._publish_others(message, others)
 
-    def _say_no_camera(self, picture: Image) -> None:
+    def _report_no_camera(self, picture: Image) -> None:
         """Report that images arrive without a camera calibration."""
         now = time.monotonic()
         if self._camera_problem:
@@ -358,14 +364,14 @@ class CameraPose(CellNode[Parameters]):
             if self._notice:
                 self.get_logger().warning(self._notice)
 
-    def _tell_camera(self, picture: Image) -> None:
+    def _publish_camera(self, picture: Image) -> None:
         """Publish the camera pose in ``table``, which is needed to project pixels onto the
         table."""
         assert self._tracker is not None
         now, view = time.monotonic(), self._tracker.view
-        if view is None or now - self._camera_told_at < CAMERA_PERIOD_S:
+        if view is None or now - self._camera_published_at < CAMERA_PERIOD_S:
             return
-        self._camera_told_at = now
+        self._camera_published_at = now
         message = PoseStamped(pose=camera_to_message(view.pose))
         message.header.stamp = picture.header.stamp
         message.header.frame_id = TABLE
@@ -404,7 +410,7 @@ class CameraPose(CellNode[Parameters]):
         # If this process itself was delayed, an image is already queued and is processed before the
         # next check.
         self._missed += 1
-        if self._missed % SILENCE_TOLD_EVERY == 2:
+        if self._missed % MISSED_LOG_PERIOD == 2:
             empty = Image()
             empty.header.stamp = self.get_clock().now().to_msg()
             self._refuse(

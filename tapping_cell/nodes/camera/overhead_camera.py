@@ -30,7 +30,7 @@ from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
 from tapping_cell.nodes.worker import Worker
 
-LISTENER_WAIT_S = 5.0
+SUBSCRIBER_WAIT_S = 5.0
 """Time for which a file or folder waits for a subscriber before its first image."""
 REOPEN_PERIOD_S = 1.0
 """Period between two attempts to reopen a lost source."""
@@ -147,14 +147,14 @@ class OverheadCamera(CellNode[Parameters]):
             if self._source is None:
                 self._source = self._open()
             if self._frames == 0 and isinstance(self._source, Playback):
-                self._pause(LISTENER_WAIT_S, self._publisher.listeners)
+                self._pause(SUBSCRIBER_WAIT_S, self._publisher.subscribers)
             frame = self._source.read()
         except SourceEnded as error:
             self._ended = True
-            self._say(str(error))
+            self._log_problem(str(error))
             return
         except CameraSourceError as error:
-            self._say(str(error))
+            self._log_problem(str(error))
             if self._source is not None:
                 self._source.close()
             self._source, self._away = None, True
@@ -169,7 +169,7 @@ class OverheadCamera(CellNode[Parameters]):
         assert self._settings is not None
         picture, wanted = to_grey(frame.picture), self._settings
         if picture.shape != (wanted.height, wanted.width):
-            self._say(
+            self._log_problem(
                 f"the image is {picture.shape[1]} x {picture.shape[0]} pixels but the "
                 f"calibration is for {wanted.width} x {wanted.height}: not sent; calibrate at "
                 "the image size, or set the camera to the calibrated size"
@@ -192,7 +192,7 @@ class OverheadCamera(CellNode[Parameters]):
             return  # the process is shutting down
         self._frames += 1
 
-    def _say(self, sentence: str) -> None:
+    def _log_problem(self, sentence: str) -> None:
         """Log a problem, unless it was the last one logged."""
         if sentence != self._problem:
             self.get_logger().error(sentence)

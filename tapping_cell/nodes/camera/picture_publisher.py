@@ -20,7 +20,7 @@ class PicturePublisher:
         )
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", images.PICTURES)
 
-    def listeners(self) -> int:
+    def subscribers(self) -> int:
         """Number of subscribers to the images."""
         return self._raw.get_subscription_count() + self._compressed.get_subscription_count()
 

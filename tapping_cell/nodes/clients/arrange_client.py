@@ -18,12 +18,15 @@ from tapping_cell_msgs.msg import (
     ObjectStates,
     PlanState,
     TapperState,
+    TapRecord,
 )
 
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.report.arrangement_run import ArrangedTap
+from tapping_cell.report.words import OUTCOMES, word
 from tapping_cell.se2 import Pose
 
 STATES = {
@@ -45,6 +48,8 @@ class ObjectEnd:
     taps: int
     residual_distance: float
     residual_rotation: float
+    pose: Pose | None
+    """Last measured pose; None if the object was never seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +69,7 @@ class ArrangementEnded:
     error_msg: str
     taps: int
     objects: tuple[ObjectEnd, ...] = field(default=())
+    records: tuple[ArrangedTap, ...] = field(default=())
 
 
 Event = ObjectTapped | ArrangementEnded
@@ -86,6 +92,7 @@ class ArrangeClient(ActionFollower[Event]):
         self._arm: ArmState | None = None
         self._tapper: TapperState | None = None
         self._taps = 0
+        self._purposes: dict[int, str] = {}
         subscribe = self.node.create_subscription
         subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
         subscribe(ArmState, "arm_state", self._on_arm, LATCHED)
@@ -125,10 +132,13 @@ class ArrangeClient(ActionFollower[Event]):
             one.goal_pose.pose = to_message(Pose(*goal.pose))
             message.goals.append(one)
         self._taps = 0
+        self._purposes.clear()
         self._send_goal(message)
 
     def _on_feedback(self, feedback: ArrangeObjects.Feedback) -> None:
         plan = feedback.plan_state
+        if plan.planned_tap.tap_id:
+            self._purposes[plan.planned_tap.tap_id] = plan.planned_tap.reason
         if plan.taps > self._taps:
             self._taps = plan.taps
             objects = _ends(feedback.objects)
@@ -137,7 +147,14 @@ class ArrangeClient(ActionFollower[Event]):
     def _on_result(self, result: ArrangeObjects.Result) -> None:
         self._events.put(
             ArrangementEnded(
-                result.error_code, result.error_msg, result.taps, _ends(result.objects)
+                result.error_code,
+                result.error_msg,
+                result.taps,
+                _ends(result.objects),
+                tuple(
+                    _tap(number, record, self._purposes.get(record.tap_id, ""))
+                    for number, record in enumerate(result.records, start=1)
+                ),
             )
         )
 
@@ -191,6 +208,26 @@ def _ends(objects: list[ObjectProgress]) -> tuple[ObjectEnd, ...]:
             one.taps,
             one.residual_distance,
             one.residual_rotation,
+            from_message(one.pose.pose) if any(one.pose.covariance) else None,
         )
         for one in objects
+    )
+
+
+def _tap(number: int, record: TapRecord, told: str) -> ArrangedTap:
+    """Return a tap for the report. ``told``: the reasons that the planner gave before the tap: why
+    this object, then why this tap."""
+    measured = from_message(record.measured_pose.pose)
+    why_tap = record.reason or "asked again because"
+    return ArrangedTap(
+        number=number,
+        name=record.object_id,
+        before=from_message(record.object_pose),
+        predicted=from_message(record.predicted_pose),
+        measured=measured if math.isfinite(measured.x) else None,
+        strike=from_message(record.strike_pose),
+        striker_speed=record.striker_speed,
+        outcome=word(OUTCOMES, record.outcome),
+        purpose=told.partition(f"; {why_tap}")[0],
+        reason=record.reason,
     )

@@ -162,24 +162,24 @@ class CellClient(ClientNode):
             NotDone: a device refuses, with the message of that device.
         """
         answers = [self._call(self._clear[actor], actor) for actor in self._actors()]
-        refused = [words for good, words in answers if not good]
+        refused = [message for good, message in answers if not good]
         if refused:
             raise NotDone("; ".join(refused))
-        return [words for _, words in answers]
+        return [message for _, message in answers]
 
     def home(self) -> str:
         """Start homing the arm. Raises NotDone with the message of the arm's node."""
-        good, words = self._call(self._home, "scara_arm")
+        good, message = self._call(self._home, "scara_arm")
         if not good:
-            raise NotDone(words)
-        return words
+            raise NotDone(message)
+        return message
 
     def press_button(self) -> str:
         """Press the clear button of the simulated tapper. Raises NotDone if there is none."""
-        good, words = self._call(self._button, "sim_world")
+        good, message = self._call(self._button, "sim_world")
         if not good:
-            raise NotDone(words)
-        return words
+            raise NotDone(message)
+        return message
 
     def _call(self, client: Any, name: str, patience: float = 5.0) -> tuple[bool, str]:
         if not client.wait_for_service(patience):
@@ -188,9 +188,9 @@ class CellClient(ClientNode):
         answers: list[Any] = []
 
         def ask() -> None:
-            client.call_async(Trigger.Request()).add_done_callback(told)
+            client.call_async(Trigger.Request()).add_done_callback(on_reply)
 
-        def told(future: Future) -> None:
+        def on_reply(future: Future) -> None:
             answers.append(future.result())
             done.set()
 

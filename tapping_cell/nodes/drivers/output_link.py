@@ -99,7 +99,7 @@ class RosOutputLink(RosLink):
         return bool(self._section.read_back)
 
     @property
-    def rivals(self) -> tuple[str, ...]:
+    def other_commanders(self) -> tuple[str, ...]:
         """Other nodes that publish on the output's topic."""
         if self._publisher is None:
             return ()
@@ -168,7 +168,7 @@ class RosOutputLink(RosLink):
     def answer(self, number: int) -> Answer:
         """Return the outcome of a request."""
         if self._client is None:
-            return Answer.UNTOLD
+            return Answer.UNREPORTED
         future = self._futures.get(number)
         if future is None or not future.done():
             return Answer.PENDING

@@ -120,7 +120,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report port, firmware, homing and counters."""
-        driver, (code, sentence) = self.driver, self.logic.trouble
+        driver, (code, sentence) = self.driver, self.logic.error
         if driver is None:
             return DiagnosticStatus.WARN, sentence, {}
         firmware, counters, line = driver.firmware, driver.counters, driver.line_counters

@@ -81,6 +81,11 @@ class Parameters:
         math.pi,
         default=0.05,
     )
+    needs_camera: bool = text(
+        "charge and fire only if usable images have been received since the node was started; set "
+        "to false only for single taps in a cell without a camera",
+        default=True,
+    )
 
 
 class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
@@ -143,7 +148,7 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report port, firmware and counters."""
-        driver, (code, sentence) = self.driver, self.logic.trouble
+        driver, (code, sentence) = self.driver, self.logic.error
         if driver is None:
             return DiagnosticStatus.WARN, sentence, {}
         counters = driver.counters
@@ -173,6 +178,7 @@ def make_logic(parameters: Parameters) -> TapperLogic:
         parameters.unseen_limit,
         parameters.moved_limit,
         parameters.turned_limit,
+        parameters.needs_camera,
     )
     return TapperLogic(TapperOptions(parameters.state_rate, limits, parameters.set_up))
 

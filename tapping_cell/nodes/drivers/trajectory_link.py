@@ -67,7 +67,7 @@ class RosTrajectoryLink(RosLink):
         self._goal = 0
         self._course: Course | None = None
         self._handle: Any = None
-        self._progress = Progress(GoalState.UNTOLD)
+        self._progress = Progress(GoalState.UNREPORTED)
         self._topic = f"{section.controller}/joint_trajectory"
         self._publisher = self._node.create_publisher(JointTrajectory, self._topic, COMMAND)
         # Best effort also matches reliable publishers, and the next message replaces a lost state.
@@ -128,7 +128,7 @@ class RosTrajectoryLink(RosLink):
         return self._other_names
 
     @property
-    def rivals(self) -> Sequence[str]:
+    def other_commanders(self) -> Sequence[str]:
         """Other nodes that publish on the controller's topic."""
         return self._publishers(self._topic)
 
@@ -141,8 +141,8 @@ class RosTrajectoryLink(RosLink):
         order = [places[name] for name in self._joints]
         if max(order) >= len(message.position):
             return
-        told = message.velocity if len(message.velocity) == len(message.name) else None
-        speeds = None if told is None else tuple(told[index] for index in order)
+        reported = message.velocity if len(message.velocity) == len(message.name) else None
+        speeds = None if reported is None else tuple(reported[index] for index in order)
         if speeds is not None and not all(map(math.isfinite, speeds)):
             speeds = None
         stamp = Time.from_msg(message.header.stamp).nanoseconds
@@ -189,7 +189,7 @@ class RosTrajectoryLink(RosLink):
             self._goal += 1
             self._course = Course(self.samples[-1].positions, points)
             if self.interface == "topic":
-                self._progress = Progress(GoalState.UNTOLD)
+                self._progress = Progress(GoalState.UNREPORTED)
                 self._publisher.publish(message)
                 return
             self._progress = Progress(GoalState.ACTIVE)
@@ -232,22 +232,24 @@ class RosTrajectoryLink(RosLink):
             if number != self._goal:
                 return
             self._handle = None
-            words = ENDINGS.get(ended.status, f"ended with status {ended.status}")
-            said = f"{ended.result.error_string} (code {ended.result.error_code})"
+            text = ENDINGS.get(ended.status, f"ended with status {ended.status}")
+            detail = f"{ended.result.error_string} (code {ended.result.error_code})"
             self._progress = Progress(
-                STATUS.get(ended.status, GoalState.FAILED), f"{words}: {said}".strip()
+                STATUS.get(ended.status, GoalState.FAILED), f"{text}: {detail}".strip()
             )
 
     def _message(self, points: Sequence[TrajectoryPoint]) -> JointTrajectory:
         """Build the message with a zero stamp, so that the trajectory starts immediately."""
         message = JointTrajectory(joint_names=list(self._joints))
         for point in points:
-            told = JointTrajectoryPoint(
+            command = JointTrajectoryPoint(
                 positions=list(point.positions), velocities=list(point.velocities)
             )
             nanoseconds = round(1e9 * max(point.time, LEAST_TIME))
-            told.time_from_start.sec, told.time_from_start.nanosec = divmod(nanoseconds, 10**9)
-            message.points.append(told)
+            command.time_from_start.sec, command.time_from_start.nanosec = divmod(
+                nanoseconds, 10**9
+            )
+            message.points.append(command)
         return message
 
     def _present(self) -> bool:

@@ -32,7 +32,7 @@ from tapping_cell.planning import PlanningError
 from tapping_cell.report.error_codes import hint
 from tapping_cell.se2 import Pose
 
-PROGRESS_WORDS = {
+PROGRESS_TEXTS = {
     ObjectProgress.WAITING: "waiting",
     ObjectProgress.ACTIVE: "being tapped",
     ObjectProgress.MAKING_WAY: "making way",
@@ -181,7 +181,7 @@ class Arrangements:
 def progress_row(one: ObjectProgress) -> dict[str, object]:
     """Return the progress of one object, in mm and degrees."""
     return {
-        "state": PROGRESS_WORDS[one.state],
+        "state": PROGRESS_TEXTS[one.state],
         "distance": shown(1e3 * one.residual_distance),
         "rotation": shown(math.degrees(one.residual_rotation)),
         "taps": one.taps,

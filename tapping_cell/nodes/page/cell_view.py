@@ -32,7 +32,7 @@ SILENCE_LIMIT_S = 1.5
 LOG_LENGTH = 200
 OUTCOMES = {TapperState.FIRED: "fired", TapperState.NOT_FIRED: "not fired"}
 
-ARM_WORDS = {
+ARM_TEXTS = {
     ArmState.DISCONNECTED: "not connected",
     ArmState.NOT_HOMED: "not homed",
     ArmState.HOMING: "homing",
@@ -43,7 +43,7 @@ ARM_WORDS = {
     ArmState.FAULT: "fault",
     ArmState.STOPPED: "stopped",
 }
-TAPPER_WORDS = {
+TAPPER_TEXTS = {
     TapperState.DISCONNECTED: "not connected",
     TapperState.SAFE: "safe",
     TapperState.CHARGING: "charging",
@@ -213,9 +213,9 @@ class CellView:
                 return Mode("waiting", f"tap {number} waits for your confirmation")
             return Mode("moving", f"tap {self._plan.taps + 1}: {PHASES[self._plan.state]}")
         if arm is not None and arm.state in ARM_BUSY and not self._monitor.silent("arm", _now()):
-            return Mode("moving", f"the arm is {ARM_WORDS[arm.state]}")
+            return Mode("moving", f"the arm is {ARM_TEXTS[arm.state]}")
         if tapper is not None and tapper.state in TAPPER_BUSY:
-            return Mode("moving", f"the tapper is {TAPPER_WORDS[tapper.state]}")
+            return Mode("moving", f"the tapper is {TAPPER_TEXTS[tapper.state]}")
         missing = self._monitor.missing(_now())
         if missing is not None:
             return Mode("not ready", missing[1], missing[0])
@@ -245,8 +245,8 @@ class CellView:
             "object": self._object_state(),
             "plan": self._plan_state(),
             "taps": self._taps,
-            "arm": self._device("arm", ARM_WORDS) if self.has_arm else None,
-            "tapper": self._device("tapper", TAPPER_WORDS),
+            "arm": self._device("arm", ARM_TEXTS) if self.has_arm else None,
+            "tapper": self._device("tapper", TAPPER_TEXTS),
             "log": list(self._log),
         }
 
@@ -345,12 +345,12 @@ class CellView:
         """Reason why no goal can be sent now, or an empty text."""
         return self._blocked(self.mode())
 
-    def _device(self, who: str, words: dict[int, str]) -> dict[str, object]:
+    def _device(self, who: str, texts: dict[int, str]) -> dict[str, object]:
         state = getattr(self._monitor, who)
         if state is None or self._monitor.silent(who, _now()):
             return {"state": "silent", "sentence": "", "code": 0}
         return {
-            "state": words[state.state],
+            "state": texts[state.state],
             "sentence": state.error_msg,
             "code": state.error_code,
         }

@@ -17,7 +17,7 @@ MOST_NAMES = 50
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class RequestedGoal:
     """Goal in ``table``, with its tolerance in m and rad, where 0 selects the cell's default."""
 
     pose: Pose
@@ -33,17 +33,17 @@ class GoalQueue:
 
     def __init__(self) -> None:
         self._numbers = itertools.count(1)
-        self._waiting: dict[int, Wanted] = {}
+        self._waiting: dict[int, RequestedGoal] = {}
         self.running = False
         """Whether the next goal is sent after the current goal was reached."""
         self.held = ""
         """Reason why the queue paused automatically, or an empty text."""
 
-    def rows(self) -> list[tuple[int, Wanted]]:
+    def rows(self) -> list[tuple[int, RequestedGoal]]:
         """Return the numbers and goals in order."""
         return list(self._waiting.items())
 
-    def add(self, goal: Wanted) -> None:
+    def add(self, goal: RequestedGoal) -> None:
         """Append a goal. Raises QueueFull."""
         if len(self._waiting) >= MOST_WAITING:
             raise QueueFull(
@@ -69,7 +69,7 @@ class GoalQueue:
         if not reached:
             self.hold(f"The queue is paused: {sentence}")
 
-    def next(self, busy: bool, blocked: str) -> Wanted | None:
+    def next(self, busy: bool, blocked: str) -> RequestedGoal | None:
         """Remove and return the goal to send now, or None if none is to be sent."""
         if blocked:
             self.hold(f"The queue is paused. {blocked}")

@@ -67,7 +67,7 @@ from tapping_cell.nodes.page.cell_view import (
     with_code,
 )
 from tapping_cell.nodes.page.ghost import Ghost
-from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull, Wanted
+from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull, RequestedGoal
 from tapping_cell.nodes.page.node_watch import ARM, NodeWatch
 from tapping_cell.nodes.page.pictures import to_jpeg
 from tapping_cell.nodes.page.previews import Previews
@@ -465,11 +465,11 @@ class OperatorPage(CellNode[Parameters]):
         """Process a page's request. Called in the server's thread."""
         if isinstance(request, (Move, Turn, Place)):
             if request.object not in ("", *self._arrangements.cells):
-                answer(_trouble(request, f"the cell has no object '{request.object}'"))
+                answer(_failure_message(request, f"the cell has no object '{request.object}'"))
             elif self._previews is not None:
                 self._previews.ask((page, request.object), (request, answer))
         elif isinstance(request, SendGoal):
-            goal = Wanted(request.pose, request.tolerance)
+            goal = RequestedGoal(request.pose, request.tolerance)
             self._do(self._send_goal, goal, who, answer)
         elif isinstance(request, Arrange):
             self._do(self._arrangements.send, request, who, answer)
@@ -478,11 +478,11 @@ class OperatorPage(CellNode[Parameters]):
         elif isinstance(request, Confirm):
             self._do(self._confirm, request, who, answer)
         elif isinstance(request, SetAsk):
-            words = f"asking before every tap is {'on' if request.ask else 'off'}"
-            self._do(self._set_parameter, "ask", request.ask, words, who, answer)
+            text = f"asking before every tap is {'on' if request.ask else 'off'}"
+            self._do(self._set_parameter, "ask", request.ask, text, who, answer)
         elif isinstance(request, SetPlanner):
-            words = f"planning method {request.planner} from the next goal on"
-            self._do(self._set_parameter, "planner", request.planner, words, who, answer)
+            text = f"planning method {request.planner} from the next goal on"
+            self._do(self._set_parameter, "planner", request.planner, text, who, answer)
         elif isinstance(request, (QueueGoal, Unqueue, NameGoal, ForgetGoal)):
             self._do(self._change_lists, request, answer)
         elif isinstance(request, Command) and request.name == "stop":
@@ -526,35 +526,35 @@ class OperatorPage(CellNode[Parameters]):
                 )
             answer(ghost.answer(request))
         except BadRequest as error:
-            answer(_trouble(request, str(error)))
+            answer(_failure_message(request, str(error)))
 
     def _confirm(self, request: Confirm, who: str, answer: server.Answer) -> None:
-        def told(future: Future) -> None:
+        def on_reply(future: Future) -> None:
             response: ConfirmTap.Response = future.result()
-            words = "tap confirmed" if request.confirm else "tap skipped; another tap is planned"
+            text = "tap confirmed" if request.confirm else "tap skipped; another tap is planned"
             sentence = with_code(response.error_msg, response.error_code)
-            answer(_answer("confirm", response.accepted, words if response.accepted else sentence))
+            answer(_answer("confirm", response.accepted, text if response.accepted else sentence))
             if response.accepted:
-                self._view.note(f"{words} on the page ({who})")
+                self._view.note(f"{text} on the page ({who})")
 
         question = ConfirmTap.Request(tap_id=request.tap_id, confirm=request.confirm)
-        self._call(self._confirm_client, question, "confirm", "the planner", answer, told)
+        self._call(self._confirm_client, question, "confirm", "the planner", answer, on_reply)
 
     def _set_parameter(
-        self, name: str, value: bool | str, words: str, who: str, answer: server.Answer
+        self, name: str, value: bool | str, text: str, who: str, answer: server.Answer
     ) -> None:
         """Change a run-time parameter of the planner."""
 
-        def told(future: Future) -> None:
+        def on_reply(future: Future) -> None:
             result = future.result().results[0]
-            answer(_answer("settings", result.successful, result.reason or words))
+            answer(_answer("settings", result.successful, result.reason or text))
             if result.successful:
-                self._view.note(f"{words}: set on the page ({who})")
+                self._view.note(f"{text}: set on the page ({who})")
 
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]
         )
-        self._call(self._set_client, request, "settings", "the planner", answer, told)
+        self._call(self._set_client, request, "settings", "the planner", answer, on_reply)
 
     def _parameter_client(self, node: str) -> Client:
         return self.create_client(SetParameters, f"{node}/set_parameters")
@@ -575,23 +575,23 @@ class OperatorPage(CellNode[Parameters]):
                 refusal = self._arrangements.checks[self._cell.object.name].refusal(request.pose)
                 if refusal:
                     raise QueueFull(f"the planner would refuse this goal: {refusal}")
-                self._queue.add(Wanted(request.pose, request.tolerance))
-                words = "goal added to the queue"
+                self._queue.add(RequestedGoal(request.pose, request.tolerance))
+                text = "goal added to the queue"
             elif isinstance(request, Unqueue):
                 found = self._queue.remove(request.number)
-                words = "goal removed" if found else "this goal is no longer in the queue"
+                text = "goal removed" if found else "this goal is no longer in the queue"
             elif isinstance(request, NameGoal):
                 self._named.keep(request.name, request.pose)
                 self._named_file.keep(self._named.as_content())
-                words = f"goal saved as '{request.name}'"
+                text = f"goal saved as '{request.name}'"
             else:
                 found = self._named.forget(request.name)
                 self._named_file.keep(self._named.as_content())
-                words = f"'{request.name}' removed" if found else "there is no goal of this name"
+                text = f"'{request.name}' removed" if found else "there is no goal of this name"
         except (QueueFull, OSError) as error:
             answer(_answer("queue", False, str(error)))
             return
-        answer(_answer("queue", True, words))
+        answer(_answer("queue", True, text))
 
     def _run_queue(self, who: str, answer: server.Answer) -> None:
         self._queue.run()
@@ -606,7 +606,7 @@ class OperatorPage(CellNode[Parameters]):
         answer(_answer("queue", True, "the queue is paused; the current goal continues"))
         self._view.note(f"queue of goals paused on the page ({who})")
 
-    def _send_goal(self, wanted: Wanted, who: str, answer: server.Answer) -> None:
+    def _send_goal(self, wanted: RequestedGoal, who: str, answer: server.Answer) -> None:
         if not self._action.server_is_ready():
             answer(_answer("goal", False, "the planner is not running; start tap_planner"))
             return
@@ -702,11 +702,11 @@ class OperatorPage(CellNode[Parameters]):
             answer(_answer(to, False, f"{name}: does not answer; is it running?"))
             return
 
-        def told(future: Future) -> None:
+        def on_reply(future: Future) -> None:
             response = future.result()
             answer(_answer(to, response.success, f"{name}: {response.message}"))
 
-        client.call_async(request).add_done_callback(done or told)
+        client.call_async(request).add_done_callback(done or on_reply)
 
 
 def _on_stop_state(view: CellView, actor: str) -> Callable[[StopState], None]:
@@ -720,7 +720,7 @@ def _answer(to: str, ok: bool, sentence: str) -> dict[str, object]:
     return {"type": "answer", "to": to, "ok": ok, "text": sentence}
 
 
-def _trouble(request: Move | Turn | Place, sentence: str) -> dict[str, object]:
+def _failure_message(request: Move | Turn | Place, sentence: str) -> dict[str, object]:
     head = {"type": "ghost", "number": request.number, "object": request.object}
     return {**head, "trouble": sentence}
 

@@ -255,7 +255,7 @@ class PageServer:
             self.pages.remove(page)
             self.backend.on_pages(len(self.pages))
 
-    def knows(self, key: str) -> bool:
+    def has_key(self, key: str) -> bool:
         """Return whether a key belongs to an open page, which may read the runs."""
         return any(secrets.compare_digest(page.key, key) for page in self.pages)
 
@@ -329,7 +329,7 @@ class RunHandler(_Guarded):
 
     async def get(self, key: str, name: str, what: str) -> None:
         """Send the report as a page, or the run's archive in chunks."""
-        if not self.server.knows(key):
+        if not self.server.has_key(key):
             self.refuse(403, "this link belongs to a closed page; use a link on an open page")
         elif what == "run.zip":
             await self._archive(name)

@@ -109,9 +109,9 @@ class StopLink:
             with self._lock:
                 self._process = None
 
-    def _receive(self, told: dict[str, object]) -> None:
-        changed = told["held"] != self.held
-        self.held = bool(told["held"])
+    def _receive(self, content: dict[str, object]) -> None:
+        changed = content["held"] != self.held
+        self.held = bool(content["held"])
         self.ready.set()
-        if changed or told["who"]:
-            self._on_level(self.held, str(told["who"]))
+        if changed or content["who"]:
+            self._on_level(self.held, str(content["who"]))

@@ -63,7 +63,7 @@ def cell_markers(
         markers.append(_line("keep_out", number, np.asarray(polygon), Pose(0.0, 0.0, 0.0), RED))
     for number, area in enumerate(others):
         if area is None:
-            markers.append(_gone("other_object", number))
+            markers.append(_deletion("other_object", number))
         elif isinstance(area, CircleArea):
             centre = Pose(area.x, area.y, 0.0)
             markers.append(_line("other_object", number, _circle(area.radius), centre, RED))
@@ -79,7 +79,7 @@ def cell_markers(
         ("predicted", predicted, AMBER),
     ):
         if place is None:
-            markers += [_gone(name, 0), _gone(name, 1)]
+            markers += [_deletion(name, 0), _deletion(name, 1)]
             continue
         markers.append(_line(name, 0, outline, place, colour))
         markers.append(_line(name, 1, heading, place, colour))
@@ -87,16 +87,16 @@ def cell_markers(
         markers.append(_line("goal", 2, _circle(state.position_tolerance), goal, GREEN))
         markers.append(_line("goal", 3, _sector(reach, state.angle_tolerance), goal, GREEN))
     else:
-        markers += [_gone("goal", 2), _gone("goal", 3)]
+        markers += [_deletion("goal", 2), _deletion("goal", 3)]
     places = np.array([(place.x, place.y) for place in (*way, *([pose] if pose else []))])
     if way:
         markers.append(_points("way", Marker.LINE_STRIP, places, LINE_WIDTH / 2, GREY))
         markers.append(_points("taps", Marker.POINTS, places, 3 * LINE_WIDTH, GREY))
     else:
-        markers += [_gone("way", 0), _gone("taps", 0)]
+        markers += [_deletion("way", 0), _deletion("taps", 0)]
     if region is not None:
         markers.append(region)
-    markers.append(_strike_arrow(strike) if strike is not None else _gone("strike", 0))
+    markers.append(_strike_arrow(strike) if strike is not None else _deletion("strike", 0))
     for marker in markers:
         marker.header = state.header
     return MarkerArray(markers=markers)
@@ -173,5 +173,5 @@ def _strike_arrow(strike: Strike) -> Marker:
     return marker
 
 
-def _gone(name: str, number: int) -> Marker:
+def _deletion(name: str, number: int) -> Marker:
     return Marker(ns=name, id=number, action=Marker.DELETE)

@@ -35,7 +35,7 @@ class TfFrames:
     def in_table(self, frame: str, stamp: Stamp) -> Pose:
         """See ``logic.frames.Frames``."""
         try:
-            found = self._look_up(frame, Time(nanoseconds=to_nanoseconds(stamp)))
+            found = self._lookup(frame, Time(nanoseconds=to_nanoseconds(stamp)))
         except tf2_ros.TransformException as error:
             raise FrameError(self._refusal(frame, error)) from error
         place, turn = found.transform.translation, found.transform.rotation
@@ -44,7 +44,7 @@ class TfFrames:
             orientation=Quaternion(x=turn.x, y=turn.y, z=turn.z, w=turn.w),
         )
 
-    def _look_up(self, frame: str, at: Time) -> TransformStamped:
+    def _lookup(self, frame: str, at: Time) -> TransformStamped:
         try:
             return self._buffer.lookup_transform(TABLE, frame, at)
         except tf2_ros.ExtrapolationException:

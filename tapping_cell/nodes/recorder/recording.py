@@ -169,7 +169,7 @@ class Recording:
         """
         self._bag.close()
 
-    def tell(self, pictures: bool) -> None:
+    def write_report(self, pictures: bool) -> None:
         """Write the summary and the taps from the bag and, if ``pictures`` is set, the image and
         the page.
 

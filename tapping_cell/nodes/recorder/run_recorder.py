@@ -178,7 +178,7 @@ class RunRecorder(CellNode[Parameters]):
     """See the module's docstring.
 
     The executor's thread polls the topics and queues their messages; ``_worker`` writes them, and
-    ``_teller`` draws the report.
+    ``_reporter`` draws the report.
     """
 
     changeable = ("folder", "name", "picture_rate")
@@ -196,7 +196,7 @@ class RunRecorder(CellNode[Parameters]):
         self._ends_at: float | None = None
         self._end: PlanState | GoalReport | None = None
         self._recording: Recording | None = None
-        self._trouble = ""
+        self._error = ""
         self._runs = 0
         self._refusal: tuple[int, str, float] = (0, "", 0.0)
         self._picture_at = 0
@@ -205,22 +205,22 @@ class RunRecorder(CellNode[Parameters]):
         self._folder, self._name = self.settings.folder, self.settings.name
         self._picture_rate = self.settings.picture_rate
         self._worker: Worker | None = None
-        self._teller: Worker | None = None
+        self._reporter: Worker | None = None
         self._types = MessageTypes()
         self._last_run = self.create_publisher(String, "last_run", LATCHED)
         self._topics: dict[str, RecordedTopic] = {}
         for name, kind in STATES.items():
-            self._know(name, kind, Quality(1, latched=True))
+            self._register(name, kind, Quality(1, latched=True))
             self._polled.add(kind, name, _STATE)
         for name, kind in STREAMS.items():
-            self._know(name, kind, Quality())
+            self._register(name, kind, Quality())
             # Best effort matches every publisher of goals.
             profile = BEST_EFFORT_COMMAND if name == "goal_pose" else _STREAM
             self._polled.add(kind, name, profile)
         for name, kind in FRAMES.items():
-            self._know(name, kind, Quality(reliable=kind is not CameraInfo))
+            self._register(name, kind, Quality(reliable=kind is not CameraInfo))
             self._polled.add(kind, name, images.PICTURES if kind is CameraInfo else _STREAM)
-        self._know(PICTURES, CompressedImage, Quality())
+        self._register(PICTURES, CompressedImage, Quality())
         self._polled.add(CompressedImage, PICTURES, images.COMPRESSED_PICTURES)
         self._notes_topic = self._recorded_name(NOTES)
         self._topics[self._notes_topic] = RecordedTopic(
@@ -233,7 +233,7 @@ class RunRecorder(CellNode[Parameters]):
         can be made from every bag."""
         return self.resolve_topic_name(name, only_expand=True)
 
-    def _know(self, name: str, kind: type, quality: Quality) -> None:
+    def _register(self, name: str, kind: type, quality: Quality) -> None:
         package = kind.__module__.partition(".")[0]
         topic = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
         self._topics[self._recorded_name(name)] = topic
@@ -252,8 +252,8 @@ class RunRecorder(CellNode[Parameters]):
         self._notes = cell_notes(cell, self.settings.seed)
         self._worker = Worker("recorder", self._write_on, WRITE_PERIOD_S)
         self._worker.start()
-        self._teller = Worker("teller", lambda: None, 60.0)
-        self._teller.start()
+        self._reporter = Worker("teller", lambda: None, 60.0)
+        self._reporter.start()
         for topic in self._topics.values():
             # The definition is loaded once here, so that the first messages of a goal are not
             # delayed by it.
@@ -272,10 +272,10 @@ class RunRecorder(CellNode[Parameters]):
             written = threading.Event()
             self._worker.submit(written.set)
             written.wait(END_PATIENCE_S)
-            for worker in (self._worker, self._teller):
+            for worker in (self._worker, self._reporter):
                 if worker is not None:
                     worker.close(patience=0.2)
-            self._worker = self._teller = None
+            self._worker = self._reporter = None
 
     def change(self, name: str, value: object) -> None:
         """Change folder, name or rate for the next run."""
@@ -293,12 +293,12 @@ class RunRecorder(CellNode[Parameters]):
             "folder": os.path.abspath(self._folder),
             "recording": recording.folder if recording is not None else "",
             "runs": self._runs,
-            "error code": ErrorCode.RECORDING_FAILED if self._trouble else ErrorCode.NONE,
+            "error code": ErrorCode.RECORDING_FAILED if self._error else ErrorCode.NONE,
         }
         if self._worker is not None and self._worker.error is not None:
             return DiagnosticStatus.ERROR, f"a defect: {self._worker.error!r}", values
-        if self._trouble:
-            return DiagnosticStatus.ERROR, self._trouble, values
+        if self._error:
+            return DiagnosticStatus.ERROR, self._error, values
         return DiagnosticStatus.OK, "ok", values
 
     # Reception: the executor's thread
@@ -401,11 +401,11 @@ class RunRecorder(CellNode[Parameters]):
             first = lead[0].stamp if lead else self._now()
             self._bag_begins = first
             # Latched messages older than the lead time are written at the start of the bag.
-            told = {message.topic for message in lead}
+            topics = {message.topic for message in lead}
             old = [
                 ReceivedMessage(message.topic, first, message.data)
                 for message in self._latched.values()
-                if message.topic not in told
+                if message.topic not in topics
             ]
             self._lead.clear()
             text = serialize_message(String(data=json.dumps(notes)))
@@ -451,7 +451,7 @@ class RunRecorder(CellNode[Parameters]):
         except CannotRecord as error:
             self._complain(str(error))
             return
-        self._trouble = ""
+        self._error = ""
         self.get_logger().info(f"recording to {made}")
 
     def _write_on(self) -> None:
@@ -482,22 +482,22 @@ class RunRecorder(CellNode[Parameters]):
             self._complain(f"the bag in {recording.folder} was not closed: {error}")
         # The tables are written immediately. Drawing takes seconds, during which the next goal may
         # start.
-        self._tell(recording, pictures=False)
-        if pictures and self._teller is not None:
-            self._teller.submit(lambda: self._announce(recording, pictures=True))
+        self._write_report(recording, pictures=False)
+        if pictures and self._reporter is not None:
+            self._reporter.submit(lambda: self._announce(recording, pictures=True))
         else:
             self._announce(recording, pictures=False)
 
-    def _tell(self, recording: Recording, pictures: bool) -> None:
+    def _write_report(self, recording: Recording, pictures: bool) -> None:
         try:
-            recording.tell(pictures)
+            recording.write_report(pictures)
         except (OSError, BagError, ValueError) as error:
             self._complain(f"the summary of the run in {recording.folder} is incomplete: {error}")
 
     def _announce(self, recording: Recording, pictures: bool) -> None:
         """Publish that a run folder is complete."""
         if pictures:
-            self._tell(recording, pictures=True)
+            self._write_report(recording, pictures=True)
         self._runs += 1
         try:
             self._last_run.publish(String(data=str(recording.folder)))
@@ -509,8 +509,8 @@ class RunRecorder(CellNode[Parameters]):
         self.get_logger().info(f"recorded {recording.folder}")
 
     def _complain(self, sentence: str, expected: bool = False) -> None:
-        self._trouble = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
-        self.get_logger().error(self._trouble)
+        self._error = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
+        self.get_logger().error(self._error)
 
 
 def _stamp(message: ReceivedMessage) -> int:

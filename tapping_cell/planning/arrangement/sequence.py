@@ -39,7 +39,7 @@ TOOL_CLEARANCE = 0.10
 """Gap between a buffer place and an open goal below which the object obstructs taps at the goal, m.
 The tool needs this space, and a polygon can be tapped along only a few lines."""
 
-CROWDED = 2.0
+CROWDING_COST = 2.0
 """Extra cost, in taps, of a buffer place directly beside an open goal."""
 
 CLOSEST = 3
@@ -94,14 +94,19 @@ class SequencePlanner:
             return None
         turn = pose.rotation_to(goal)
         around = taps(body, path, turn) - taps(body, pose.distance_to(goal), turn)
-        freed = sum(
-            gap(body.area(pose), other.area(other.goal)) < _margin(other)
+        freed = [
+            other.name
             for other in _open(scene)
-            if other is not body and other.goal is not None
-        )
+            if other is not body
+            and other.goal is not None
+            and gap(body.area(pose), other.area(other.goal)) < _margin(other)
+        ]
         # For equal costs prefer the shortest path, which other objects are least likely to block.
-        cost = around - FREED * freed + path
-        return _Option(cost, Move(body.name, goal, Purpose.TO_GOAL))
+        cost = around - FREED * len(freed) + path
+        reason = "its goal and a path to it are free"
+        if freed:
+            reason += f", and it leaves the goal of {' and '.join(map(repr, freed))}"
+        return _Option(cost, Move(body.name, goal, Purpose.TO_GOAL, reason))
 
     def _keeps_open(self, scene: Scene, move: Move, options: Sequence[_Option]) -> bool:
         """Return whether the other possible moves stay possible after a move."""
@@ -199,11 +204,11 @@ class SequencePlanner:
             if other is not body and other.goal is not None:
                 away = np.hypot(places[:, 0] - other.goal.x, places[:, 1] - other.goal.y)
                 room = (away - other.radius - body.radius) / TOOL_CLEARANCE
-                cost = cost + CROWDED * np.clip(1.0 - room, 0.0, 1.0)
+                cost = cost + CROWDING_COST * np.clip(1.0 - room, 0.0, 1.0)
         # Places near the blocked object cost more as well, because its taps need clearance.
         here = scene.poses[blocked.name]
         room = np.hypot(places[:, 0] - here.x, places[:, 1] - here.y) - blocked.radius - body.radius
-        cost = cost + CROWDED * np.clip(1.0 - room / TOOL_CLEARANCE, 0.0, 1.0)
+        cost = cost + CROWDING_COST * np.clip(1.0 - room / TOOL_CLEARANCE, 0.0, 1.0)
         for index in np.argsort(cost, kind="stable")[:: max(1, len(cost) // 400)][:BUFFERS_TRIED]:
             place = Pose(float(places[index, 0]), float(places[index, 1]), pose.theta)
             if self._opens(scene, body, place, blocked):

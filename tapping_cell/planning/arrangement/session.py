@@ -138,7 +138,7 @@ class ArrangementSession:
         self._confirmed: dict[str, Pose] = {}
         self._waits_for: dict[str, str] = {}  # objects that made way: the object they wait for
         self._best = math.inf  # smallest estimate of the remaining taps of the current move
-        self._in_vain = 0  # consecutive taps of the current move without progress
+        self._taps_without_progress = 0  # consecutive taps of the current move without progress
         self._session: PositioningSession | None = None
         self._session_move: Move | None = None
         self._session_map: FreeSpace | None = None
@@ -207,7 +207,7 @@ class ArrangementSession:
         self._excluded = frozenset()
         # A move that failed may be possible once another object has moved.
         self._stalled = frozenset(each for each in self._stalled if each[0] == tap.name)
-        self._in_vain += 1
+        self._taps_without_progress += 1
         if self._session is not None and self.move == tap.move:
             self._session.observe(tap.strike, before.pose, after.pose, after.covariance)
             self.gains[tap.name] = self._session.gains
@@ -215,7 +215,7 @@ class ArrangementSession:
     def _begin(self, move: Move) -> None:
         """Make a move the current one."""
         self.move = move
-        self._best, self._in_vain = math.inf, 0
+        self._best, self._taps_without_progress = math.inf, 0
         if move.purpose is Purpose.MAKE_WAY:
             self._buffers[move.name] = (*self._buffers.get(move.name, ()), move.target)
             if move.blocked:
@@ -229,8 +229,8 @@ class ArrangementSession:
         turn = 0.0 if move.purpose is Purpose.MAKE_WAY else pose.rotation_to(move.target)
         left = taps(body, path, turn) if math.isfinite(path) else math.inf
         if left <= self._best - PROGRESS:
-            self._best, self._in_vain = left, 0
-        return self._in_vain < PATIENCE
+            self._best, self._taps_without_progress = left, 0
+        return self._taps_without_progress < PATIENCE
 
     def _residual(self, name: str, pose: Pose) -> Pose:
         goal = self._by_name[name].goal

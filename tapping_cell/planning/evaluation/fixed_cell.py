@@ -15,7 +15,7 @@ from tapping_cell.planning.evaluation.task import End, Results
 from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_solver import GoalSolver
-from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
+from tapping_cell.planning.fixed_tappers import BESIDES_FLIGHT_S, FixedStrikeSpace
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.session import Done, Strike
 from tapping_cell.planning.settings import PlannerSettings
@@ -69,18 +69,17 @@ def evaluate_fixed(
         rows.append(_run_one(evaluation, solver, np.random.default_rng(stream)))
         if progress is not None:
             progress(1)
-    taps, end, inside, distance, rotation, over = (
+    taps, end, inside, distance, rotation, over, seconds = (
         np.array(column) for column in zip(*rows, strict=True)
     )
-    unknown = np.full(taps.size, math.nan)
     return Results(
-        taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over, unknown
+        taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over, seconds
     )
 
 
 def _run_one(
     evaluation: FixedEvaluation, solver: GoalSolver, rng: np.random.Generator
-) -> tuple[int, int, bool, float, float, bool]:
+) -> tuple[int, int, bool, float, float, bool, float]:
     space, settings = evaluation.space, evaluation.settings
     true, goal = _true_space(evaluation, rng), np.array(evaluation.goal)
     area = space.area
@@ -105,9 +104,10 @@ def _run_one(
         most_taps=evaluation.most_taps,
     )
     camera, noise = settings.camera, settings.camera.deviations
-    left = False
+    left, seconds = False, 0.0
     decision, seen = decide(session, pose, pose + noise * rng.standard_normal(3), camera, rng)
     while isinstance(decision, Strike):
+        seconds += BESIDES_FLIGHT_S + decision.plan.flight
         pose = pose + _answer(true, decision, pose, settings, rng)
         pose[2] = wrap_angle(pose[2])
         left = left or float(area.clearance(pose[:2])) < 0.0
@@ -123,7 +123,7 @@ def _run_one(
     error = session.residual(pose)
     distance, rotation = math.hypot(error[0], error[1]), float(error[2])
     within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
-    return session.taps, int(end), within, distance, rotation, left
+    return session.taps, int(end), within, distance, rotation, left, seconds
 
 
 def _true_space(evaluation: FixedEvaluation, rng: np.random.Generator) -> FixedStrikeSpace:

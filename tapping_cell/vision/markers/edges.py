@@ -79,12 +79,12 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
     softest = (2 * usual - 1) * _SOFT
     redo = np.flatnonzero(found.good & (found.pull > softest) & (wide > usual))
     if not redo.size:
-        return _believed(found)
+        return _accepted(found)
     again = _at_widths(image, found.corners[redo], wide[redo])
     better = again.good & (again.pull < found.pull[redo])
     order = np.arange(len(quads))
     order[redo[better]] = len(quads) + np.flatnonzero(better)
-    return _believed(take(join(found, again), order))
+    return _accepted(take(join(found, again), order))
 
 
 def narrowest(quads: Array) -> Array:
@@ -97,7 +97,7 @@ def narrowest(quads: Array) -> Array:
     return np.asarray(np.where(apart < _OBLIQUE * usual, apart, usual))
 
 
-def _believed(edges: MarkerEdges) -> MarkerEdges:
+def _accepted(edges: MarkerEdges) -> MarkerEdges:
     return replace(edges, good=edges.good & (edges.pull < _MOST_PULL))
 
 

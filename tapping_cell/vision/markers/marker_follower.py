@@ -20,7 +20,7 @@ from tapping_cell.vision.markers.shape_deviation import (
     shape_deviation,
 )
 from tapping_cell.vision.markers.stationary_marker import RestingMarker
-from tapping_cell.vision.object_follower import Aim, Frame, ObjectFollower, Search, Trouble
+from tapping_cell.vision.object_follower import Aim, Failure, Frame, ObjectFollower, Search
 from tapping_cell.vision.observation import Problem
 from tapping_cell.vision.rest_detection import RestSettings
 
@@ -83,30 +83,30 @@ class MarkerFollower(ObjectFollower):
         self._detected = found.single.get(self.marker.id)
         if self.marker.id in found.repeated:
             self.forget()
-            self.trouble = (
+            self.failure = (
                 Problem.DUPLICATE_MARKER,
                 f"marker {self.marker.id} of the object is seen more than once; cover the others",
             )
         elif self._detected is not None:
-            self.trouble = None
+            self.failure = None
         elif search.slow:
             expected = search.expected_ids.get(self.marker.dictionary, frozenset())
-            self.trouble = self._explain(
+            self.failure = self._explain(
                 image if search.first else image[::2, ::2], found, expected
             )
 
-    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Failure:
         """Measure the marker at its detected or predicted position, or near it."""
         searched = self._searched_at == frame.stamp
-        if searched and self._detected is None and self.trouble is not None:
-            return self.trouble
+        if searched and self._detected is None and self.failure is not None:
+            return self.failure
         edges = frame.aimed if frame.aimed is not None else self._nearby(frame)
         self.wants_search |= edges is None
         fit = None if edges is None else fit_marker(frame.working, edges, 0, self.marker)
         if edges is None or fit is None:
             self.stop(frame.stamp)
             # The diagnosis of the last search is valid until the next search.
-            return self.trouble or (
+            return self.failure or (
                 Problem.OBJECT_HIDDEN,
                 f"the object's marker {self.marker.id} is not seen, is partly covered, or is "
                 "seen at too flat an angle (tilted?)",
@@ -117,7 +117,7 @@ class MarkerFollower(ObjectFollower):
             self.stop(frame.stamp, object_pose(fit.pose, fit.covariance, self.marker)[0])
             self.track.clear()
             return Problem.MISSHAPEN_MARKER, self._warnings.refusal(shape, limit)
-        self._shape, self.trouble = shape, None
+        self._shape, self.failure = shape, None
         return self._pose(frame.image, frame.working, fit)
 
     def extra_uncertainty(self, frame: Frame) -> tuple[Array, str]:
@@ -155,7 +155,7 @@ class MarkerFollower(ObjectFollower):
         self.fixed = self._resting.fixed
         return measured
 
-    def _explain(self, image: Image, found: Detections, expected: frozenset[int]) -> Trouble | None:
+    def _explain(self, image: Image, found: Detections, expected: frozenset[int]) -> Failure | None:
         """Diagnose why the object's marker was not found."""
         mirrored = detect(np.ascontiguousarray(image[:, ::-1]), self.marker.dictionary)
         if self.marker.id in mirrored.single:

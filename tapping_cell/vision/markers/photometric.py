@@ -177,9 +177,9 @@ def align_again(
     weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
     # Nearly all pixels have full weight, so only the contribution of the others is subtracted.
     less = np.flatnonzero(weight < 1.0)
-    spoilt = columns[less]
-    lost = spoilt.T * (1.0 - weight[less])
-    information = linearisation.normal - lost @ spoilt
+    excluded = columns[less]
+    lost = excluded.T * (1.0 - weight[less])
+    information = linearisation.normal - lost @ excluded
     try:
         answer = np.linalg.solve(information, product - lost @ grey[less])
     except np.linalg.LinAlgError:

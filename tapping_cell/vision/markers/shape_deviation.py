@@ -101,27 +101,30 @@ class ShapeWarnings:
 
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
-        self._said: tuple[float, float] | None = None
+        self._reported: tuple[float, float] | None = None
 
     def sentence(self, shape: ShapeDeviation, camera_height: float) -> str:
         """Warning about the shape, for a camera ``camera_height`` (m) above the table; empty if
         there is none."""
         worst = max(abs(shape.stretch), shape.strain) / shape.allowance
-        if worst <= (1.0 if self._said is None else 0.8):
-            self._said = None
+        if worst <= (1.0 if self._reported is None else 0.8):
+            self._reported = None
             return ""
-        said = self._said
-        if said is None or max(abs(shape.stretch - said[0]), abs(shape.strain - said[1])) > 0.002:
-            self._said = said = (shape.stretch, shape.strain)
-        lifted = (camera_height - self._marker.height) * said[0] * 1e3
+        reported = self._reported
+        if (
+            reported is None
+            or max(abs(shape.stretch - reported[0]), abs(shape.strain - reported[1])) > 0.002
+        ):
+            self._reported = reported = (shape.stretch, shape.strain)
+        lifted = (camera_height - self._marker.height) * reported[0] * 1e3
         return (
-            f"{self._described(*said)}: lifted (by {lifted:.0f} mm?), tilted, or of another "
+            f"{self._described(*reported)}: lifted (by {lifted:.0f} mm?), tilted, or of another "
             "size or height than in the object file; the reported uncertainty includes this"
         )
 
     def refusal(self, shape: ShapeDeviation, limit: float) -> str:
         """Error message for a shape whose deviation exceeds ``limit``."""
-        self._said = None
+        self._reported = None
         return (
             f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
             "lifted, tilted or of another size or height than in the object file"

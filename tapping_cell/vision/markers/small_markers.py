@@ -27,7 +27,7 @@ _ROUNDS = 15
 _LARGEST_STEP = 0.6
 """Maximum displacement of a corner in one iteration, in pixels."""
 _CONVERGED = 0.03
-_STRAYED = 0.9
+_MAX_CORNER_SHIFT = 0.9
 """Maximum distance of a corner from its detected position, in modules."""
 _LEAST_CONTRAST = 12.0
 _MOST_UNEXPLAINED = 0.18
@@ -117,7 +117,7 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
     side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).min())
     if side < _LEAST_MODULE * modules:
         return None
-    if np.abs(corners - quad).max() > max(_STRAYED * side / modules, 1.0):
+    if np.abs(corners - quad).max() > max(_MAX_CORNER_SHIFT * side / modules, 1.0):
         return None
     contrast = float(answer[10])
     slope = weight * (columns[:, 2] ** 2 + columns[:, 5] ** 2)

@@ -23,7 +23,7 @@ from tapping_cell.vision.outline.search import (
 )
 from tapping_cell.vision.outline.shape import ObjectOutline
 
-Trouble = tuple[Problem, str]
+Failure = tuple[Problem, str]
 
 RIM_BIAS = 7e-6
 """Standard deviation (m) of the error common to all frames, due to the position of an edge within a
@@ -45,7 +45,7 @@ class OutlineFinder:
         self._blur = USUAL_BLUR
         self._search = True
         self._followed = False
-        self._refused: Trouble | None = None
+        self._refused: Failure | None = None
         self._last_fit: tuple[View, Linearisation] | None = None
 
     def search(self) -> None:
@@ -62,7 +62,7 @@ class OutlineFinder:
 
     def measure(
         self, image: Image, view: View, expected: Array | None, step: Array
-    ) -> OutlineFit | Trouble:
+    ) -> OutlineFit | Failure:
         """Find the outline in this frame; ``expected`` (3,) is its predicted pose, ``step`` (2,)
         its motion from frame to frame in m."""
         followed = None if expected is None else self._follow(image, view, expected, step)
@@ -106,7 +106,7 @@ class OutlineFinder:
 
     def _everywhere(
         self, image: Image, view: View, followed: OutlineFit | None
-    ) -> OutlineFit | Trouble:
+    ) -> OutlineFit | Failure:
         found, refused = find_outlines(image, view, self.outline, self._known, self._blur)
         if followed is not None:
             # A partly hidden outline may be found only at its predicted pose, not by the search.
@@ -131,7 +131,7 @@ class OutlineFinder:
             self._refused = (problem, f"the object is not found: {first.sentence}")
         return self._refused or self._unseen()
 
-    def _unseen(self) -> Trouble:
+    def _unseen(self) -> Failure:
         shade = "brighter" if self.outline.brighter else "darker"
         return (
             Problem.OBJECT_HIDDEN,

@@ -11,7 +11,7 @@ from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.markers.detection import ReferenceMap
 from tapping_cell.vision.markers.search import Detections
-from tapping_cell.vision.object_follower import Aim, Frame, ObjectFollower, Search, Trouble
+from tapping_cell.vision.object_follower import Aim, Failure, Frame, ObjectFollower, Search
 from tapping_cell.vision.observation import Problem
 from tapping_cell.vision.outline.finder import OutlineFinder
 from tapping_cell.vision.outline.fit import OutlineFit
@@ -52,7 +52,7 @@ class OutlineFollower(ObjectFollower):
         self.wants_search = False
         self._finder.search()
 
-    def measure(self, frame: Frame) -> tuple[Array, Array] | Trouble:
+    def measure(self, frame: Frame) -> tuple[Array, Array] | Failure:
         """Measure the outline at its predicted position, or search for it in the whole frame."""
         expected, step = self.expected(frame.stamp), self.step(frame.stamp)
         answer = self._finder.measure(frame.image, frame.working, expected, step)

@@ -45,7 +45,7 @@ _SMALL = 32
 _SHADES = (0.06, 0.1, 0.16, 0.25, 0.4, 0.7)
 """Thresholds for the relative difference of a blob's brightness from the surroundings."""
 _AREAS = (0.65, 1.45)
-_BULGE = 1.18
+_LARGEST_HULL_RATIO = 1.18
 """Minimum and maximum area relative to the object's top (a blob may include walls and shadows), and
 maximum ratio of the areas of the convex hull and the blob."""
 _FORM = 0.12
@@ -280,7 +280,7 @@ def rough_places(
             if not _AREAS[0] < share < _AREAS[1]:
                 continue
             hull = cv2.convexHull(contour)
-            if cv2.contourArea(hull) > _BULGE * max(cv2.contourArea(contour), 1.0):
+            if cv2.contourArea(hull) > _LARGEST_HULL_RATIO * max(cv2.contourArea(contour), 1.0):
                 continue
             places.extend(_places(view, outline, np.asarray(hull, dtype=np.int32), scale))
     if not places:

@@ -102,10 +102,10 @@ class ReferenceMarkers:
                 theirs[number] = take(edges, np.array([row], dtype=np.intp))
         return take(edges, kept), rows[kept], theirs
 
-    def count_missed(self, looked_for: Mapping[int, Array], met: Rows) -> None:
+    def count_missed(self, expected: Mapping[int, Array], met: Rows) -> None:
         """Count consecutive misses of each marker that was found before."""
         seen = set(met.tolist())
         self._misses |= dict.fromkeys(seen, 0)
-        for row in looked_for.keys() - seen:
+        for row in expected.keys() - seen:
             if row in self._misses:
                 self._misses[row] += 1

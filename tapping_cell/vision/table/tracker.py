@@ -84,8 +84,8 @@ class TableTracker:
         self._seen = np.zeros(count)
         self._rays = np.zeros((count, 4, 2))
         self._noise = np.zeros(count)
-        self._strayed = np.zeros(count, dtype=int)
-        self._astray = np.zeros(count, dtype=bool)
+        self._disturbed_frames = np.zeros(count, dtype=int)
+        self._moved_markers = np.zeros(count, dtype=bool)
         self._field: SystematicError | None = None
         self._field_frames = 0.0
 
@@ -97,12 +97,12 @@ class TableTracker:
             return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
         rays = reference_rays(self.camera, edges)
         disturbed = self._disturbed(rays, rows)
-        known = (self._seen[rows] > 0) & ~self._astray[rows]
+        known = (self._seen[rows] > 0) & ~self._moved_markers[rows]
         apart = int((disturbed & known).sum())
         # A single disturbed marker, if there are others to compare it with, was itself moved or is
         # partly occluded.
         moving = apart >= min(2, len(self.ids) - 1) and 2 * apart >= known.sum() > 0
-        if self.pose is not None and (moving or self._too_many_stray(rows, disturbed)):
+        if self.pose is not None and (moving or self._too_many_moved(rows, disturbed)):
             self._suspects += 1
             if self._suspects < s.confirm_frames:
                 return TableState.SUSPECT
@@ -146,20 +146,22 @@ class TableTracker:
         shift = np.linalg.norm((rays - self._rays[rows]).mean(axis=1), axis=1) * self.camera.fx
         return np.asarray((self._seen[rows] > 0) & (shift > self.settings.suspect_shift))
 
-    def _too_many_stray(self, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]) -> bool:
+    def _too_many_moved(self, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]) -> bool:
         """Return whether so many markers deviate from their averages that they cannot have been
         moved individually. Each frame measures only a few of the markers."""
-        apart = self._astray.copy()
-        apart[rows] |= disturbed & (self._strayed[rows] >= self.settings.confirm_frames)
+        apart = self._moved_markers.copy()
+        apart[rows] |= disturbed & (self._disturbed_frames[rows] >= self.settings.confirm_frames)
         return int(apart.sum()) > max(1, len(apart) // 4)
 
     def _average(
         self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
     ) -> None:
-        self._strayed[rows] = np.where(disturbed, self._strayed[rows] + 1, 0)
+        self._disturbed_frames[rows] = np.where(disturbed, self._disturbed_frames[rows] + 1, 0)
         # A single marker that stays away from its average was itself moved. It is ignored until it
         # is back.
-        self._astray[rows] = disturbed & (self._strayed[rows] > self.settings.confirm_frames)
+        self._moved_markers[rows] = disturbed & (
+            self._disturbed_frames[rows] > self.settings.confirm_frames
+        )
         kept = rows[~disturbed]
         self._seen[kept] = np.minimum(self._seen[kept] + 1, self.settings.memory)
         share = 1.0 / self._seen[kept]
@@ -185,7 +187,7 @@ class TableTracker:
 
     def _fit(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> bool:
         """Fit pose, covariances and lists of markers to the averages; return False on failure."""
-        have = np.flatnonzero((self._seen > 0) & ~self._astray)
+        have = np.flatnonzero((self._seen > 0) & ~self._moved_markers)
         start = self.pose or initial_pose(self.camera, self.points[rows], edges.corners)
         if start is None or len(have) < self.settings.least_references:
             return False
@@ -208,7 +210,7 @@ class TableTracker:
         self.pose, self.covariance = fit.pose, fit.covariance
         self.error, self.bloom = fit.error, fit.bloom * self.camera.fx
         self.used = tuple(int(i) for i in self.ids[have[fit.used]])
-        wrong = self._astray.copy()
+        wrong = self._moved_markers.copy()
         wrong[have[~fit.used]] = True
         self.displaced = tuple(int(i) for i in self.ids[wrong])
         frames = float(self._seen.sum())

@@ -80,9 +80,9 @@ def test_twenty_noisy_poses_reach_the_target_figures(tmp_path: Path) -> None:
             joints = [row[0], row[1], -0.05, row[2]]
             a, b = geometry.forward(joints), calibrated.forward(joints)
             true = base @ Pose(a.x, a.y, a.yaw)
-            told = cell.arm_base @ Pose(b.x, b.y, b.yaw)
-            assert true.distance_to(told) < 2e-4
-            assert abs(true.rotation_to(told)) < math.radians(0.09)
+            fitted = cell.arm_base @ Pose(b.x, b.y, b.yaw)
+            assert true.distance_to(fitted) < 2e-4
+            assert abs(true.rotation_to(fitted)) < math.radians(0.09)
         assert cell.arm.calibration is not None
         assert cell.arm.calibration.residual == pytest.approx(1.4e-4, rel=0.5)
 

@@ -55,10 +55,10 @@ def test_views_that_do_not_belong_are_named_with_their_reason() -> None:
     random = np.random.default_rng(0)
     stranger = replace(views[2], name="stranger", pixels=views[2].pixels * [1.06, 1.0])
     mixed = replace(views[5], name="mixed", pixels=random.permutation(views[5].pixels))
-    twin = replace(views[7], name="twin", pixels=views[7].pixels + 0.3)
+    duplicate = replace(views[7], name="twin", pixels=views[7].pixels + 0.3)
     soft = replace(views[9], name="soft", blur=9.0)
     clean = calibrated(model, views)
-    result = calibrated(model, [*views, stranger, mixed, twin, soft])
+    result = calibrated(model, [*views, stranger, mixed, duplicate, soft])
     reasons = {entry.name: entry.reason for entry in result.rejected}
     assert set(reasons) == {"stranger", "mixed", "twin", "soft"}
     assert reasons["stranger"].startswith("outlier")

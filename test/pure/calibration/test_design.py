@@ -135,10 +135,10 @@ def slide(distance: float = 0.06, pushed: float = 0.0, hidden: bool = False) -> 
     ids=["good", "missed", "a hand", "hidden", "no track", "lost"],
 )
 def test_what_became_of_a_trial_is_said(trial: Trial, outcome: str, word: str) -> None:
-    said = judged(trial, HEADER, expected=0.06)
-    assert said.outcome == outcome
-    assert word in said.note
-    assert (said.note == "") == (outcome == "ok")
+    result = judged(trial, HEADER, expected=0.06)
+    assert result.outcome == outcome
+    assert word in result.note
+    assert (result.note == "") == (outcome == "ok")
 
 
 def test_progress_counts_what_can_be_used_and_numbers_go_on_after_the_last() -> None:

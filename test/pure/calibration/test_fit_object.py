@@ -90,9 +90,9 @@ def test_a_better_file_stays(records, fit, tmp_path, capsys):
     before = output.read_bytes()
     worse = write(tmp_path / "noisy", taps(noise=(0.05, 0.2), trials=4))
     assert main(["fit", str(worse), "--output", str(output), "--force"]) == 2
-    said = capsys.readouterr().err
-    assert "better and was kept" in said
-    assert "torque factor" in said
+    output = capsys.readouterr().err
+    assert "better and was kept" in output
+    assert "torque factor" in output
     assert output.read_bytes() == before
     assert main(["fit", str(worse), "--output", str(output), "--force", "--accept-worse"]) == 0
     assert output.read_bytes() != before
@@ -128,8 +128,8 @@ def test_small_incidences_do_not_tell_the_contact_friction(tmp_path):
     friction = fit.estimate("contact_friction")
     assert not friction.fitted
     assert friction.value == DISK.contact_friction
-    said = " ".join(fit.sentences)
-    assert "contact friction" in said
+    output = " ".join(fit.sentences)
+    assert "contact friction" in output
     advised = [s for s in fit.sentences if "would determine the contact friction" in s]
     assert len(advised) == 1
     # The contact of this disk slides from atan(0.24 / 0.36) = 33 degrees on.
@@ -167,8 +167,8 @@ def test_a_striker_faster_than_commanded_is_said_so_and_not_taken_for_restitutio
         for t in taps()
     ]
     fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
-    said = [s for s in fit.sentences if "faster than commanded" in s]
-    assert len(said) == 1 and "+6 %" in said[0] and "calibrate tapper" in said[0]
+    output = [s for s in fit.sentences if "faster than commanded" in s]
+    assert len(output) == 1 and "+6 %" in output[0] and "calibrate tapper" in output[0]
     assert fit.estimate("restitution").value == pytest.approx(TRUE["restitution"], rel=0.01)
     exact = fit_object([read_experiment(write(tmp_path / "e", taps()))], DISK)
     assert not any("faster than commanded" in s for s in exact.sentences)
@@ -211,8 +211,8 @@ def test_a_csv_alone_does_for_the_sliding(tmp_path, capsys):
     file.write_text("\n".join(rows) + "\n")
     assert main(["fit", str(file)]) == 2
     assert "--object" in capsys.readouterr().err
-    told = str(shared_folder() / "objects" / "aluminium_disk.yaml")
-    assert main(["fit", str(file), "--object", told, "--json"]) == 0
+    path = str(shared_folder() / "objects" / "aluminium_disk.yaml")
+    assert main(["fit", str(file), "--object", path, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["estimates"]
     assert found["torque_factor"]["value"] == pytest.approx(TRUE["torque_factor"], rel=0.04)
     assert found["friction"]["value"] == pytest.approx(TRUE["friction"], rel=0.02)

@@ -80,8 +80,8 @@ def test_intervals_hold_new_taps_at_new_settings(setting: float, place: float) -
         assert 0.93 < np.mean(shares) < 0.985
 
 
-def fitted(truth: TruthFile, told: float = 0.2, design: Design | None = None) -> ObjectFit:
-    disk = replace(load_cell().object, contact_friction=told)
+def fitted(truth: TruthFile, assumed: float = 0.2, design: Design | None = None) -> ObjectFit:
+    disk = replace(load_cell().object, contact_friction=assumed)
     scattered = replace(truth, scatter=ScatterTruth(0.025, 0.05, 0.01745))
     runs = design or Design()
     header = ExperimentFile(
@@ -113,14 +113,14 @@ def test_the_simulated_world_is_found_out() -> None:
     assert any("95 % come within" in sentence for sentence in oblique.sentences)
 
 
-@pytest.mark.parametrize("told", [0.2, 0.1])
-def test_contacts_that_seem_to_stick_give_no_bound(told: float) -> None:
+@pytest.mark.parametrize("assumed", [0.2, 0.1])
+def test_contacts_that_seem_to_stick_give_no_bound(assumed: float) -> None:
     """Small incidences: the friction is not determined, and none is claimed."""
     design = Design(
         runs=((0.02, math.radians(5)), (0.02, math.radians(20)), (0.04, math.radians(12)))
     )
     fit = fitted(
-        TruthFile((0.0, 0.0, 0.0), impact=ImpactTruth(tangential_stiffness=0.8)), told, design
+        TruthFile((0.0, 0.0, 0.0), impact=ImpactTruth(tangential_stiffness=0.8)), assumed, design
     )
     friction = fit.estimate("contact_friction")
     assert not friction.fitted

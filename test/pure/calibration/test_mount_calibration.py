@@ -14,8 +14,8 @@ from tapping_cell.cli import main
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.report.run import Run, TapRow
-from tapping_cell.report.run_folder import write_story
-from tapping_cell.report.run_reader import Story
+from tapping_cell.report.run_folder import write_illustrated_run
+from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.se2 import Pose, wrap_angle
 
 FILE = shared_folder() / "positioning_cell" / "cell.yaml"
@@ -37,10 +37,12 @@ def made_taps(entry, true: Pose, factor: float, count: int, rng: np.random.Gener
     angles, radii = rng.uniform(-math.pi, math.pi, count), 0.05 * np.sqrt(rng.random(count))
     before = np.stack([radii * np.cos(angles), radii * np.sin(angles), angles], axis=-1)
     speeds = np.full(count, 0.6)
-    told = tap.outcome(before, np.array([true.x, true.y, true.theta]), factor * speeds)
-    heading = np.arctan2(told[:, 1], told[:, 0]) + SCATTER.direction * rng.standard_normal(count)
-    size = np.hypot(told[:, 0], told[:, 1]) * (1.0 + 0.05 * rng.standard_normal(count))
-    turn = told[:, 2] * (1.0 + 0.15 * rng.standard_normal(count))
+    predicted = tap.outcome(before, np.array([true.x, true.y, true.theta]), factor * speeds)
+    heading = np.arctan2(
+        predicted[:, 1], predicted[:, 0]
+    ) + SCATTER.direction * rng.standard_normal(count)
+    size = np.hypot(predicted[:, 0], predicted[:, 1]) * (1.0 + 0.05 * rng.standard_normal(count))
+    turn = predicted[:, 2] * (1.0 + 0.15 * rng.standard_normal(count))
     after = before + np.stack([size * np.cos(heading), size * np.sin(heading), turn], axis=-1)
     camera_noise = np.array([5e-5, 5e-5, math.radians(0.05)])
     seen = [pose + camera_noise * rng.standard_normal(pose.shape) for pose in (before, after)]
@@ -57,7 +59,7 @@ def line_error(found: Pose, true: Pose) -> float:
 
 def test_twelve_taps_know_a_line_to_a_third_of_a_millimetre() -> None:
     rng = np.random.default_rng(5)
-    errors, told = [], []
+    errors, claimed = [], []
     for trial in range(40):
         entry = CELL.fixed_tappers.tappers[trial % 8]
         nominal = Pose(*entry.position, entry.direction)
@@ -66,12 +68,12 @@ def test_twelve_taps_know_a_line_to_a_third_of_a_millimetre() -> None:
         tap = CELL.object.tap(CELL.tapper_of(entry).striker())
         fit = fit_mount(entry.name, nominal, tap, *made_taps(entry, true, factor, 12, rng), SCATTER)
         errors.append(line_error(fit.mount, true))
-        told.append(fit.line_deviation)
+        claimed.append(fit.line_deviation)
         assert fit.speed_factor == pytest.approx(factor, rel=0.05)
         assert abs(wrap_angle(fit.mount.theta - true.theta)) < 5.0 * fit.angle_deviation
     assert np.sqrt(np.mean(np.square(errors))) < WANTED
     # The uncertainty that is told is honest: not half, not twice of what is found.
-    assert 0.5 < np.sqrt(np.mean(np.square(errors))) / np.mean(told) < 2.0
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) / np.mean(claimed) < 2.0
 
 
 def write(path: Path, rows) -> Path:
@@ -151,7 +153,7 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder, part in zip(folders, (taps[:7], taps[7:]), strict=True):
         folder.mkdir()
-        write_story(folder, Story(run_of(entry.name, part), ()), pictures=False)
+        write_illustrated_run(folder, IllustratedRun(run_of(entry.name, part), ()), pictures=False)
     made = tmp_path / "cell.yaml"
     command = ["calibrate", "mounts", *map(str, folders), "--cell", str(FILE)]
     assert main([*command, "--output", str(made)]) == 0
@@ -159,7 +161,7 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
     assert abs(line_error(Pose(*measured.position, measured.direction), true)) < 2 * WANTED
 
     other = replace(run_of(entry.name, taps), object_name="teapot")
-    write_story(folders[0], Story(other, ()), pictures=False)
+    write_illustrated_run(folders[0], IllustratedRun(other, ()), pictures=False)
     assert main([*command, "--output", str(tmp_path / "other.yaml")]) == 2
     assert "teapot" in capsys.readouterr().err
 

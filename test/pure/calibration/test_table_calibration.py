@@ -86,7 +86,7 @@ def test_a_marker_that_lies_elsewhere_in_one_image_is_named() -> None:
     rays = views[2].rays.copy()
     rays[4] += 0.01
     result = solve(references, [*views[:2], replace(views[2], rays=rays), *views[3:]])
-    assert [(s.image, s.marker) for s in result.strays] == [("view 2", int(views[2].ids[4]))]
+    assert [(s.image, s.marker) for s in result.outliers] == [("view 2", int(views[2].ids[4]))]
     frame, left = frame_of_map(result.references, references)
     assert left < 2e-4
 

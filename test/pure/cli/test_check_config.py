@@ -169,9 +169,14 @@ def test_the_verb_has_its_status_and_its_json(
     assert "ok" in capsys.readouterr().out
     change(cell, ("goal.planner", "guess"))
     assert main(["check-config", str(cell), "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["ok"] is False
-    assert {entry["kind"] for entry in told["files"]} == {"cell", "table", "camera_info", "object"}
-    assert "guess" in told["files"][0]["errors"][0]
+    result = json.loads(capsys.readouterr().out)
+    assert result["ok"] is False
+    assert {entry["kind"] for entry in result["files"]} == {
+        "cell",
+        "table",
+        "camera_info",
+        "object",
+    }
+    assert "guess" in result["files"][0]["errors"][0]
     assert main(["check-config", "/nowhere.yaml"]) == 1
     assert "/nowhere.yaml" in capsys.readouterr().out

@@ -54,8 +54,8 @@ def test_an_object_file_is_learnt_from_runs(
     own.write_text(text)
     words = ["learn-object", *runs, "--object", str(own), "--output", str(made), "--json"]
     assert main(words) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["taps"] == 10 and told["left_out"] == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["taps"] == 10 and result["left_out"] == 0
     # These taps came out as commanded, so the values are those that were in use.
     assert load_object(made).friction == pytest.approx(load_cell().object.friction, rel=0.02)
     assert load_object(made).calibration is not None
@@ -70,4 +70,4 @@ def test_runs_of_another_object_and_no_runs_are_refused(
     other = shared_folder() / "objects" / "plexiglas_disk.yaml"
     if json.loads((Path(runs[0]) / "summary.json").read_text())["object"]:
         assert main(["learn-object", *runs, "--object", str(other)]) == 2
-        assert "give the file that was used in the run" in capsys.readouterr().err
+        assert "give the file of the object that was tapped" in capsys.readouterr().err

@@ -58,9 +58,9 @@ def test_a_bag_alone_is_told_into_another_folder(runs: Path, tmp_path: Path) -> 
 def test_runs_are_compared(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [str(path) for path in sorted(runs.iterdir())]
     assert main(["report", *words, "--output", str(runs / "all"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [row["name"] for row in told["runs"]] == ["bad", "good", "refused"]
-    (group,) = told["groups"]
+    result = json.loads(capsys.readouterr().out)
+    assert [row["name"] for row in result["runs"]] == ["bad", "good", "refused"]
+    (group,) = result["groups"]
     assert (group["planner"], group["runs"], group["reached"]) == ("optimal", 3, 1)
     assert group["taps"] == 2.0
     page = (runs / "all" / "comparison.html").read_text()
@@ -74,5 +74,5 @@ def test_what_is_no_run_is_refused_in_words(
     assert main(["report", str(tmp_path / "nowhere")]) == 2
     (tmp_path / "text.mcap").write_text("hello")
     assert main(["report", str(tmp_path / "text.mcap"), str(runs / "good")]) == 1
-    told = " ".join(capsys.readouterr().err.split())
-    assert "is this a run folder?" in told and "not an MCAP file" in told
+    result = " ".join(capsys.readouterr().err.split())
+    assert "is this a run folder?" in result and "not an MCAP file" in result

@@ -152,7 +152,7 @@ def test_a_cluster_that_is_not_there_is_refused(
     more = ("--cluster", "tcp://127.0.0.1:1")
     assert run_sweep(tmp_path, "tolerance=2", more=more) == 2
     # With Dask: no scheduler answers. Without it: how to install it.
-    assert "scheduler" in (told := capsys.readouterr().err) or "pip install distributed" in told
+    assert "scheduler" in (text := capsys.readouterr().err) or "pip install distributed" in text
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert run_sweep(tmp_path, "tolerance=2", more=more) == 2
     assert "pip install distributed" in capsys.readouterr().err

@@ -100,10 +100,10 @@ def test_wrong_input_is_refused_in_one_sentence(
     except SystemExit as ended:
         status = int(ended.code or 0)
     took = time.process_time() - began
-    said = capsys.readouterr()
-    lines = said.err.strip().splitlines()
-    assert status == 2, said
-    assert [text for text in lines if not text.startswith("what to do: ")] == lines[:1], said.err
-    assert lines[0].startswith("error: ") and words in lines[0], said.err
-    assert not said.out and took < LONGEST_S, (said.out, took)
+    output = capsys.readouterr()
+    lines = output.err.strip().splitlines()
+    assert status == 2, output
+    assert [text for text in lines if not text.startswith("what to do: ")] == lines[:1], output.err
+    assert lines[0].startswith("error: ") and words in lines[0], output.err
+    assert not output.out and took < LONGEST_S, (output.out, took)
     assert not list(tmp_path.iterdir()), "something was begun"

@@ -67,8 +67,8 @@ def test_one_reference_marker_is_no_table(tmp_path):
     ],
 )
 def test_a_camera_that_cannot_be(tmp_path, old, new, words):
-    said = refusal(load_camera_model, tmp_path / "camera.yaml", CAMERA.replace(old, new, 1))
-    assert words in said
+    message = refusal(load_camera_model, tmp_path / "camera.yaml", CAMERA.replace(old, new, 1))
+    assert words in message
 
 
 def test_files_of_windows_are_read(tmp_path):
@@ -84,5 +84,5 @@ def test_an_object_with_a_marker_of_the_table_is_refused(tmp_path, capsys):
         "marker: {dictionary: tag36h11, id: 101, size: 0.05, offset: [0.0, 0.0, 0.0]}\n"
     )
     assert main(["locate", "none.png", "--object", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert "key 'marker.id' is 101" in said and str(path) in said
+    message = capsys.readouterr().err
+    assert "key 'marker.id' is 101" in message and str(path) in message

@@ -98,10 +98,10 @@ def test_the_witness_sees_what_it_is_there_for() -> None:
     cell = TrialCell(Dialect.GRBL, 1)
     cell.recover()
     assert cell.tap() is FireOutcome.FIRED
-    cell._witness(1, 0.01, cell.clock.now)
+    cell._record_fire(1, 0.01, cell.clock.now)
     assert cell.tally.unsafe_fires == 1
     cell.tapper_device.fires.append((1, 0.01, cell.clock.now))
-    cell._witness(1, 0.01, cell.clock.now)
+    cell._record_fire(1, 0.01, cell.clock.now)
     assert cell.tally.double_fires >= 1
     cell.reported[1] = FireOutcome.NOT_FIRED
     cell.check_reports()

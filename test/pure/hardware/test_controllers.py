@@ -26,7 +26,7 @@ HOME = (0.0, math.pi / 2, 0.0, 0.0)
 START = (0.3, 1.2, -0.030, 0.0)
 GRBL_NAMES = tuple(VARIANTS)
 NAMES = (*GRBL_NAMES, "marlin")
-SPOKEN = {
+REPORTED_NAME = {
     "grbl": "Grbl",
     "grbl-mega-5x": "grbl-Mega-5X",
     "grblhal": "grblHAL",
@@ -108,7 +108,7 @@ FAR = (1.5, 0.5, -0.1, 1.0)
 def test_every_controller_is_recognised_homed_and_moved(name: str) -> None:
     cell = Cell(name)
     driver = cell.ready()
-    assert driver.firmware is not None and driver.firmware.name == SPOKEN[name]
+    assert driver.firmware is not None and driver.firmware.name == REPORTED_NAME[name]
     rng = np.random.default_rng(3)
     for _ in range(25):
         goal = rng.uniform((-1.0, 0.4, -0.12, -1.5), (1.0, 2.0, 0.0, 1.5))

@@ -203,9 +203,9 @@ def test_it_moves_and_stands_where_it_was_sent(cell: Cell) -> None:
 
 def test_nothing_moves_before_it_is_homed(cell: Cell) -> None:
     cell.driver.connect()
-    with pytest.raises(HardwareFault) as told:
+    with pytest.raises(HardwareFault) as caught:
         cell.driver.move_to(GOAL)
-    assert told.value.reason is FaultReason.NOT_HOMED
+    assert caught.value.reason is FaultReason.NOT_HOMED
     assert cell.controller.taken == 0
 
 
@@ -213,11 +213,11 @@ def test_the_way_over_a_via_point_goes_through_it(cell: Cell) -> None:
     driver, via = cell.ready(), Joints(0.1, 1.3, -0.030, 0.2)
     seen: list[float] = []
 
-    def look() -> None:
+    def check() -> None:
         seen.append(math.dist(cell.truth(), via))
-        cell.after(0.002, look)
+        cell.after(0.002, check)
 
-    look()
+    check()
     driver.move_to(GOAL, via=via)
     assert min(seen) < 1e-3
 
@@ -233,12 +233,12 @@ def test_a_lost_trajectory_is_sent_again_while_the_arm_stands() -> None:
 @pytest.mark.parametrize("after", [0.02, 0.1, 0.2, 0.4])
 def test_a_stop_brakes_and_latches(cell: Cell, after: float) -> None:
     driver = cell.ready()
-    told: list[tuple[float, bool]] = []
-    cell.after(after, lambda: told.append((cell.time, driver.stop())))
+    stops: list[tuple[float, bool]] = []
+    cell.after(after, lambda: stops.append((cell.time, driver.stop())))
     with pytest.raises(HardwareFault) as stopped:
         driver.move_to(GOAL)
     assert stopped.value.reason is FaultReason.STOPPED
-    ((at, sent),) = told
+    ((at, sent),) = stops
     assert sent
     longest = max(v / a for v, a in zip(GEOMETRY.max_speed, GEOMETRY.max_acceleration, strict=True))
     cell.sleep(longest + 0.1)
@@ -263,9 +263,9 @@ def test_silent_joint_states_are_a_fault_with_a_sentence(cell: Cell, when: float
         cell.link.faults.silent = True
     else:
         cell.after(when, lambda: setattr(cell.link.faults, "silent", True))
-    with pytest.raises(HardwareFault, match="joint_state_broadcaster") as told:
+    with pytest.raises(HardwareFault, match="joint_state_broadcaster") as caught:
         driver.move_to(GOAL)
-    assert told.value.reason is FaultReason.DISCONNECTED
+    assert caught.value.reason is FaultReason.DISCONNECTED
     assert cell.time - began - max(when, 0) < 0.6
     assert not driver.connected
 
@@ -280,9 +280,9 @@ def test_old_stamps_are_told_from_silence(cell: Cell) -> None:
 
 def test_a_clock_that_is_ahead_is_refused_at_connect(cell: Cell) -> None:
     cell.link.faults.ahead = 0.4
-    with pytest.raises(HardwareFault, match="synchronise the clocks") as told:
+    with pytest.raises(HardwareFault, match="synchronise the clocks") as caught:
         cell.driver.connect()
-    assert told.value.reason is FaultReason.SETTINGS_MISMATCH
+    assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
 def test_slow_joint_states_are_refused_at_connect() -> None:
@@ -298,17 +298,17 @@ def test_other_joints_are_named(cell: Cell) -> None:
 
 def test_a_controller_that_is_not_there(cell: Cell) -> None:
     cell.link.faults.present = False
-    with pytest.raises(HardwareFault) as told:
+    with pytest.raises(HardwareFault) as caught:
         cell.driver.connect(timeout=1.0)
-    assert told.value.reason is FaultReason.PORT_MISSING
+    assert caught.value.reason is FaultReason.PORT_MISSING
 
 
 def test_an_obstacle_stops_the_arm(cell: Cell) -> None:
     driver = cell.ready()
     cell.after(0.2, lambda: cell.controller.block(cell.time))
-    with pytest.raises(HardwareFault) as told:
+    with pytest.raises(HardwareFault) as caught:
         driver.move_to(GOAL)
-    assert told.value.reason in (FaultReason.REJECTED, FaultReason.POSITION_MISMATCH)
+    assert caught.value.reason in (FaultReason.REJECTED, FaultReason.POSITION_MISMATCH)
     assert not close(cell.truth(), GOAL)
 
 
@@ -326,9 +326,9 @@ def test_another_program_that_moves_the_arm_at_rest_is_seen(cell: Cell) -> None:
     driver.move_to(GOAL)
     cell.controller.push((0.01, 0.0, 0.0, 0.0), cell.time)
     cell.sleep(0.2)
-    with pytest.raises(HardwareFault, match="it was moved") as told:
+    with pytest.raises(HardwareFault, match="it was moved") as caught:
         driver.move_to(Joints(*START))
-    assert told.value.reason is FaultReason.POSITION_LOST
+    assert caught.value.reason is FaultReason.POSITION_LOST
 
 
 def test_another_program_that_takes_the_controller_in_motion_fails_the_move() -> None:
@@ -353,9 +353,9 @@ def test_a_speed_slider_is_waited_for_within_reason(cell: Cell) -> None:
     assert close(slow.ready().move_to(GOAL).joints, GOAL)
     slower = Cell(speed_scaling=0.1)
     driver = slower.ready()
-    with pytest.raises(HardwareFault, match="had not ended") as told:
+    with pytest.raises(HardwareFault, match="had not ended") as caught:
         driver.move_to(GOAL)
-    assert told.value.reason is FaultReason.TIMEOUT
+    assert caught.value.reason is FaultReason.TIMEOUT
     slower.sleep(4.0)
     assert not slower.controller.moving(slower.time)
 
@@ -380,9 +380,9 @@ def test_a_joint_that_is_not_a_number_is_a_lost_position(cell: Cell) -> None:
     driver = cell.ready()
     cell.controller.push((math.nan, 0.0, 0.0, 0.0), cell.time)
     cell.sleep(0.2)
-    with pytest.raises(HardwareFault, match="hardware is not active") as told:
+    with pytest.raises(HardwareFault, match="hardware is not active") as caught:
         driver.read()
-    assert told.value.reason is FaultReason.POSITION_LOST
+    assert caught.value.reason is FaultReason.POSITION_LOST
     assert not driver.homed
 
 
@@ -422,8 +422,8 @@ def test_success_means_there_and_at_rest_whatever_happens(
             cell.after(when, actions[fault])
         try:
             reading = driver.move_to(Joints(*goal), speed)
-        except HardwareFault as told:
-            assert len(told.sentence) > 20
+        except HardwareFault as caught:
+            assert len(caught.sentence) > 20
         else:
             assert np.all(np.abs(np.subtract(cell.truth(), goal)) <= (2e-3, 2e-3, 2e-4, 2e-3))
             assert close(reading.joints, Joints(*goal)) or fault

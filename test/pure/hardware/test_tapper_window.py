@@ -74,10 +74,10 @@ def test_no_release_outside_the_window_of_the_last_check() -> None:
         if outcome is FireOutcome.UNKNOWN:
             assert clock.now >= driver.release_impossible_after
         device.advance(clock.now)
-        told = len(device.fires)
+        fired = len(device.fires)
         transport.sleep(6.0)
         device.advance(clock.now)
-        assert len(device.fires) == told, "released after the call had returned"
+        assert len(device.fires) == fired, "released after the call had returned"
         fired = device.fires[before:]
         assert len(fired) <= 1
         if outcome is FireOutcome.FIRED:

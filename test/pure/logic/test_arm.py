@@ -53,7 +53,7 @@ def test_an_arm_that_is_pushed_off_its_place_is_a_fault() -> None:
     read(pair, pushed, START + 1.3)
     read(pair, pushed, START + 1.4)
     assert pair.arm.state is arms.State.FAULT
-    assert pair.arm.trouble[0] == ErrorCode.ARM_POSITION_MISMATCH
+    assert pair.arm.error[0] == ErrorCode.ARM_POSITION_MISMATCH
 
 
 def test_a_fault_in_mid_move_after_a_withdrawal_can_be_cleared() -> None:
@@ -88,7 +88,7 @@ def test_a_strike_pose_that_the_arm_cannot_reach_is_no_fault() -> None:
     (place,) = jobs(arm.on_message("tap_command", command, at(START + 2.0)))
     fault = HardwareFault(FaultReason.UNREACHABLE, "joint elbow would need 170 deg")
     (withdraw,) = jobs(arm.on_job(JobEnded(place, fault=fault), at(START + 2.1)))
-    assert arm.trouble == (ErrorCode.ARM_OUT_OF_REACH, "joint elbow would need 170 deg")
+    assert arm.error == (ErrorCode.ARM_OUT_OF_REACH, "joint elbow would need 170 deg")
     arm.on_job(JobEnded(withdraw, here), at(START + 3.0))
     assert arm.state is arms.State.IDLE
 
@@ -123,13 +123,13 @@ def withdraws(made: Sequence[Effect]) -> bool:
 def leaving_with_a_charged_striker() -> Pair:
     """The tap is withdrawn, the tapper still says that the striker is charged."""
     pair = in_position()
-    tell(pair, TapperState.CHARGED, START + 1.0)
+    report(pair, TapperState.CHARGED, START + 1.0)
     command = pair.command(TapCommand.WITHDRAW, at(START + 1.0))
     assert not withdraws(pair.arm.on_message("tap_command", command, at(START + 1.0)))
     return pair
 
 
-def tell(pair: Pair, state: int, steady: float) -> Sequence[Effect]:
+def report(pair: Pair, state: int, steady: float) -> Sequence[Effect]:
     message = TapperState(state=state, tap_id=TAP)
     return pair.arm.on_message("tapper_state", message, at(steady))
 
@@ -138,7 +138,7 @@ def test_the_arm_leaves_once_the_tapper_that_asked_it_to_stand_still_lets_it_go(
     pair = in_position()
     request = HoldStill.Request(tap_id=TAP, duration=0.26, key=7)
     pair.arm.on_request("hold_still", request, 1, at(START))
-    tell(pair, TapperState.FIRING, START)
+    report(pair, TapperState.FIRING, START)
     command = pair.command(TapCommand.WITHDRAW, at(START))
     assert not withdraws(pair.arm.on_message("tap_command", command, at(START + 0.1)))
     assert not withdraws(pair.arm.on_tick(at(START + 0.3)))
@@ -151,7 +151,7 @@ def test_a_report_that_arrives_after_the_tapper_has_let_the_arm_go_is_an_old_one
     for token, duration in ((1, 0.26), (2, 0.0)):
         request = HoldStill.Request(tap_id=TAP, duration=duration, key=7)
         pair.arm.on_request("hold_still", request, token, at(START))
-    tell(pair, TapperState.FIRING, START + 0.01)
+    report(pair, TapperState.FIRING, START + 0.01)
     command = pair.command(TapCommand.WITHDRAW, at(START + 0.1))
     assert withdraws(pair.arm.on_message("tap_command", command, at(START + 0.1)))
 
@@ -166,8 +166,8 @@ def test_after_a_report_of_a_charged_striker_no_other_report_lets_the_arm_leave_
 ) -> None:
     """Anybody can publish that the striker is at rest; its board has discharged by then."""
     pair = leaving_with_a_charged_striker()
-    told = TapperState(state=state, tap_id=TAP, outcome=outcome)
-    assert not withdraws(pair.arm.on_message("tapper_state", told, at(START + 1.0 + wait)))
+    message = TapperState(state=state, tap_id=TAP, outcome=outcome)
+    assert not withdraws(pair.arm.on_message("tapper_state", message, at(START + 1.0 + wait)))
     assert not withdraws(pair.arm.on_tick(at(START + 1.0 + wait)))
     assert withdraws(pair.arm.on_tick(at(START + 1.0 + arms.DISCHARGED_S + 0.01)))
 
@@ -177,7 +177,7 @@ def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(
     wait: float,
 ) -> None:
     pair = in_position()
-    tell(pair, TapperState.CHARGED, START + 1.0)
+    report(pair, TapperState.CHARGED, START + 1.0)
     pair.arm.on_lifecycle(Deactivated(), at(START + 1.0))
     pair.arm.on_lifecycle(Activated(), at(START + 1.0 + wait))
     made = pair.arm.on_request("~/home", Trigger.Request(), 3, at(START + 1.0 + wait))
@@ -190,6 +190,6 @@ def test_who_always_says_charged_holds_the_arm_for_a_limited_time() -> None:
     pair = leaving_with_a_charged_striker()
     steady = START + 1.0
     while not withdraws(pair.arm.on_tick(at(steady))):
-        tell(pair, TapperState.CHARGED, steady)
+        report(pair, TapperState.CHARGED, steady)
         steady += 0.05
         assert steady < START + 1.1 + arms.LONGEST_WAIT_S

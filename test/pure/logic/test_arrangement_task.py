@@ -74,11 +74,17 @@ class Table(VirtualNode):
         self.names = [cell.object.name, *(file.name for file in files())]
         self.poses = dict(zip(self.names, places, strict=True))
         self.hidden: set[str] = set()
+        self.seldom: set[str] = set()
+        """Objects that the camera looks at every 1.2 s only."""
+        self.looked: dict[str, ObjectState] = {}
+        self.look_began = -math.inf
+        self.withdrawals: list[int] = []
         self.tap: TapCommand | None = None
         self.taps: list[TapCommand] = []
         self.outcome = TapperState.NONE
         self.arm_state = ArmState.IDLE
         self.on_tap = lambda: None
+        self.on_withdrawal = lambda: None
         self.results: list[ArrangeObjects.Result] = []
         self.reports: list[ArrangementState] = []
 
@@ -96,7 +102,7 @@ class Table(VirtualNode):
         )
         self.network.subscribe("actors", "tap_command", lambda _, m: self._on_command(m))
         self.network.subscribe("actors", "arrangement_state", lambda _, m: self.reports.append(m))
-        self.scheduler.after(0.0, self._say)
+        self.scheduler.after(0.0, self._publish)
         self.process.start()
         self.wait(lambda: self.states, "the planner is up")
         self.run(0.3)
@@ -104,15 +110,22 @@ class Table(VirtualNode):
     def _on_command(self, command: TapCommand) -> None:
         if command.request != TapCommand.TAP:
             self.arm_state = ArmState.IDLE
+            self.withdrawals.append(command.tap_id)
+            self.on_withdrawal()
             return
         self.taps.append(command)
         self.tap, self.outcome, self.arm_state = command, TapperState.FIRED, ArmState.IN_POSITION
         self.poses[command.object_id] = from_message(command.predicted_pose)
         self.on_tap()
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         stamp, states = self.stamp(), []
+        due = self.scheduler.now >= self.look_began + 1.2
+        self.look_began = self.scheduler.now if due else self.look_began
         for name in self.names:
+            if name in self.seldom and not due and name in self.looked:
+                states.append(self.looked[name])
+                continue
             state = ObjectState(
                 visible=name not in self.hidden, at_rest=True, frames_fused=40, object_id=name
             )
@@ -120,6 +133,7 @@ class Table(VirtualNode):
             state.pose.pose = to_message(self.poses[name])
             state.pose.covariance = COVARIANCE.reshape(-1).tolist()
             states.append(state)
+            self.looked[name] = state
         self.publish("object_state", states[0])
         self.publish("object_states", ObjectStates(objects=states))
         idle = self.arm_state == ArmState.IDLE
@@ -138,7 +152,7 @@ class Table(VirtualNode):
                 interlock_closed=True,
             ),
         )
-        self.scheduler.after(0.03, self._say)
+        self.scheduler.after(0.03, self._publish)
 
     def send(self, goals: dict[str, Pose], **rest: Any) -> None:
         asked = ArrangeObjects.Goal(
@@ -319,6 +333,29 @@ def test_a_hidden_object_is_waited_for_and_named_in_the_end(cell: Table) -> None
     result = cell.end()
     assert result.error_code == ErrorCode.OBJECT_NOT_SEEN and not cell.taps
     assert f"'{other}' is not seen" in result.error_msg
+
+
+def test_an_object_that_is_looked_at_seldom_is_not_taken_for_hidden(cell: Table) -> None:
+    one, other, third = cell.names
+    cell.seldom = {third}
+    cell.send({name: moved(cell.poses[name], 0.02, 0.0) for name in (one, other)})
+    assert cell.end().error_code == ErrorCode.NONE
+    between = [tap.tap_id for tap in cell.taps[:-1]]
+    assert between and all(cell.withdrawals.count(tap_id) == 1 for tap_id in between)
+
+
+def test_the_arm_withdraws_further_from_any_object_that_it_hides(cell: Table) -> None:
+    one, other, _ = cell.names
+
+    def withdrawn() -> None:
+        # The first withdrawal of every tap leaves the arm over the other object.
+        once = cell.withdrawals.count(cell.withdrawals[-1]) == 1
+        cell.hidden = {other} if once else set()
+
+    cell.on_withdrawal = withdrawn
+    cell.send({one: moved(cell.poses[one], 0.05, 0.0)})
+    assert cell.end().error_code == ErrorCode.NONE
+    assert all(cell.withdrawals.count(tap.tap_id) == 2 for tap in cell.taps)
 
 
 def test_an_object_without_goal_that_is_not_there_is_left_out(cell: Table) -> None:

@@ -20,6 +20,7 @@ from tapping_cell.messages import (
     PlannedTap,
     PlanState,
     SetBool,
+    TapperState,
 )
 from tapping_cell.se2 import Pose
 
@@ -198,12 +199,71 @@ def test_a_stop_ends_the_goal_and_the_proposal(asked: Asked, how: str) -> None:
     assert asked.taps() == []
 
 
+def test_a_confirmation_holds_for_a_tap_that_was_late(asked: Asked) -> None:
+    asked.tapper_answers = TapperState.NOT_FIRED
+    asked.tapper_error = (ErrorCode.CAMERA_SILENT, "the last image is 0.46 s old")
+    asked.send()
+    shown = asked.proposal()
+    assert asked.answer(shown.tap_id).accepted
+    asked.wait(lambda: asked.plans[-1].state == PlanState.LOOKING, "the tap was not fired", 10.0)
+    asked.tapper_answers, asked.tapper_error = TapperState.FIRED, (0, "")
+    asked.wait(lambda: len(asked.taps()) == 2, "the second attempt, without a question", 10.0)
+    end = asked.end()
+    questions = {plan.planned_tap.tap_id for plan in asked.plans if plan.planned_tap.answer_by.sec}
+    assert end.state == PlanState.REACHED and questions == {shown.tap_id}
+    again = asked.taps()[1]
+    assert again.tap_id != shown.tap_id and again.strike_pose == shown.strike_pose
+
+
+def test_a_confirmation_given_while_the_camera_is_late_is_kept(asked: Asked) -> None:
+    asked.send()
+    shown = asked.proposal()
+    asked.camera_active = False
+    asked.run(0.6)
+    assert asked.answer(shown.tap_id).accepted and asked.taps() == []
+    asked.run(0.3)
+    assert asked.taps() == []
+    asked.camera_active = True
+    asked.wait(asked.taps, "the confirmed tap", 5.0)
+    assert asked.taps()[0].strike_pose == shown.strike_pose
+
+
+@pytest.mark.parametrize(
+    ("step", "wait", "code", "word"),
+    [
+        ((0.0008, 0.0, 0.0), 0.0, ErrorCode.CAMERA_SILENT, "moved by 0.80 mm"),
+        ((0.0, 0.0, 0.012), 0.0, ErrorCode.CAMERA_SILENT, "and 0.69 deg"),
+        ((0.0, 0.0, 0.0), 30.0, ErrorCode.CAMERA_SILENT, "more than 20 s old"),
+        ((0.0, 0.0, 0.0), 0.0, ErrorCode.TAPPER_INTERLOCK_OPEN, "the interlock"),
+    ],
+    ids=["moved", "turned", "old", "interlock"],
+)
+def test_a_tap_that_is_asked_for_again_says_why(
+    step: tuple[float, float, float], wait: float, code: int, word: str
+) -> None:
+    asked = Asked(replace(ASKING, withdraw_deadline=60.0))
+    asked.tapper_answers, asked.tapper_error = TapperState.NOT_FIRED, (code, "the interlock")
+    asked.send()
+    shown = asked.proposal()
+    asked.arm_withdraws = False
+    assert asked.answer(shown.tap_id).accepted
+    settling = PlanState.SETTLING
+    asked.wait(lambda: asked.plans[-1].state == settling, "the tap is not fired", 5.0)
+    asked.pose = Pose(*(a + b for a, b in zip(asked.pose, step, strict=True)))
+    asked.run(wait)
+    asked.arm_withdraws, asked.arm_state = True, ArmState.IDLE
+    again = asked.proposal(shown.tap_id)
+    assert "asked again because" in again.reason and word in again.reason
+    asked.run(1.0)
+    assert len(asked.taps()) == 1
+
+
 def test_a_lost_arm_drops_the_proposal(asked: Asked) -> None:
     asked.send()
     shown = asked.proposal()
-    asked.arm_talks = False
+    asked.arm_active = False
     asked.wait(lambda: asked.plans[-1].state == PlanState.WAITING_FOR_CELL, "it waits", 3.0)
-    asked.arm_talks = True
+    asked.arm_active = True
     assert asked.proposal(shown.tap_id).tap_id > shown.tap_id
 
 

@@ -81,7 +81,7 @@ def test_no_observation_before_the_withdrawal_counts_as_one_after_it(
     ahead: float, delays: list[float], arm_delay: float, withdrawn: float
 ) -> None:
     monitor = CellMonitor(silence_limit=0.5)
-    told = withdrawn + arm_delay
+    reported = withdrawn + arm_delay
     received, least = 0.0, math.inf
     for number, delay in enumerate(delays):
         taken = number / 30
@@ -90,7 +90,7 @@ def test_no_observation_before_the_withdrawal_counts_as_one_after_it(
         monitor.on_object(seen(taken, ahead), at(received))
         # The stated bound: the quickest image is at most so much slower than the arm's message.
         bounded = least <= arm_delay + QUICKEST_IMAGE_S
-        if bounded and monitor.usable(told, 10, at(received)):
+        if bounded and monitor.usable(reported, 10, at(received)):
             assert taken > withdrawn - 1e-6
 
 
@@ -116,6 +116,25 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
         peers.on_plan_state(plan, at(received))
         peers.on_object_state(seen(taken, camera_ahead), at(received))
     assert peers.check_firing(7, Pose(0.0, 0.0, 0.0), Pose(0.0, 0.0, 0.0), at(received)) is None
+
+
+@pytest.mark.parametrize("needed", [True, False])
+def test_a_tapper_that_needs_a_camera_waits_for_its_first_image(needed: bool) -> None:
+    """Else a tapper that was restarted while the camera is gone would fire at what it never saw."""
+    peers, here = TapperPeers(PeerLimits(needs_camera=needed)), Pose(0.0, 0.0, 0.0)
+    peers.begin_tap("")
+    arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)
+    stamp_of(arm, 1.0, 0.0)
+    peers.on_arm_state(arm, at(1.0))
+    for check in (peers.check_charging, peers.check_firing):
+        reason = check(7, here, here, at(1.0))
+        assert (reason is not None and reason[0] == ErrorCode.CAMERA_SILENT) == needed
+    blind = seen(1.0, 0.0)
+    blind.error_code = ErrorCode.IMAGE_INVALID
+    peers.on_object_state(blind, at(1.0))
+    assert (peers.check_firing(7, here, here, at(1.0)) is not None) == needed
+    peers.on_object_state(seen(1.0, 0.0), at(1.0))
+    assert peers.check_firing(7, here, here, at(1.0)) is None
 
 
 @given(st.sampled_from(["arm", "camera"]), st.floats(0.65, 3600.0))

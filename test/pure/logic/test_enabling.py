@@ -21,7 +21,7 @@ from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.tapper_jobs import Status
 from tapping_cell.messages import Bool, ErrorCode, TapCommand, TapperState, Trigger
 
-HELD, LET_GO = Bool(data=True), Bool(data=False)
+HELD, RELEASED = Bool(data=True), Bool(data=False)
 PARKED = Joints(*CELL.file.arm.park)
 
 
@@ -81,7 +81,7 @@ def test_nothing_begins_to_move_while_no_device_is_held(what: str) -> None:
         made = arm.on_message("joint_trajectory", message, now)
     assert not jobs(made) and arm.state is arms.State.IDLE
     if what != "home":
-        assert arm.trouble[0] == ErrorCode.ENABLING_RELEASED
+        assert arm.error[0] == ErrorCode.ENABLING_RELEASED
 
 
 @pytest.mark.parametrize("end", ["let go", "silence", "another node"])
@@ -90,13 +90,13 @@ def test_an_arm_at_work_stops_when_the_key_is_no_longer_held(end: str) -> None:
     arm, now = pair.arm, at(START + 1.1 * HEARTBEAT_S)
     assert arm.state is arms.State.IN_POSITION
     if end == "let go":
-        made = arm.on_message(enabling.TOPIC, LET_GO, at(START + 0.01))
+        made = arm.on_message(enabling.TOPIC, RELEASED, at(START + 0.01))
     elif end == "silence":
         made = arm.on_tick(now)
     else:
         made = arm.on_message("tapper_state", TapperState(), now)
     assert isinstance(made[0], StopWire) and arm.state is arms.State.STOPPED
-    assert arm.trouble[0] == ErrorCode.ENABLING_RELEASED
+    assert arm.error[0] == ErrorCode.ENABLING_RELEASED
     (stop,) = messages(made, "stop_state") or messages(made, "~/stop_state")
     assert stop.stopped and enabling.SOURCE in stop.sources
     # Held again, the arm stays stopped: a person clears the stop first.
@@ -107,7 +107,7 @@ def test_an_arm_at_work_stops_when_the_key_is_no_longer_held(end: str) -> None:
 def test_an_idle_arm_is_not_stopped_by_letting_go() -> None:
     arm = idle_arm()
     arm.on_message(enabling.TOPIC, HELD, at(START))
-    arm.on_message(enabling.TOPIC, LET_GO, at(START + 0.1))
+    arm.on_message(enabling.TOPIC, RELEASED, at(START + 0.1))
     arm.on_tick(at(START + 5.0))
     assert arm.state is arms.State.IDLE
 
@@ -132,13 +132,13 @@ def test_the_last_check_before_fire_wants_the_key_held(late: float) -> None:
 def test_a_charged_tapper_discharges_when_the_key_is_let_go() -> None:
     pair = working()
     tapper = pair.tapper
-    made = tapper.on_message(enabling.TOPIC, LET_GO, at(START + 0.05))
+    made = tapper.on_message(enabling.TOPIC, RELEASED, at(START + 0.05))
     (discharge,) = jobs(made)
     assert tapper.state is tappers.State.DISCHARGING
     status = Status(board(BoardState.SAFE), 0)
-    told = messages(tapper.on_job(JobEnded(discharge, status), at(START + 0.1)), "tapper_state")
-    assert told[-1].outcome == TapperState.NOT_FIRED
-    assert told[-1].error_code == ErrorCode.ENABLING_RELEASED
+    reported = messages(tapper.on_job(JobEnded(discharge, status), at(START + 0.1)), "tapper_state")
+    assert reported[-1].outcome == TapperState.NOT_FIRED
+    assert reported[-1].error_code == ErrorCode.ENABLING_RELEASED
 
 
 def test_a_tap_without_a_device_held_is_refused_and_surely_not_fired() -> None:
@@ -146,8 +146,11 @@ def test_a_tap_without_a_device_held_is_refused_and_surely_not_fired() -> None:
     tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), now)
     tapper.on_lifecycle(Activated(), now)
     made = tapper.on_message("tap_command", Pair().command(TapCommand.TAP, now), now)
-    (told,) = messages(made, "tapper_state")
-    assert (told.outcome, told.error_code) == (TapperState.NOT_FIRED, ErrorCode.ENABLING_RELEASED)
+    (reported,) = messages(made, "tapper_state")
+    assert (reported.outcome, reported.error_code) == (
+        TapperState.NOT_FIRED,
+        ErrorCode.ENABLING_RELEASED,
+    )
 
 
 def test_the_board_tells_its_switch() -> None:
@@ -168,7 +171,7 @@ def test_without_set_up_mode_no_device_is_wanted() -> None:
     pair = Pair()
     pair.begin()
     for machine in (pair.arm, pair.tapper):
-        machine.on_message(enabling.TOPIC, LET_GO, at(START + 0.1))
+        machine.on_message(enabling.TOPIC, RELEASED, at(START + 0.1))
         machine.on_tick(at(START + 0.1))
     assert pair.arm.state is arms.State.IN_POSITION
     assert pair.tapper.state is tappers.State.CHARGED

@@ -95,7 +95,7 @@ def test_it_proves_its_mounts_and_fires_the_tapper_that_is_named(ring: Ring) -> 
     ring.command(102, "east")
     ring.run(1.0)
     assert ring.shots() == [100, 101, 102]
-    assert not ring.said()
+    assert not ring.reported_errors()
 
 
 def test_a_tap_must_name_one_of_several_tappers(ring: Ring) -> None:

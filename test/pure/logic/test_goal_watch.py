@@ -119,16 +119,21 @@ def test_a_planner_that_was_frozen_answers_itself() -> None:
 )
 @settings(max_examples=200, deadline=None)
 def test_without_a_working_planner_the_wait_is_bounded(
-    story: list[tuple[float, int | None, bytes, bool]],
+    illustrated: list[tuple[float, int | None, bytes, bool]],
 ) -> None:
     client = Client()
     client.wait(1.0, PlanState.PLACING)
     client.wait(SILENCE_S + 1.0, None)
     began = client.now
-    for patience, state, who, own in story:
+    for patience, state, who, own in illustrated:
         if client.wait(patience, state, who, GOAL if own else Pose(9.0, 0.0, 0.0)) is not None:
             break
     else:
         assert client.wait(1e3, None) is not None
-    longest = sum(patience for patience, *_ in story) + RETURN_S + 2 * len(story) * PERIOD + 1.0
+    longest = (
+        sum(patience for patience, *_ in illustrated)
+        + RETURN_S
+        + 2 * len(illustrated) * PERIOD
+        + 1.0
+    )
     assert client.now - began <= longest

@@ -93,13 +93,13 @@ class Pair:
         self.tapper.on_message("tap_command", tap, now)
         (place,) = jobs(self.arm.on_message("tap_command", tap, now))
         placed = MotionEnd(True, Reading(True, joints, False, now.steady))
-        told = messages(self.arm.on_job(JobEnded(place, placed), now), "arm_state")[-1]
-        assert told.state == ArmState.IN_POSITION
-        (charge,) = jobs(self.tapper.on_message("arm_state", told, now))
+        arm_state = messages(self.arm.on_job(JobEnded(place, placed), now), "arm_state")[-1]
+        assert arm_state.state == ArmState.IN_POSITION
+        (charge,) = jobs(self.tapper.on_message("arm_state", arm_state, now))
         status = Status(board(BoardState.CHARGED, TAP), 0)
         made = self.tapper.on_job(JobEnded(charge, ChargeEnd(status, True, None)), now)
         (call,) = [effect for effect in made if isinstance(effect, Call)]
-        self.told = told
+        self.arm_state = arm_state
         return call
 
 
@@ -152,8 +152,8 @@ def test_no_release_falls_into_a_motion_of_the_arm(
         return
     sampled = received + to_check
     # The arm and the planner go on speaking: only the permit is in reason.
-    pair.told.header.stamp = to_stamp(at(sampled).ros)
-    pair.tapper.on_message("arm_state", pair.told, at(sampled))
+    pair.arm_state.header.stamp = to_stamp(at(sampled).ros)
+    pair.tapper.on_message("arm_state", pair.arm_state, at(sampled))
     release_by = sampled + (WINDOW_S + LONGEST_PULSE) * 1.01
     if pair.tapper.check_firing(release_by, at(sampled)) is not None:
         return
@@ -188,8 +188,8 @@ def test_only_who_asked_for_the_promise_can_end_it(
     pair = Pair()
     call = pair.begin()
     pair.arm.on_request("hold_still", call.request, 1, at(START))
-    told = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=outcome)
-    pair.arm.on_message("tapper_state", told, at(START + after))
+    message = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=outcome)
+    pair.arm.on_message("tapper_state", message, at(START + after))
     request = HoldStill.Request(tap_id=tap_id, duration=0.0, key=key)
     pair.arm.on_request("hold_still", request, 2, at(START + after))
     held = not_before(pair, START + after)

@@ -69,7 +69,7 @@ class Actors(VirtualNode):
         self.pose = START
         self.moves_when_fired = True
         self.visible = self.at_rest = True
-        self.camera_talks = self.arm_talks = self.tapper_talks = True
+        self.camera_active = self.arm_active = self.tapper_active = True
         self.arm_arrives = self.arm_withdraws = True
         self.arm_state = ArmState.IDLE
         self.arm_error: tuple[int, str] = (0, "")
@@ -105,7 +105,7 @@ class Actors(VirtualNode):
             started=False,
         )
         self.network.subscribe("actors", "tap_command", lambda _, m: self._on_command(m))
-        self.scheduler.after(0.0, self._say)
+        self.scheduler.after(0.0, self._publish)
         self.process.start()
 
     def _on_command(self, command: TapCommand) -> None:
@@ -127,10 +127,10 @@ class Actors(VirtualNode):
         elif self.arm_withdraws:
             self.arm_state = ArmState.IDLE
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         now = self.stamp()
         tap_id = self.tap.tap_id if self.tap is not None else 0
-        if self.camera_talks:
+        if self.camera_active:
             seen = ObjectState(
                 visible=self.visible, at_rest=self.at_rest, frames_fused=30, object_id="disk"
             )
@@ -139,7 +139,7 @@ class Actors(VirtualNode):
             seen.references_used = list(range(101, 109))
             seen.pose.covariance = COVARIANCE.reshape(-1).tolist()
             self.publish("object_state", seen)
-        if self.arm_talks:
+        if self.arm_active:
             code, sentence = self.arm_error
             idle = self.arm_state == ArmState.IDLE
             arm = ArmState(
@@ -152,7 +152,7 @@ class Actors(VirtualNode):
             )
             arm.header.stamp = now
             self.publish("arm_state", arm)
-        if self.tapper_talks:
+        if self.tapper_active:
             code, sentence = self.tapper_error
             self.publish(
                 "tapper_state",
@@ -165,7 +165,7 @@ class Actors(VirtualNode):
                     error_msg=sentence,
                 ),
             )
-        self.scheduler.after(0.03, self._say)
+        self.scheduler.after(0.03, self._publish)
 
     @property
     def plans(self) -> list[PlanState]:
@@ -357,9 +357,9 @@ def test_taps_without_any_effect_end(actors: Actors) -> None:
     [
         ({"visible": False}, ErrorCode.OBJECT_NOT_SEEN),
         ({"at_rest": False}, ErrorCode.OBJECT_NOT_AT_REST),
-        ({"camera_talks": False}, ErrorCode.CAMERA_SILENT),
-        ({"arm_talks": False}, ErrorCode.ARM_SILENT),
-        ({"tapper_talks": False}, ErrorCode.TAPPER_SILENT),
+        ({"camera_active": False}, ErrorCode.CAMERA_SILENT),
+        ({"arm_active": False}, ErrorCode.ARM_SILENT),
+        ({"tapper_active": False}, ErrorCode.TAPPER_SILENT),
         ({"arm_state": ArmState.NOT_HOMED}, ErrorCode.ARM_BUSY),
     ],
     ids=lambda value: str(value),

@@ -84,7 +84,7 @@ def test_each_tapper_is_fired_by_its_own_board(ring: TwoBoards) -> None:
         assert (fired.fires[-1][0], fired.channel) == (tap_id, entry.channel)
     assert ring.shots() == [[100, 102, 104, 106], [101, 103, 105, 107]]
     assert set(ring.last.tappers) == set(CELL.tapper_names)
-    assert not ring.said()
+    assert not ring.reported_errors()
 
 
 def test_a_striker_out_at_one_board_forbids_the_taps_of_the_other(ring: TwoBoards) -> None:

@@ -23,13 +23,13 @@ SHOT = 7
 class Line:
     """A driver that was answered in this way, of which one answer may be forged."""
 
-    def __init__(self, told: FireOutcome, last_fired: int) -> None:
+    def __init__(self, reported: FireOutcome, last_fired: int) -> None:
         self.counters = SimpleNamespace(fired=0)
         self.last_reply: Reply | None = None
-        self._told, self._last_fired = told, last_fired
+        self._reported, self._last_fired = reported, last_fired
 
     def fire(self, shot: int, window: float, allowed: Callable[[float], bool]) -> FireResult:
-        return FireResult(self._told, shot)
+        return FireResult(self._reported, shot)
 
     def status(self) -> Reply:
         return replace(board(BoardState.SAFE, SHOT), last_fired=self._last_fired)
@@ -37,10 +37,10 @@ class Line:
 
 @given(st.sampled_from(FireOutcome), st.sampled_from([0, SHOT - 1, SHOT]))
 def test_an_outcome_that_the_board_does_not_confirm_is_unknown(
-    told: FireOutcome, last_fired: int
+    reported: FireOutcome, last_fired: int
 ) -> None:
-    context = cast(JobContext, SimpleNamespace(driver=Line(told, last_fired)))
-    end = tapper_jobs.fire(context, SHOT, lambda release_by, now: None, tell=False)
-    agrees = (told is FireOutcome.FIRED) == (last_fired == SHOT)
-    assert end.outcome is (told if agrees else FireOutcome.UNKNOWN)
-    assert agrees or told is FireOutcome.UNKNOWN or "contradict" in end.sentence
+    context = cast(JobContext, SimpleNamespace(driver=Line(reported, last_fired)))
+    end = tapper_jobs.fire(context, SHOT, lambda release_by, now: None, post_replies=False)
+    agrees = (reported is FireOutcome.FIRED) == (last_fired == SHOT)
+    assert end.outcome is (reported if agrees else FireOutcome.UNKNOWN)
+    assert agrees or reported is FireOutcome.UNKNOWN or "contradict" in end.sentence

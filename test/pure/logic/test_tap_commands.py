@@ -59,8 +59,8 @@ def test_the_tapper_refuses_a_tap_of_another_one_and_names_itself() -> None:
         command.strike_pose.orientation.w = 1.0
         command.expiry = to_stamp(now.ros + 10**9)
         made = machine.on_message("tap_command", command, now)
-        (told,) = [effect.message for effect in made if isinstance(effect, Publish)]
-        assert isinstance(told, TapperState)
-        assert (told.tap_id, told.error_code) == (tap_id, code)
-        assert told.tappers == ["tapper"]
-        assert told.outcome == (TapperState.NOT_FIRED if code else TapperState.NONE)
+        (message,) = [effect.message for effect in made if isinstance(effect, Publish)]
+        assert isinstance(message, TapperState)
+        assert (message.tap_id, message.error_code) == (tap_id, code)
+        assert message.tappers == ["tapper"]
+        assert message.outcome == (TapperState.NOT_FIRED if code else TapperState.NONE)

@@ -70,38 +70,42 @@ class Cell(VirtualNode):
     def withdraw(self, tap_id: int) -> None:
         self.publish("tap_command", TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id))
 
-    def say_arm(self, tap_id: int, state: int = ArmState.IN_POSITION, age: float = 0.0) -> None:
+    def publish_arm(self, tap_id: int, state: int = ArmState.IN_POSITION, age: float = 0.0) -> None:
         message = ArmState(state=state, tap_id=tap_id, homed=True)
         message.header.stamp = self.stamp(-age)
         self.publish("arm_state", message)
 
-    def say_until(
-        self, condition: Callable[[], bool], what: str, say: Callable[[], None], every: float = 0.03
+    def publish_until(
+        self,
+        condition: Callable[[], bool],
+        what: str,
+        send: Callable[[], None],
+        every: float = 0.03,
     ) -> None:
         """Let somebody speak until the condition holds."""
         end = self.now() + 20.0
         while not condition():
             assert self.now() < end, f"waited in vain: {what}"
-            say()
+            send()
             self.run(every)
 
-    def keep_saying(self, seconds: float, **arm: Any) -> None:
+    def keep_publishing(self, seconds: float, **arm: Any) -> None:
         """Let the arm speak for so long."""
         end = self.now() + seconds
         while self.now() < end:
-            self.say_arm(**arm)
+            self.publish_arm(**arm)
             self.run(0.05)
 
     def arm_stands(self) -> None:
-        self.say_arm(100)
+        self.publish_arm(100)
 
     def fire(self, tap_id: int) -> None:
         """Command a tap, let the arm stand there, wait for the release."""
         self.command(tap_id)
-        self.say_until(
+        self.publish_until(
             lambda: self.outcome(tap_id) == TapperState.FIRED,
             f"tap {tap_id} fired",
-            lambda: self.say_arm(tap_id),
+            lambda: self.publish_arm(tap_id),
         )
 
     def outcome(self, tap_id: int) -> int:
@@ -125,13 +129,13 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     cell.command(100)
     cell.run(0.2)
     assert cell.shots() == []
-    cell.say_until(
-        lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.say_arm(100)
+    cell.publish_until(
+        lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.publish_arm(100)
     )
     assert cell.shots() == [100]
     # The same command again, and the arm still in position: answered, not fired.
     cell.command(100)
-    cell.keep_saying(0.5, tap_id=100)
+    cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == [100]
 
 
@@ -148,7 +152,7 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
 )
 def test_it_does_not_fire_on_doubt(cell: Cell, arm: dict[str, object]) -> None:
     cell.command(100, valid=1.0)
-    cell.keep_saying(1.2, **arm)
+    cell.keep_publishing(1.2, **arm)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
     assert cell.shots() == []
     assert cell.last.error_code == ErrorCode.TAPPER_COMMAND_EXPIRED
@@ -158,14 +162,14 @@ def test_a_withdrawn_tap_is_not_fired_later(cell: Cell) -> None:
     cell.command(100)
     cell.withdraw(100)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
-    cell.keep_saying(0.5, tap_id=100)
+    cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == []
 
 
 def test_a_tap_older_than_one_served_is_refused(cell: Cell) -> None:
     cell.fire(100)
     cell.command(50)
-    cell.keep_saying(0.8, tap_id=50)
+    cell.keep_publishing(0.8, tap_id=50)
     assert cell.shots() == [100]
 
 
@@ -188,7 +192,7 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
     cell.publish("emergency_stop", Bool(data=True))
     cell.wait(lambda: cell.last.state == TapperState.STOPPED, "stopped")
     cell.publish("emergency_stop", Bool(data=False))
-    cell.keep_saying(0.5, tap_id=100)
+    cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == []
     assert cell.last.state == TapperState.STOPPED
     cell.press_clear_button()
@@ -202,8 +206,10 @@ def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Ce
     """S1: in position is not enough."""
     cell.arm_holds = False
     cell.command(100)
-    cell.say_until(
-        lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", lambda: cell.say_arm(100)
+    cell.publish_until(
+        lambda: cell.outcome(100) == TapperState.NOT_FIRED,
+        "not fired",
+        lambda: cell.publish_arm(100),
     )
     assert cell.last.error_code == ErrorCode.TAPPER_ARM_NOT_IN_POSITION
     assert cell.shots() == []
@@ -226,13 +232,13 @@ def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
     """S11."""
     cell.command(100, valid=1.0)
 
-    def say() -> None:
+    def send() -> None:
         seen = ObjectState(visible=visible, pose=PoseWithCovariance(pose=to_message(pose)))
         seen.header.stamp = cell.stamp()
         cell.publish("object_state", seen)
-        cell.say_arm(100)
+        cell.publish_arm(100)
 
-    cell.say_until(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", say)
+    cell.publish_until(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", send)
     assert cell.shots() == []
     words = {ErrorCode.OBJECT_MOVED: "from the pose for which the tap was planned"}
     assert words.get(code, "has not been seen") in cell.last.error_msg
@@ -244,17 +250,17 @@ def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read() -> None:
     for number in range(4):
         tap_id = 100 + number
         cell.command(tap_id)
-        cell.say_until(
+        cell.publish_until(
             lambda: cell.last.state == TapperState.CHARGING,
             "charging",
-            lambda tap_id=tap_id: cell.say_arm(tap_id),
+            lambda tap_id=tap_id: cell.publish_arm(tap_id),
         )
         start = len(cell.states)
-        cell.keep_saying(0.4, tap_id=tap_id)
+        cell.keep_publishing(0.4, tap_id=tap_id)
         cell.command(200 + number)
-        cell.keep_saying(0.3, tap_id=tap_id)
-        told = {(s.state, s.tap_id) for s in cell.states[start:]}
-        assert told == {(TapperState.CHARGING, tap_id)}
+        cell.keep_publishing(0.3, tap_id=tap_id)
+        reported = {(s.state, s.tap_id) for s in cell.states[start:]}
+        assert reported == {(TapperState.CHARGING, tap_id)}
         cell.withdraw(tap_id)
         cell.wait(lambda tap_id=tap_id: cell.outcome(tap_id) == TapperState.NOT_FIRED, "let down")
     assert cell.shots() == []
@@ -269,7 +275,7 @@ def test_an_id_that_cannot_be_refuses_no_tap_after_it(cell: Cell) -> None:
     assert cell.shots() == [100]
 
 
-LET_DOWN = ("DISCHARGING", "SAFE")
+DISCHARGED = ("DISCHARGING", "SAFE")
 SLOW = TapperMachine(SpringMechanism(step_rate=100.0))
 """A spring that takes so long to charge that whoever falls silent does so in mid-draw."""
 
@@ -282,7 +288,7 @@ def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
     cell = Cell(SLOW)
     last = cell.stamp()
 
-    def all_speak(but: str = "") -> None:
+    def publish_all(but: str = "") -> None:
         if but != "planner":
             cell.publish("plan_state", PlanState(state=PlanState.FIRING))
         if but != "camera":
@@ -293,17 +299,19 @@ def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
                 seen.error_code = ErrorCode.IMAGE_INVALID
             cell.publish("object_state", seen)
         if but != "arm":
-            cell.say_arm(100)
+            cell.publish_arm(100)
 
     cell.command(100)
-    cell.say_until(lambda: cell.device.state == "CHARGING", "the draw begins", all_speak, 0.04)
+    cell.publish_until(
+        lambda: cell.device.state == "CHARGING", "the draw begins", publish_all, 0.04
+    )
     last = cell.stamp()
     silent = cell.now()
-    cell.say_until(
-        lambda: cell.outcome(100) != TapperState.NONE, "let down", lambda: all_speak(lost), 0.01
+    cell.publish_until(
+        lambda: cell.outcome(100) != TapperState.NONE, "let down", lambda: publish_all(lost), 0.01
     )
     assert cell.now() - silent < 1.0
-    assert cell.outcome(100) == TapperState.NOT_FIRED and cell.device.state in LET_DOWN
+    assert cell.outcome(100) == TapperState.NOT_FIRED and cell.device.state in DISCHARGED
     assert ("camera" if "pictures" in lost else lost) in cell.last.error_msg
     assert cell.shots() == []
 
@@ -315,14 +323,14 @@ def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_hea
     cell.wait(lambda: cell.last.tap_id == 100, "taken")
     cell.publish("plan_state", PlanState(state=PlanState.PLACING))
     cell.run(0.6)
-    cell.keep_saying(0.6, tap_id=100)
+    cell.keep_publishing(0.6, tap_id=100)
     assert cell.device.state == "UNHOMED" and cell.outcome(100) == TapperState.NONE
 
-    def say() -> None:
+    def send() -> None:
         cell.publish("plan_state", PlanState(state=PlanState.FIRING))
-        cell.say_arm(100)
+        cell.publish_arm(100)
 
-    cell.say_until(lambda: cell.outcome(100) == TapperState.FIRED, "fired", say, 0.05)
+    cell.publish_until(lambda: cell.outcome(100) == TapperState.FIRED, "fired", send, 0.05)
     assert cell.shots() == [100]
 
 
@@ -332,7 +340,7 @@ def test_another_program_may_command_taps_while_the_planner_is_idle(cell: Cell) 
         cell.command(tap_id)
         for _ in range(10):
             cell.publish("plan_state", PlanState(state=PlanState.IDLE))
-            cell.keep_saying(0.6, tap_id=tap_id)
+            cell.keep_publishing(0.6, tap_id=tap_id)
             if cell.outcome(tap_id) == TapperState.FIRED:
                 break
     assert cell.shots() == [100, 101, 102]
@@ -346,7 +354,7 @@ def test_a_planner_that_was_restarted_does_not_fire_the_tap_of_the_one_before(ce
     cell.publish("plan_state", PlanState(state=PlanState.WAITING_FOR_CELL))
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "given up")
     assert "planner" in cell.last.error_msg
-    cell.keep_saying(0.5, tap_id=100)
+    cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == []
 
 
@@ -357,8 +365,8 @@ def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> N
     cell.withdraw(999)
     cell.run(0.3)
     assert cell.last.tap_id == 100 and cell.outcome(100) == TapperState.NONE
-    cell.say_until(
-        lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.say_arm(100)
+    cell.publish_until(
+        lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.publish_arm(100)
     )
     assert cell.shots() == [100]
     # And the next tap of the planner is taken although 999 was received.
@@ -396,14 +404,17 @@ def test_a_command_that_makes_no_sense_is_refused_in_words_and_blocks_nobody(
 def test_deactivating_in_mid_draw_lets_the_striker_down() -> None:
     cell = Cell(SLOW)
     cell.command(100)
-    cell.say_until(
-        lambda: cell.device.state == "CHARGING", "the draw begins", lambda: cell.say_arm(100), 0.04
+    cell.publish_until(
+        lambda: cell.device.state == "CHARGING",
+        "the draw begins",
+        lambda: cell.publish_arm(100),
+        0.04,
     )
     cell.process.lifecycle(Deactivated())
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
     # Not for want of anybody's word, nor because the draw took too long.
     assert cell.last.error_code == ErrorCode.NOT_ACTIVE
-    assert cell.device.state in LET_DOWN and cell.shots() == []
+    assert cell.device.state in DISCHARGED and cell.shots() == []
 
 
 def test_a_stop_published_before_the_node_was_there_holds() -> None:
@@ -413,7 +424,7 @@ def test_a_stop_published_before_the_node_was_there_holds() -> None:
     cell.process.start()
     cell.wait(lambda: cell.device.state == "STOPPED", "the board is stopped as well")
     cell.command(100)
-    cell.keep_saying(0.5, tap_id=100)
+    cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == [] and cell.last.state == TapperState.STOPPED
 
 
@@ -423,8 +434,11 @@ def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, momen
     """The board has discharged by itself: nothing unsafe is unknown, so that nobody need clear."""
     cell = Cell(SLOW)
     cell.command(100)
-    cell.say_until(
-        lambda: cell.device.state == "CHARGING", "the draw begins", lambda: cell.say_arm(100), 0.04
+    cell.publish_until(
+        lambda: cell.device.state == "CHARGING",
+        "the draw begins",
+        lambda: cell.publish_arm(100),
+        0.04,
     )
     cell.run(0.001 * moment)
     if withdrawn == "before":
@@ -434,15 +448,15 @@ def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, momen
     cell.run(0.1)
     if withdrawn == "meanwhile":
         cell.withdraw(100)
-    told_before = len(cell.states)
+    count_before = len(cell.states)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "told")
     cell.wait_state(TapperState.SAFE)
     cell.run(2.0)
-    after = cell.states[told_before:]
+    after = cell.states[count_before:]
     assert TapperState.FAULT not in {state.state for state in after}
     outcomes = [state.outcome for state in after if state.tap_id == 100]
     assert outcomes == sorted(outcomes), "once told, an outcome stays"
-    assert cell.device.state in LET_DOWN and cell.shots() == []
+    assert cell.device.state in DISCHARGED and cell.shots() == []
 
 
 def test_a_tapper_that_was_frozen_in_a_shot_tells_unknown_once_and_is_ready_again() -> None:
@@ -458,13 +472,13 @@ def test_a_tapper_that_was_frozen_in_a_shot_tells_unknown_once_and_is_ready_agai
 
     cell.process.on_asked = fall_silent
     cell.command(100)
-    told_before = len(cell.states)
-    cell.say_until(
-        lambda: cell.outcome(100) != TapperState.NONE, "an outcome", lambda: cell.say_arm(100)
+    count_before = len(cell.states)
+    cell.publish_until(
+        lambda: cell.outcome(100) != TapperState.NONE, "an outcome", lambda: cell.publish_arm(100)
     )
     cell.wait_state(TapperState.SAFE)
     cell.run(2.0)
-    after = [state for state in cell.states[told_before:] if state.tap_id == 100]
+    after = [state for state in cell.states[count_before:] if state.tap_id == 100]
     outcomes = [state.outcome for state in after if state.outcome != TapperState.NONE]
     assert set(outcomes) == {TapperState.UNKNOWN}
     assert TapperState.FAULT not in {state.state for state in after}
@@ -485,7 +499,7 @@ def test_a_restarted_tapper_does_not_tell_a_number_that_its_board_has_used_as_no
     cell.command(100)
     cell.wait(lambda: cell.outcome(100) != TapperState.NONE, "an outcome")
     assert cell.outcome(100) == TapperState.UNKNOWN
-    cell.keep_saying(0.5, tap_id=100)
+    cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == [100]
 
 
@@ -495,8 +509,10 @@ def test_a_shot_that_the_board_refuses_carries_the_boards_reason(cell: Cell) -> 
     cell.process.on_asked = lambda process, job, answer: (
         cell.device.set_interlock(False, cell.now()) if job == "fire" else None
     )
-    cell.say_until(
-        lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired", lambda: cell.say_arm(100)
+    cell.publish_until(
+        lambda: cell.outcome(100) == TapperState.NOT_FIRED,
+        "not fired",
+        lambda: cell.publish_arm(100),
     )
     assert cell.last.error_code == ErrorCode.TAPPER_INTERLOCK_OPEN
     assert "close the guard" in cell.last.error_msg

@@ -37,10 +37,10 @@ def launches(body: Polygon, count: int, largest: float) -> np.ndarray:
 def test_the_table_agrees_with_the_integration(body: Polygon, factor: float) -> None:
     exact = Sliding(body, MU, factor, G)
     twist = launches(body, 300, LARGEST_SIZE)
-    true, told = exact.displace(twist), exact.tabulated().displace(twist)
+    true, tabulated = exact.displace(twist), exact.tabulated().displace(twist)
     scale = np.array([1.0, 1.0, body.radius_of_gyration])
     size = np.linalg.norm(true * scale, axis=1)
-    error = np.linalg.norm((told - true) * scale, axis=1) / size
+    error = np.linalg.norm((tabulated - true) * scale, axis=1) / size
     assert error.max() < 1.5e-3 and np.percentile(error, 95) < 1e-3
     direction = np.arctan2(twist[:, 1], twist[:, 0])
     speed = np.hypot(twist[:, 0], twist[:, 1])
@@ -65,9 +65,11 @@ def test_a_launch_beyond_the_table_slides_into_it(body: Polygon) -> None:
     size = (twist[:, :2] ** 2).sum(axis=1) + (rho * twist[:, 2]) ** 2
     beyond = size > LARGEST_SIZE * MU * G * rho
     assert 10 < beyond.sum() < 90
-    true, told = exact.displace(twist), exact.tabulated().displace(twist)
+    true, tabulated = exact.displace(twist), exact.tabulated().displace(twist)
     scale = np.array([1.0, 1.0, rho])
-    error = np.linalg.norm((told - true) * scale, axis=1) / np.linalg.norm(true * scale, axis=1)
+    error = np.linalg.norm((tabulated - true) * scale, axis=1) / np.linalg.norm(
+        true * scale, axis=1
+    )
     assert error.max() < 1.5e-3
     # Nothing jumps where the table ends.
     edge = math.sqrt(LARGEST_SIZE * MU * G * rho) * np.array([[0.8, 0.0, 0.6 / rho]])

@@ -15,7 +15,7 @@ from tapping_cell.nodes.page.goal_queue import (
     GoalQueue,
     NamedGoals,
     QueueFull,
-    Wanted,
+    RequestedGoal,
 )
 from tapping_cell.se2 import Pose
 
@@ -33,7 +33,7 @@ def test_goals_leave_in_order_once_and_only_while_a_person_lets_them(events: lis
     for event in events:
         if event == "add":
             added += 1
-            queue.add(Wanted(Pose(float(added), 0.0, 0.0)))
+            queue.add(RequestedGoal(Pose(float(added), 0.0, 0.0)))
         elif event == "run":
             queue.run()
             running = True
@@ -61,7 +61,7 @@ def test_goals_leave_in_order_once_and_only_while_a_person_lets_them(events: lis
 def test_a_goal_that_failed_holds_the_queue_and_says_why() -> None:
     queue = GoalQueue()
     for x in (1.0, 2.0):
-        queue.add(Wanted(Pose(x, 0.0, 0.0)))
+        queue.add(RequestedGoal(Pose(x, 0.0, 0.0)))
     assert queue.next(False, "") is None, "nothing moves before it is run"
     queue.run()
     assert queue.next(False, "") is not None
@@ -69,16 +69,16 @@ def test_a_goal_that_failed_holds_the_queue_and_says_why() -> None:
     assert not queue.running and "508" in queue.held
     assert queue.next(False, "") is None
     queue.run()
-    assert queue.held == "" and queue.next(False, "") == Wanted(Pose(2.0, 0.0, 0.0))
+    assert queue.held == "" and queue.next(False, "") == RequestedGoal(Pose(2.0, 0.0, 0.0))
 
 
 def test_what_does_not_fit_is_refused_in_words() -> None:
     queue, names = GoalQueue(), NamedGoals()
     for number in range(MOST_WAITING):
-        queue.add(Wanted(Pose(0.0, 0.0, 0.0)))
+        queue.add(RequestedGoal(Pose(0.0, 0.0, 0.0)))
         names.keep(f"place {number}", Pose(0.0, 0.0, 0.0))
     with pytest.raises(QueueFull, match="50 goals are already waiting"):
-        queue.add(Wanted(Pose(0.0, 0.0, 0.0)))
+        queue.add(RequestedGoal(Pose(0.0, 0.0, 0.0)))
     assert MOST_NAMES == MOST_WAITING
     with pytest.raises(QueueFull, match="50 goals already have names"):
         names.keep("one more", Pose(0.0, 0.0, 0.0))

@@ -29,7 +29,7 @@ class Site:
         sockets = server.bind("127.0.0.1", 0)
         self.port = sockets[0].getsockname()[1]
         self.level = stop_server.StopLevel(
-            self.published.append, lambda *told: self.reported.append(told), False
+            self.published.append, lambda *report: self.reported.append(report), False
         )
         guard = Guard.make("127.0.0.1", (), self.token)
         self.server = stop_server.StopServer.make(self.level, guard, PAGE_PORT)

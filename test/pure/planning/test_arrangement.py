@@ -81,7 +81,8 @@ def test_one_object_goes_straight_to_its_goal(kind: Kind) -> None:
     goal = Pose(0.05, 0.0, 0.0)
     bodies = bodies_of(kind, [goal])
     move = SequencePlanner().next_move(scene_of(bodies, Pose(0.0, 0.0, 0.0)))
-    assert move == Move("o0", goal, Purpose.TO_GOAL)
+    reason = "its goal and a path to it are free"
+    assert move == Move("o0", goal, Purpose.TO_GOAL, reason)
 
 
 def test_a_swap_needs_a_buffer_place_and_the_baseline_has_none(kind: Kind) -> None:

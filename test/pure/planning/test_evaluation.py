@@ -9,7 +9,7 @@ from tapping_cell.planning import CameraNoise, PlannerSettings, PlanningError
 from tapping_cell.planning.evaluation import Evaluation, Results, evaluate, parallel, summarise
 from tapping_cell.planning.evaluation.task import End
 
-LOOK = CameraNoise(1e-4, math.radians(0.1))
+CAMERA_NOISE = CameraNoise(1e-4, math.radians(0.1))
 
 
 def figures(planner, trials=4000, settings=None, **others):
@@ -41,7 +41,7 @@ def test_multi_keeps_its_plan_of_five_taps():
 
 def test_optimal_with_camera_noise_bias_and_adaptation():
     found = figures(
-        "optimal", 20_000, PlannerSettings(camera=LOOK), gain_bias=(0.06, 0.10), adapt=True
+        "optimal", 20_000, PlannerSettings(camera=CAMERA_NOISE), gain_bias=(0.06, 0.10), adapt=True
     )
     assert found["taps"]["mean"] <= 2.55 and found["taps"]["p99"] <= 6
     assert found["truly_inside_rate"] >= 0.995 and found["success_rate"] == 1.0
@@ -49,7 +49,7 @@ def test_optimal_with_camera_noise_bias_and_adaptation():
 
 def test_on_random_tasks_optimal_is_below_every_other_method():
     common = {"gain_bias": (0.06, 0.10), "adapt": True, "random_tasks": (0.04, 0.35)}
-    settings = PlannerSettings(camera=LOOK)
+    settings = PlannerSettings(camera=CAMERA_NOISE)
     best = figures("optimal", 8000, settings, **common)["taps"]["mean_interval"][1]
     for name in ("exact", "conservative", "multi"):
         assert figures(name, 4000, settings, **common)["taps"]["mean_interval"][0] > best

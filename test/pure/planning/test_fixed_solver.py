@@ -18,6 +18,12 @@ from tapping_cell.planning.fixed_solver import GoalSolver
 CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
 
 
+@pytest.fixture(autouse=True)
+def _normal_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process at low priority might wait for minutes on a busy machine."""
+    monkeypatch.setattr("tapping_cell.planning.fixed_solver.REFINING_NICENESS", 0)
+
+
 def test_the_background_gives_a_coarse_solution_and_then_the_same_fine_one() -> None:
     space = assembly.make_fixed_space(CELL)
     # A wide tolerance makes a small grid.

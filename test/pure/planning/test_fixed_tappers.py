@@ -21,7 +21,7 @@ from tapping_cell.planning.evaluation.task import End
 from tapping_cell.planning.fixed_policy import scatter_points, states_after
 from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_solver import GoalSolver
-from tapping_cell.planning.fixed_tappers import FixedStrikeSpace
+from tapping_cell.planning.fixed_tappers import BESIDES_FLIGHT_S, MEAN_TAP_S, FixedStrikeSpace
 from tapping_cell.planning.mounts import MountBelief
 from tapping_cell.planning.settings import CameraNoise, Scatter
 from tapping_cell.se2 import Pose
@@ -100,6 +100,27 @@ def test_trials_end_at_the_goal() -> None:
     assert np.all(results.end == End.DONE)
     assert np.all(results.inside)
     assert np.mean(results.taps) < 7.0
+
+
+def test_trials_take_about_the_least_expected_time() -> None:
+    """Without anything to learn, goals take the time that the solution predicts, or a little less:
+    interpolation on the coarse grid overestimates it."""
+    space = make_fixed_space(CELL, objective="time")
+    assert space.key() != SPACE.key()
+    trials, turned = 16, math.radians(10.0)
+    results = evaluate_fixed_coarse(
+        FixedEvaluation(space, PLAN, trials=trials, start_angle=turned, adapt=False, seed=3)
+    )
+    assert np.all(results.end == End.DONE)
+    assert np.all(results.seconds >= BESIDES_FLIGHT_S * results.taps)
+    solution = solver().goal(space, PLAN, np.zeros(3)).solution
+    assert solution is not None
+    rng = np.random.default_rng(4)
+    radius = space.area.radius * np.sqrt(rng.random(400))
+    bearing, theta = rng.uniform(-math.pi, math.pi, 400), rng.uniform(-turned, turned, 400)
+    starts = np.stack([radius * np.cos(bearing), radius * np.sin(bearing), theta], axis=-1)
+    expected = MEAN_TAP_S * float(np.mean(solution.taps_to_go(starts)))
+    assert 0.6 * expected < np.mean(results.seconds) < 1.05 * expected
 
 
 def test_lines_that_are_off_are_learnt_while_tapping() -> None:

@@ -34,9 +34,9 @@ def answer(true, commanded, orientation, rng, scatter=SCATTER, camera=CAMERA):
     turn = went * (true[1] * slope + drift) * (1 + scatter.rotation * noise[2])
     went *= 1 + scatter.distance * noise[0]
     heading += scatter.direction * noise[1]
-    look = math.sqrt(2) * np.array([camera.position, camera.position, camera.angle])
+    measurement = math.sqrt(2) * np.array([camera.position, camera.position, camera.angle])
     moved = np.array([went * math.cos(heading), went * math.sin(heading), turn])
-    return moved + look * rng.standard_normal(3)
+    return moved + measurement * rng.standard_normal(3)
 
 
 def learn(true, taps, seed=0, gains=None):

@@ -31,7 +31,7 @@ def method():
 def test_the_plans_own_taps_are_worth_what_it_says(method):
     plan = load_policy(method.settings)
     rng = np.random.default_rng(1)
-    found, told = [], []
+    found, tabulated = [], []
     for _ in range(60):
         i, j = (int(rng.integers(0, axis.size - 5)) for axis in (plan.distances, plan.rotations))
         tap, turn = plan.tap[i, j], plan.turn[i, j]
@@ -40,8 +40,8 @@ def test_the_plans_own_taps_are_worth_what_it_says(method):
             plan.distances[i], plan.rotations[j], aside, np.abs([tap]), np.array([turn])
         )
         found.append(1.0 + after.item())
-        told.append(plan.value[i, j])
-    assert found == pytest.approx(told, rel=0.01, abs=0.02)
+        tabulated.append(plan.value[i, j])
+    assert found == pytest.approx(tabulated, rel=0.01, abs=0.02)
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.4, 1.5, 3.0])
@@ -51,8 +51,10 @@ def test_what_follows_a_tap_beside_the_line_is_what_many_taps_find(method, aside
     scatter = method.settings.scatter
     far = size * (1.0 + scatter.distance * rng.standard_normal(count))
     heading = aside + scatter.direction * rng.standard_normal(count)
-    look = 2**0.5 * CAMERA.position * rng.standard_normal((2, count))
-    left = np.hypot(distance - far * np.cos(heading) + look[0], far * np.sin(heading) + look[1])
+    measurement = 2**0.5 * CAMERA.position * rng.standard_normal((2, count))
+    left = np.hypot(
+        distance - far * np.cos(heading) + measurement[0], far * np.sin(heading) + measurement[1]
+    )
     turned = rotation - turn * (1.0 + scatter.rotation * rng.standard_normal(count))
     turned += 2**0.5 * CAMERA.angle * rng.standard_normal(count)
     found = method.taps_after(

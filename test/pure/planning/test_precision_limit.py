@@ -11,13 +11,13 @@ import pytest
 from tapping_cell.planning import CameraNoise, PlannerSettings, Scatter
 from tapping_cell.planning.precision_limit import precision_limit, smallest_tap_share
 
-LOOK = CameraNoise(1e-5, math.radians(0.01))
+CAMERA_NOISE = CameraNoise(1e-5, math.radians(0.01))
 
 
 def at(tolerance: float, **others: float | CameraNoise | Scatter) -> PlannerSettings:
     """Settings for a tolerance in mm and degrees."""
     size = {"tolerance_position": 1e-3 * tolerance, "tolerance_angle": math.radians(tolerance)}
-    return replace(PlannerSettings(camera=LOOK), **size, **others)
+    return replace(PlannerSettings(camera=CAMERA_NOISE), **size, **others)
 
 
 @pytest.mark.parametrize("tolerance", [1.0, 0.3, 0.1, 0.05])
@@ -25,11 +25,11 @@ def test_the_share_is_that_of_drawn_taps(tolerance: float) -> None:
     settings = at(tolerance)
     rng = np.random.default_rng(2)
     noise = rng.standard_normal((5, 200_000))
-    look = math.sqrt(2.0) * LOOK.position
-    along = 0.05 * 0.0017 * noise[0] + look * noise[1]
-    across = math.radians(1.0) * 0.0017 * noise[2] + look * noise[3]
+    measurement = math.sqrt(2.0) * CAMERA_NOISE.position
+    along = 0.05 * 0.0017 * noise[0] + measurement * noise[1]
+    across = math.radians(1.0) * 0.0017 * noise[2] + measurement * noise[3]
     box = settings.stopping
-    turned = math.sqrt(2.0) * LOOK.angle * noise[4]
+    turned = math.sqrt(2.0) * CAMERA_NOISE.angle * noise[4]
     inside = (np.hypot(along, across) <= box.distance) & (np.abs(turned) <= box.rotation)
     assert smallest_tap_share(settings) == pytest.approx(inside.mean(), abs=0.004)
 

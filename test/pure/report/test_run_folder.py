@@ -28,7 +28,7 @@ from tapping_cell.report.run_folder import (
     write_folder,
 )
 from tapping_cell.report.run_page import page
-from tapping_cell.report.run_reader import Story, inside, read_story
+from tapping_cell.report.run_reader import IllustratedRun, inside, read_illustrated_run
 from tapping_cell.se2 import Pose
 
 VOID = {"meta", "img", "br"}
@@ -74,7 +74,7 @@ def make(folder: Path, made: MadeRun) -> Path:
 
 
 def test_the_folder_holds_its_files_and_they_agree(tmp_path: Path) -> None:
-    folder = make(tmp_path / "run", MadeRun(STOPS, troubles=[(3.0, 512, "busy <b>")]))
+    folder = make(tmp_path / "run", MadeRun(STOPS, errors=[(3.0, 512, "busy <b>")]))
     run = write_folder(folder)
     content = json.loads((folder / "summary.json").read_text())
     assert run.reached and content["reached"] is True and content["outcome"] == "reached"
@@ -96,23 +96,23 @@ def test_the_folder_holds_its_files_and_they_agree(tmp_path: Path) -> None:
     assert float(rows[0]["learnt_direction_deg"]) == pytest.approx(2.0)
     picture = cv2.imread(str(folder / "cell.png"))
     assert picture.shape[0] > 400 and picture.std() > 5
-    told = Page((folder / "report.html").read_text())
-    assert all(name.startswith("data:image/jpeg") for name in told.resources)
-    assert len(told.resources) == 3
+    report = Page((folder / "report.html").read_text())
+    assert all(name.startswith("data:image/jpeg") for name in report.resources)
+    assert len(report.resources) == 3
     for words in ("Goal reached in 2 taps", "Tap 2", "ARM_BUSY", "busy <b>", "<made> & cell"):
-        assert words in told.text
-    assert "distance 1.25 \u00b1 0.04" in told.text
+        assert words in report.text
+    assert "distance 1.25 \u00b1 0.04" in report.text
 
 
 def test_picture_and_page_are_made_again_from_summary_and_taps_alone(tmp_path: Path) -> None:
-    folder = make(tmp_path / "run", MadeRun(STOPS, troubles=[(3.0, 512, "busy")]))
+    folder = make(tmp_path / "run", MadeRun(STOPS, errors=[(3.0, 512, "busy")]))
     first = write_folder(folder, pictures=False)
     again = read_run(folder)
     assert set(summary(again)) == set(summary(first))
     for name in ("outcome", "planner", "seed", "files", "versions", "began", "error_code"):
         assert summary(again)[name] == summary(first)[name]
-    assert page(Story(again, ())).replace("data:", "").count("<svg") == 7
-    assert again.phases == first.phases and again.troubles == first.troubles
+    assert page(IllustratedRun(again, ())).replace("data:", "").count("<svg") == 7
+    assert again.phases == first.phases and again.errors == first.errors
     assert again.activities == first.activities
     for one, other in zip(first.taps, again.taps, strict=True):
         assert one.measured.distance_to(other.measured) < 1e-7
@@ -137,7 +137,7 @@ def test_the_table_of_an_earlier_version_is_read_without_what_was_learnt(tmp_pat
         writer.writerows(rows)
     tap = read_run(folder).taps[0]
     assert math.isnan(tap.learnt.distance)
-    assert "off centre" not in page(Story(read_run(folder), ()))
+    assert "off centre" not in page(IllustratedRun(read_run(folder), ()))
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_the_table_of_an_earlier_version_is_read_without_what_was_learnt(tmp_pat
             "refused",
             "GOAL_NOT_FINITE",
         ),
-        (MadeRun(STOPS[:2], told_end=False), "unfinished", "the recording ended"),
+        (MadeRun(STOPS[:2], end_reported=False), "unfinished", "the recording ended"),
         (MadeRun(STOPS[:1]), "not truly reached", "not truly there"),
         (MadeRun(STOPS, namespace="/left/cell"), "reached", "Goal reached in 2 taps"),
     ],
@@ -190,26 +190,26 @@ def test_every_end_is_told_truly(made: MadeRun, outcome: str, words: str, tmp_pa
     assert run.outcome == content["outcome"] == outcome
     assert content["reached"] is (outcome == "reached")
     assert (content["error_code"] == 0) == (outcome in ("reached", "not truly reached"))
-    assert words in Page(page(read_story(folder / "bag"))).text
+    assert words in Page(page(read_illustrated_run(folder / "bag"))).text
 
 
 def test_a_run_without_start_or_goal_is_drawn_too(tmp_path: Path) -> None:
     refused = MadeRun(STOPS[:1], refused=True, state=8, code=101, goal=Pose(math.nan, 0, 0))
-    story = read_story(make(tmp_path / "run", refused) / "bag")
+    illustrated = read_illustrated_run(make(tmp_path / "run", refused) / "bag")
     for name, run in (
-        ("no_goal", story.run),
-        ("nothing", replace(story.run, start=None, outline=(), table_size=(0.0, 0.0))),
+        ("no_goal", illustrated.run),
+        ("nothing", replace(illustrated.run, start=None, outline=(), table_size=(0.0, 0.0))),
     ):
         draw_cell(run, tmp_path / f"{name}.png")
         assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5
-        assert "Goal refused" in Page(page(Story(run, ()))).text
+        assert "Goal refused" in Page(page(IllustratedRun(run, ()))).text
 
 
 def test_the_bag_of_a_killed_recorder_tells_the_run_as_far_as_it_goes(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS))
     file = bag_file(folder / "bag")
     whole = read_bag(file)
-    made = MadeRun(STOPS, told_end=False)
+    made = MadeRun(STOPS, end_reported=False)
     shutil.rmtree(folder)
     folder.mkdir()
     made.write(folder)
@@ -223,14 +223,14 @@ def test_the_bag_of_a_killed_recorder_tells_the_run_as_far_as_it_goes(tmp_path: 
 
 def test_a_recorder_that_saw_the_object_only_after_a_tap_knows_the_start(tmp_path: Path) -> None:
     made = MadeRun(STOPS, seen_before=False)
-    run = read_story(made.write(tmp_path / "run") / "bag").run
+    run = read_illustrated_run(made.write(tmp_path / "run") / "bag").run
     assert run.start == pytest.approx(STOPS[0])
 
 
 def test_a_bag_without_a_goal_is_refused_in_words(tmp_path: Path) -> None:
-    folder = make(tmp_path / "run", MadeRun(STOPS[:1], told_end=False, refused=True))
+    folder = make(tmp_path / "run", MadeRun(STOPS[:1], end_reported=False, refused=True))
     with pytest.raises(BagError, match="contains no goal"):
-        read_story(folder / "bag")
+        read_illustrated_run(folder / "bag")
 
 
 def test_a_failure_before_any_goal_has_its_code_and_sentence(tmp_path: Path) -> None:
@@ -243,7 +243,7 @@ def test_a_failure_before_any_goal_has_its_code_and_sentence(tmp_path: Path) -> 
 
 
 def test_a_failure_completes_an_unfinished_run_and_no_other(tmp_path: Path) -> None:
-    folder = make(tmp_path / "cut", MadeRun(STOPS[:2], told_end=False))
+    folder = make(tmp_path / "cut", MadeRun(STOPS[:2], end_reported=False))
     write_folder(folder, pictures=False)
     write_failure(folder, 904, "the node camera_pose ended", 5, 9.0)
     for run in (read_run(folder), write_folder(folder, pictures=False)):
@@ -297,7 +297,7 @@ def test_a_run_of_any_taps_is_read_back_as_it_was(
     stops: list[Pose], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("run")
-    run = read_story(MadeRun(stops).write(folder) / "bag").run
+    run = read_illustrated_run(MadeRun(stops).write(folder) / "bag").run
     assert len(run.taps) == len(stops) - 1
     assert run.goal is not None and run.goal.distance_to(GOAL) < 1e-12
     assert run.start is not None and run.start.distance_to(stops[0]) < 1e-12

@@ -57,33 +57,33 @@ def test_a_tap_of_a_cell_with_several_tappers_names_its_own() -> None:
     ],
 )
 def test_the_purpose_of_a_tap_is_told(goal: Pose, words: str) -> None:
-    told = tap_sentence(tap(), goal)
-    assert words in told
-    assert "Expected to move the object by 40.0 mm and +11.5 deg" in told
-    assert "measured 41.0 mm and +12.0 deg, within the scatter of a tap." in told
+    text = tap_sentence(tap(), goal)
+    assert words in text
+    assert "Expected to move the object by 40.0 mm and +11.5 deg" in text
+    assert "measured 41.0 mm and +12.0 deg, within the scatter of a tap." in text
 
 
 def test_a_reason_that_the_planner_gave_is_told_in_its_words() -> None:
-    told = tap_sentence(tap(reason="a tap in this direction was skipped"), Pose(0.01, 0.0, 0.2))
-    assert "because a tap in this direction was skipped." in told and "on purpose" not in told
+    text = tap_sentence(tap(reason="a tap in this direction was skipped"), Pose(0.01, 0.0, 0.2))
+    assert "because a tap in this direction was skipped." in text and "on purpose" not in text
 
 
 def test_a_result_far_from_what_was_expected_is_called_so() -> None:
-    told = tap_sentence(tap(measured=Pose(0.02, 0.0, 0.1)), None)
-    assert "outside the range of 95 % of taps" in told
-    assert "within the scatter" not in told
+    text = tap_sentence(tap(measured=Pose(0.02, 0.0, 0.1)), None)
+    assert "outside the range of 95 % of taps" in text
+    assert "within the scatter" not in text
 
 
 def test_the_word_for_scatter_holds_for_95_of_100_taps() -> None:
     draws = np.random.default_rng(3).multivariate_normal([0.04, 0.0, 0.2], np.array(SPREAD), 1500)
-    told = [tap_sentence(tap(measured=Pose(*draw)), None) for draw in draws]
-    assert np.mean(["within the scatter" in each for each in told]) == pytest.approx(0.95, abs=0.02)
+    text = [tap_sentence(tap(measured=Pose(*draw)), None) for draw in draws]
+    assert np.mean(["within the scatter" in each for each in text]) == pytest.approx(0.95, abs=0.02)
 
 
 def test_a_tap_that_was_never_seen_is_not_judged() -> None:
     unseen = Pose(math.nan, math.nan, math.nan)
-    told = tap_sentence(tap(measured=unseen), Pose(0.1, 0.0, 0.0))
-    assert "the object was not seen afterwards" in told and "nan" not in told
+    text = tap_sentence(tap(measured=unseen), Pose(0.1, 0.0, 0.0))
+    assert "the object was not seen afterwards" in text and "nan" not in text
 
 
 angles = st.floats(-3.1, 3.1)

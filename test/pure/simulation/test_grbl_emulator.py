@@ -21,7 +21,7 @@ def board(**machine: object) -> GrblEmulator:
     return emulator
 
 
-def talk(emulator: GrblEmulator, data: bytes, at: float, until: float) -> list[str]:
+def exchange(emulator: GrblEmulator, data: bytes, at: float, until: float) -> list[str]:
     emulator.receive(data, at)
     return emulator.take_output(until).decode().split("\r\n")[:-1]
 
@@ -41,19 +41,23 @@ def talk(emulator: GrblEmulator, data: bytes, at: float, until: float) -> list[s
     ],
 )
 def test_error_numbers(line: bytes, code: int) -> None:
-    assert talk(board(), line, 1.0, 2.0) == [f"error:{code}"]
+    assert exchange(board(), line, 1.0, 2.0) == [f"error:{code}"]
 
 
 def test_locked_at_power_up_until_unlocked() -> None:
     emulator = board(settings=default_settings())
-    assert talk(emulator, b"G1X5F100\n", 1.0, 2.0) == ["error:9"]
-    assert talk(emulator, b"$X\nG1X5F100\n", 2.0, 3.0) == ["[MSG:Caution: Unlocked]", "ok", "ok"]
+    assert exchange(emulator, b"G1X5F100\n", 1.0, 2.0) == ["error:9"]
+    assert exchange(emulator, b"$X\nG1X5F100\n", 2.0, 3.0) == [
+        "[MSG:Caution: Unlocked]",
+        "ok",
+        "ok",
+    ]
 
 
 def test_a_move_is_a_trapezoid_within_rate_and_acceleration() -> None:
     emulator = board()
     rate, pull = UNLOCKED[110] / 60, UNLOCKED[120]
-    talk(emulator, b"G1X90F100000\n", 1.0, 1.01)
+    exchange(emulator, b"G1X90F100000\n", 1.0, 1.01)
     times = np.linspace(1.0, 1.0 + 90 / rate + rate / pull + 0.1, 2000)
     places = np.degrees([emulator.joints(t)[0] for t in times])
     speeds = np.gradient(places, times)
@@ -67,10 +71,10 @@ def test_a_move_is_a_trapezoid_within_rate_and_acceleration() -> None:
 
 def test_hold_brakes_and_resume_goes_on() -> None:
     emulator = board()
-    talk(emulator, b"G1X90F1200\n", 1.0, 2.0)
+    exchange(emulator, b"G1X90F1200\n", 1.0, 2.0)
     emulator.receive(b"!", 2.0)
-    assert talk(emulator, b"?", 2.01, 2.03)[0].startswith("<Hold:1|")
-    assert talk(emulator, b"?", 3.0, 3.1)[0].startswith("<Hold:0|")
+    assert exchange(emulator, b"?", 2.01, 2.03)[0].startswith("<Hold:1|")
+    assert exchange(emulator, b"?", 3.0, 3.1)[0].startswith("<Hold:0|")
     held = emulator.joints(3.0)[0]
     assert math.degrees(20 * 1.0) > held and emulator.joints(4.0)[0] == held
     emulator.receive(b"~", 4.0)
@@ -80,43 +84,43 @@ def test_hold_brakes_and_resume_goes_on() -> None:
 
 def test_reset_in_motion_is_alarm_3_and_loses_the_place() -> None:
     emulator = board()
-    talk(emulator, b"G1X90F1200\n", 1.0, 2.0)
-    said = talk(emulator, b"\x18", 2.0, 2.1)
-    assert said[0] == "ALARM:3" and any(line.startswith("Grbl 1.1") for line in said)
-    (report,) = [t for t in talk(emulator, b"?", 3.0, 3.1) if t.startswith("<")]
+    exchange(emulator, b"G1X90F1200\n", 1.0, 2.0)
+    replies = exchange(emulator, b"\x18", 2.0, 2.1)
+    assert replies[0] == "ALARM:3" and any(line.startswith("Grbl 1.1") for line in replies)
+    (report,) = [t for t in exchange(emulator, b"?", 3.0, 3.1) if t.startswith("<")]
     assert report.startswith("<Alarm|")
-    told = float(report.split("MPos:")[1].split(",")[0])
-    assert abs(told - math.degrees(emulator.joints(3.0)[0])) > 0.01
+    position = float(report.split("MPos:")[1].split(",")[0])
+    assert abs(position - math.degrees(emulator.joints(3.0)[0])) > 0.01
     assert not emulator.moving(3.0)
 
 
 def test_reset_at_rest_keeps_the_place_and_forgets_the_modes() -> None:
     emulator = board()
-    talk(emulator, b"G92X7\nG18\nG91\n", 1.0, 2.0)
-    assert "G18" in talk(emulator, b"$G\n", 2.0, 2.1)[0]
-    talk(emulator, b"\x18", 3.0, 3.1)
-    modes = talk(emulator, b"$G\n", 4.0, 4.1)[0]
+    exchange(emulator, b"G92X7\nG18\nG91\n", 1.0, 2.0)
+    assert "G18" in exchange(emulator, b"$G\n", 2.0, 2.1)[0]
+    exchange(emulator, b"\x18", 3.0, 3.1)
+    modes = exchange(emulator, b"$G\n", 4.0, 4.1)[0]
     assert "G17" in modes and "G90" in modes
-    assert "[G92:0.000,0.000,0.000,0.000]" in talk(emulator, b"$#\n", 5.0, 5.1)
+    assert "[G92:0.000,0.000,0.000,0.000]" in exchange(emulator, b"$#\n", 5.0, 5.1)
 
 
 def test_the_offset_is_reported_at_once_after_a_change_and_now_and_then() -> None:
     emulator = board()
-    first = [talk(emulator, b"?", 1 + i * 0.1, 1.05 + i * 0.1)[0] for i in range(40)]
+    first = [exchange(emulator, b"?", 1 + i * 0.1, 1.05 + i * 0.1)[0] for i in range(40)]
     shown = [i for i, report in enumerate(first) if "WCO" in report]
     assert len(shown) >= 2 and max(np.diff(shown)) <= 31
-    talk(emulator, b"G92X3\n", 10.0, 10.1)
-    assert "WCO:-3.000" in talk(emulator, b"?", 11.0, 11.1)[0]
+    exchange(emulator, b"G92X3\n", 10.0, 10.1)
+    assert "WCO:-3.000" in exchange(emulator, b"?", 11.0, 11.1)[0]
 
 
 def test_lines_wait_for_room_and_all_are_run() -> None:
     emulator = board()
     sent = b"".join(b"G1X%dF6000\n" % (i % 2) for i in range(1, 9))
-    said = talk(emulator, sent, 1.0, 30.0)
-    assert said == ["ok"] * 8
+    replies = exchange(emulator, sent, 1.0, 30.0)
+    assert replies == ["ok"] * 8
     long = b"".join(b"G1X%dF600\n" % (i % 2) for i in range(1, 12))
-    talk(emulator, long, 30.0, 30.05)
-    answers = talk(emulator, long, 30.1, 60.0)
+    exchange(emulator, long, 30.0, 30.05)
+    answers = exchange(emulator, long, 30.1, 60.0)
     assert answers.count("ok") >= 11 - 4  # what did not fit in 128 bytes was lost
     assert not emulator.moving(60.0)
 
@@ -124,11 +128,11 @@ def test_lines_wait_for_room_and_all_are_run() -> None:
 def test_backlash_and_offset_are_in_the_truth_alone() -> None:
     play = math.radians(0.5)
     emulator = board(errors=AxisErrors(offset=(0.01, 0, 0, 0), backlash=(play, 0, 0, 0)))
-    talk(emulator, b"G1X30F6000\n", 1.0, 5.0)
+    exchange(emulator, b"G1X30F6000\n", 1.0, 5.0)
     assert emulator.joints(5.0)[0] == pytest.approx(math.radians(30) - play / 2 + 0.01)
-    talk(emulator, b"G1X20F6000\n", 5.0, 9.0)
+    exchange(emulator, b"G1X20F6000\n", 5.0, 9.0)
     assert emulator.joints(9.0)[0] == pytest.approx(math.radians(20) + play / 2 + 0.01)
-    assert "MPos:20.000" in talk(emulator, b"?", 9.0, 9.1)[0]
+    assert "MPos:20.000" in exchange(emulator, b"?", 9.0, 9.1)[0]
 
 
 def test_repeatability_has_its_own_spread_and_is_seeded() -> None:
@@ -137,7 +141,7 @@ def test_repeatability_has_its_own_spread_and_is_seeded() -> None:
     ends = []
     emulator = board(errors=errors)
     for i in range(400):
-        talk(emulator, b"G1X%dF6000\n" % (i % 2), 1 + i, 1.99 + i)
+        exchange(emulator, b"G1X%dF6000\n" % (i % 2), 1 + i, 1.99 + i)
         ends.append(emulator.joints(1.99 + i)[0] - math.radians(i % 2))
     # The first line goes to where the arm is already.
     assert np.std(ends[1:]) == pytest.approx(spread, rel=0.15)
@@ -146,6 +150,8 @@ def test_repeatability_has_its_own_spread_and_is_seeded() -> None:
 def test_homing_finds_the_switches_from_anywhere() -> None:
     home = (0.3, 1.2, -0.01, 0.4)
     emulator = board(settings=default_settings(), home_joints=home, start_joints=(1, 0, -0.1, 2))
-    assert talk(emulator, b"$H\n", 1.0, 60.0) == ["ok"]
+    assert exchange(emulator, b"$H\n", 1.0, 60.0) == ["ok"]
     assert emulator.joints(60.0) == pytest.approx(home)
-    assert talk(emulator, b"?", 60.0, 60.1)[0].startswith("<Idle|MPos:-1.000,-1.000,-1.000,-1.000")
+    assert exchange(emulator, b"?", 60.0, 60.1)[0].startswith(
+        "<Idle|MPos:-1.000,-1.000,-1.000,-1.000"
+    )

@@ -14,7 +14,7 @@ def line(number: int, code: str) -> bytes:
     return f"{body}*{reduce(lambda a, b: a ^ b, body.encode())}\n".encode()
 
 
-def talk(board: MarlinEmulator, data: bytes, at: float, until: float) -> list[str]:
+def exchange(board: MarlinEmulator, data: bytes, at: float, until: float) -> list[str]:
     board.receive(data, at)
     return board.take_output(until).decode().splitlines()
 
@@ -22,7 +22,7 @@ def talk(board: MarlinEmulator, data: bytes, at: float, until: float) -> list[st
 @pytest.fixture
 def board() -> MarlinEmulator:
     emulator = MarlinEmulator()
-    assert talk(emulator, line(1, "G21"), 0.0, 1.0)[-1] == "ok"
+    assert exchange(emulator, line(1, "G21"), 0.0, 1.0)[-1] == "ok"
     return emulator
 
 
@@ -35,40 +35,40 @@ def board() -> MarlinEmulator:
     ],
 )
 def test_wrong_lines(board: MarlinEmulator, sent: bytes, why: str) -> None:
-    assert talk(board, sent, 1.0, 2.0) == [f"Error:{why}, Last Line: 1", "Resend: 2", "ok"]
+    assert exchange(board, sent, 1.0, 2.0) == [f"Error:{why}, Last Line: 1", "Resend: 2", "ok"]
 
 
 def test_a_duplicate_is_met_with_silence_and_the_next_number_works(board: MarlinEmulator) -> None:
-    assert talk(board, line(1, "G21"), 1.0, 5.0) == []
-    assert talk(board, line(2, "G21"), 5.0, 6.0) == ["ok"]
+    assert exchange(board, line(1, "G21"), 1.0, 5.0) == []
+    assert exchange(board, line(2, "G21"), 5.0, 6.0) == ["ok"]
 
 
 def test_an_unknown_code(board: MarlinEmulator) -> None:
-    assert talk(board, line(2, "M9999"), 1.0, 2.0) == ['echo:Unknown command: "M9999"', "ok"]
+    assert exchange(board, line(2, "M9999"), 1.0, 2.0) == ['echo:Unknown command: "M9999"', "ok"]
 
 
 def test_a_slow_move_says_busy_and_m114_runs_ahead(board: MarlinEmulator) -> None:
-    assert talk(board, line(2, "G1 X100 F600"), 1.0, 1.1) == ["ok"]
-    position = talk(board, line(3, "M114"), 1.1, 1.2)[0]
+    assert exchange(board, line(2, "G1 X100 F600"), 1.0, 1.1) == ["ok"]
+    position = exchange(board, line(3, "M114"), 1.1, 1.2)[0]
     assert position.startswith("X:100.00") and " Count X:" in position
     assert int(position.split("Count X:")[1].split()[0]) < 100 * 200
-    assert talk(board, line(4, "M400"), 1.2, 10.0) == ["echo:busy: processing"] * 4
-    assert talk(board, b"", 10.0, 12.0) == ["ok"]
+    assert exchange(board, line(4, "M400"), 1.2, 10.0) == ["echo:busy: processing"] * 4
+    assert exchange(board, b"", 10.0, 12.0) == ["ok"]
 
 
 def test_kill_while_moving_then_mute_until_reset(board: MarlinEmulator) -> None:
-    talk(board, line(2, "G1 X100 F600"), 1.0, 1.1)
-    talk(board, b"M112\n", 2.0, 2.05)
+    exchange(board, line(2, "G1 X100 F600"), 1.0, 1.1)
+    exchange(board, b"M112\n", 2.0, 2.05)
     assert not board.moving(2.06)
-    assert talk(board, b"M999\n", 3.0, 5.0) == []
+    assert exchange(board, b"M999\n", 3.0, 5.0) == []
     board.power_cycle(5.0)
-    assert talk(board, line(1, "G21"), 5.0, 6.0)[-1] == "ok"
+    assert exchange(board, line(1, "G21"), 5.0, 6.0)[-1] == "ok"
 
 
 def test_a_numbered_kill_waits_in_the_queue() -> None:
     board = MarlinEmulator(MarlinMachine(emergency_parser=False))
-    talk(board, line(1, "G1 X100 F600"), 0.0, 0.1)
-    talk(board, line(2, "M112"), 0.5, 3.0)
+    exchange(board, line(1, "G1 X100 F600"), 0.0, 0.1)
+    exchange(board, line(2, "M112"), 0.5, 3.0)
     assert board.moving(3.0) and not board.halted
     board.advance(12.0)
     assert board.halted
@@ -77,6 +77,6 @@ def test_a_numbered_kill_waits_in_the_queue() -> None:
 @pytest.mark.parametrize("parser", [True, False])
 def test_m410_stops_at_once_only_with_the_emergency_parser(parser: bool) -> None:
     board = MarlinEmulator(MarlinMachine(emergency_parser=parser))
-    talk(board, line(1, "G1 X100 F600"), 0.0, 0.1)
+    exchange(board, line(1, "G1 X100 F600"), 0.0, 0.1)
     board.receive(b"M410\n", 1.0)
     assert board.moving(1.1) is not parser

@@ -14,7 +14,7 @@ from tapping_cell.configuration.objects import load_object
 from tapping_cell.simulation.rendered_camera import SceneObject, SceneRenderer
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
-from tapping_cell.vision import PoseTracker, TrackerSettings, marker_ids
+from tapping_cell.vision import PoseTracker, TrackerSettings, Turns, marker_ids
 
 CELL = load_cell()
 SQUARE = load_object(shared_folder() / "objects" / "aluminium_square.yaml")
@@ -130,3 +130,41 @@ def test_looking_at_others_changes_nothing_of_the_first_object() -> None:
         first, _ = several.update_several(picture, number / 30, [0])
         assert one.pose is not None and first.pose is not None
         assert np.hypot(*(np.array(one.pose)[:2] - np.array(first.pose)[:2])) < 1e-6
+
+
+@pytest.mark.parametrize("rate", [3.0, 30.0])
+@pytest.mark.parametrize("turn", [1, 7])
+def test_an_object_at_rest_is_known_to_rest_however_rare_its_turn(rate: float, turn: int) -> None:
+    renderer = scene()
+    seen = [CELL.object.seen(), SQUARE.seen()]
+    settings = TrackerSettings(other_ids=marker_ids(seen))
+    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+    turns = Turns(turn)  # only object 0 of these is on the table
+    told, since = [], set()
+    for frame in range(round(12 + 4 * rate)):
+        stamp = 1.0 + frame / rate
+        due = [number for number in turns.due(stamp) if number == 0]
+        _, others = tracker.update_several(renderer.render(POSES), stamp, due)
+        if frame >= 10 and 0 in others:
+            told.append(others[0].at_rest and others[0].frames_fused >= 5)
+            since.add(others[0].at_rest_since)
+    assert told and all(told) and len(since) == 1
+
+
+def test_every_frame_is_measured_while_somebody_waits_for_a_longer_observation() -> None:
+    renderer = scene()
+    seen = [CELL.object.seen(), SQUARE.seen()]
+    settings = TrackerSettings(other_ids=marker_ids(seen))
+    tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
+    for frame in range(60):
+        tracker.update_several(renderer.render(POSES), 1.0 + frame / 30, [0])
+    first, others = tracker.update_several(renderer.render(POSES), 3.0, [0])
+    for frame in range(1, 13):
+        one, two = tracker.update_several(renderer.render(POSES), 3.0 + frame / 30, [0])
+        known = one.frames_fused, two[0].frames_fused
+    measured = first.frames_fused, others[0].frames_fused
+    for frame in range(13, 25):
+        stamp = 3.0 + frame / 30
+        one, two = tracker.update_several(renderer.render(POSES), stamp, [0], every_frame=True)
+    assert (one.frames_fused, two[0].frames_fused) == (known[0] + 12, known[1] + 12)
+    assert known[0] - measured[0] < 12 and known[1] - measured[1] < 12

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from wrong_baud import WrongBaud
 
-from tapping_cell.cli.errors import tell_refusal
+from tapping_cell.cli.errors import print_refusal
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.tapper import TapperDriver
@@ -283,7 +283,7 @@ def test_a_planner_that_does_not_exist_is_refused_with_the_known_ones(
 ) -> None:
     with pytest.raises(UnknownPlannerError) as caught:
         make_planner("exakt")
-    tell_refusal(caught.value)
+    print_refusal(caught.value)
     printed = capsys.readouterr().err
     assert f"({ErrorCode.PLANNER_UNKNOWN})" in printed and "exact" in printed
 

@@ -109,7 +109,7 @@ def test_no_number_in_a_message_disturbs_the_cell(names: tuple[str, ...]) -> Non
     assert lasting > 0
     trial.scheduler.run(trial.scheduler.now + lasting + 1.0)
     assert [process.defects for process in trial.processes.values() if process.defects] == []
-    assert trial.witness.violations == []
+    assert trial.checker.violations == []
     # The estimates of the other computers' clocks need 10 s to forget a forged stamp.
     trial.scheduler.run(trial.scheduler.now + 12.0)
     results: list[Any] = []
@@ -118,7 +118,7 @@ def test_no_number_in_a_message_disturbs_the_cell(names: tuple[str, ...]) -> Non
     trial.recover()
     trial.processes["tap_planner"].request("position_object", goal, "last", results.append)
     trial.scheduler.run(trial.scheduler.now + 120.0, lambda: bool(results))
-    assert trial.witness.violations == []
+    assert trial.checker.violations == []
     assert [result.error_code for result in results] == [ErrorCode.NONE]
 
 

@@ -22,7 +22,7 @@ START, GOAL, SECOND = Pose(0.0, 0.0, 0.0), Pose(0.04, -0.02, 0.3), Pose(-0.02, 0
 FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 
 
-class Told:
+class ScenarioCell:
     """A cell that is ready, and everything that its nodes say from then on."""
 
     def __init__(self) -> None:
@@ -68,31 +68,31 @@ class Told:
 
 
 @pytest.fixture
-def cell() -> Told:
-    return Told()
+def cell() -> ScenarioCell:
+    return ScenarioCell()
 
 
-def test_a_second_goal_replaces_the_first_and_is_reached(cell: Told) -> None:
+def test_a_second_goal_replaces_the_first_and_is_reached(cell: ScenarioCell) -> None:
     cell.begin()
     cell.trial.send_goal(SECOND, foreign=True)
     assert cell.run(120.0, lambda: any(plan.state == PlanState.REACHED for plan in cell.plans))
     assert ErrorCode.GOAL_REPLACED in cell.ends()
     assert cell.at(SECOND)
-    assert cell.trial.witness.violations == []
+    assert cell.trial.checker.violations == []
 
 
 def test_an_object_pushed_off_by_hand_between_taps_is_still_brought_to_the_goal(
-    cell: Told,
+    cell: ScenarioCell,
 ) -> None:
     cell.begin()
     assert cell.run(60.0, lambda: any(plan.taps == 1 for plan in cell.plans))
     cell.trial.move_object(Pose(0.02, -0.03, -0.2))
     assert cell.run(120.0, lambda: bool(cell.ends()))
     assert cell.ends() == [0] and cell.at(GOAL)
-    assert cell.trial.witness.violations == []
+    assert cell.trial.checker.violations == []
 
 
-def test_a_canceled_goal_withdraws_the_arm_and_fires_nothing(cell: Told) -> None:
+def test_a_canceled_goal_withdraws_the_arm_and_fires_nothing(cell: ScenarioCell) -> None:
     cell.begin()
     cell.trial.cancel_goal()
     assert cell.run(20.0, lambda: cell.arm.state == ArmState.IDLE)
@@ -100,7 +100,7 @@ def test_a_canceled_goal_withdraws_the_arm_and_fires_nothing(cell: Told) -> None
     assert cell.object_pose() == START and cell.tapper.state == TapperState.SAFE
 
 
-def test_an_emergency_stop_ends_the_goal_and_latches_both_devices(cell: Told) -> None:
+def test_an_emergency_stop_ends_the_goal_and_latches_both_devices(cell: ScenarioCell) -> None:
     cell.begin()
     cell.trial.press_emergency_stop(60.0)
     stopped = (ArmState.STOPPED, TapperState.STOPPED)
@@ -116,7 +116,7 @@ def test_an_emergency_stop_ends_the_goal_and_latches_both_devices(cell: Told) ->
 
 @pytest.mark.parametrize("node", ["tap_planner", "camera_pose"])
 def test_nothing_is_drawn_while_a_node_hangs_and_the_tap_goes_on_after_it(
-    cell: Told, node: str
+    cell: ScenarioCell, node: str
 ) -> None:
     cell.begin()
     tap = cell.arm.tap_id
@@ -129,7 +129,7 @@ def test_nothing_is_drawn_while_a_node_hangs_and_the_tap_goes_on_after_it(
 
 
 def test_nothing_moves_while_the_emergency_stop_flaps_and_impatient_people_clear_and_home(
-    cell: Told,
+    cell: ScenarioCell,
 ) -> None:
     """A loose contact at 100 Hz, and every service called 50 times a second meanwhile."""
     cell.begin()
@@ -152,4 +152,4 @@ def test_nothing_moves_while_the_emergency_stop_flaps_and_impatient_people_clear
     trial.recover()
     trial.send_goal(GOAL)
     assert cell.run(120.0, lambda: cell.at(GOAL) and cell.plans[-1].state == PlanState.REACHED)
-    assert trial.witness.violations == []
+    assert trial.checker.violations == []

@@ -15,33 +15,33 @@ GOALS = 10
 
 
 def test_events_happen_in_the_order_of_their_times() -> None:
-    scheduler, heard = Scheduler(), list[float]()
+    scheduler, events = Scheduler(), list[float]()
     for time in (3.0, 1.0, 2.0, 1.0):
-        scheduler.at(time, lambda: heard.append(scheduler.now))
-    scheduler.at(1.5, lambda: heard.append(-1.0)).cancel()
+        scheduler.at(time, lambda: events.append(scheduler.now))
+    scheduler.at(1.5, lambda: events.append(-1.0)).cancel()
     scheduler.run(10.0)
-    assert heard == [1.0, 1.0, 2.0, 3.0] and scheduler.now == 10.0
+    assert events == [1.0, 1.0, 2.0, 3.0] and scheduler.now == 10.0
 
 
 def test_a_fiber_waits_in_virtual_time_and_ends_where_it_is_killed() -> None:
-    scheduler, heard = Scheduler(), list[object]()
+    scheduler, events = Scheduler(), list[object]()
 
     def body() -> None:
         try:
             fiber.wait_until(5.0)
-            heard.append(scheduler.now)
+            events.append(scheduler.now)
             fiber.wait_until(math.inf)
         except Killed:
-            heard.append("killed")
+            events.append("killed")
             raise
 
     fiber = Fiber(scheduler, "test", body)
     fiber.start()
     fiber.freeze(7.0)
     scheduler.run(20.0)
-    assert heard == [7.0], "a frozen fiber goes on when it is thawed"
+    assert events == [7.0], "a frozen fiber goes on when it is thawed"
     fiber.kill()
-    assert heard == [7.0, "killed"] and fiber.ended
+    assert events == [7.0, "killed"] and fiber.ended
 
 
 def test_events_without_time_are_a_hang() -> None:

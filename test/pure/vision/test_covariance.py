@@ -19,7 +19,7 @@ HEIGHT = 0.012
 TRIALS = 150
 
 
-def told_camera(random: np.random.Generator, scale: float) -> CameraModel:
+def erroneous_camera(random: np.random.Generator, scale: float) -> CameraModel:
     """A calibration that is off by as much as OpenCV's usually is, times ``scale``."""
     n = scale * random.standard_normal(8)
     usual = np.array([0.0015, 0.004, 1.2e-4, 1.2e-4, 0.0])
@@ -34,7 +34,7 @@ def told_camera(random: np.random.Generator, scale: float) -> CameraModel:
     )
 
 
-def told_map(random: np.random.Generator, misprint: float) -> ReferenceMap:
+def erroneous_map(random: np.random.Generator, misprint: float) -> ReferenceMap:
     """A table file whose markers are printed ``misprint`` m beside their places."""
     return ReferenceMap(
         REFERENCES.dictionary,
@@ -75,15 +75,15 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
         random = np.random.default_rng([trial, 5])
         place = (*random.uniform(-0.05, 0.05, 2), 0.7)
         view = View(CAMERA, CameraPose.above(place, spin=random.uniform(-0.1, 0.1)))
-        tracker = TableTracker(told_camera(random, lens), told_map(random, misprint))
+        tracker = TableTracker(erroneous_camera(random, lens), erroneous_map(random, misprint))
         state = tracker.update(noisy_edges(view, random), np.arange(len(REFERENCES.markers)))
         assert state is TableState.STEADY and tracker.pose is not None
         true = random.uniform([-0.25, -0.17, -np.pi], [0.25, 0.17, np.pi])
         # A disk's marker as four points of its plane: where do the files put them?
         arms = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         points = transform_points(true, arms)
-        told = View(tracker.camera, tracker.pose)
-        shift = told.on_plane(view.project(points, HEIGHT), HEIGHT) - points
+        erroneous = View(tracker.camera, tracker.pose)
+        shift = erroneous.on_plane(view.project(points, HEIGHT), HEIGHT) - points
         arm = points - points.mean(axis=0)
         turn = (arm[:, 0] * shift[:, 1] - arm[:, 1] * shift[:, 0]).sum() / (arm**2).sum()
         error = np.array([*shift.mean(axis=0), turn])

@@ -49,14 +49,14 @@ def test_what_a_search_found_wrong_is_said_of_every_frame_until_the_next(picture
     tracker = PoseTracker(CAMERA, REFERENCES, MARKER)
     tracker.update(pictures[0], 0.0)
     corners = tracker.view.project(HOME[:2] + 0.03 * np.array([[-1, -1], [1, 1]]), 0.012)
-    said = []
+    problems = []
     for number in range(1, 40):
         twice = copied(pictures[number % 6], corners, 250, 650)
         twice[0, 0] = number  # no picture like one before
-        said.append(tracker.update(twice, number * FRAME).problem)
-    first = said.index(Problem.DUPLICATE_MARKER)
+        problems.append(tracker.update(twice, number * FRAME).problem)
+    first = problems.index(Problem.DUPLICATE_MARKER)
     assert first <= 30
-    assert set(said[first:]) == {Problem.DUPLICATE_MARKER}
+    assert set(problems[first:]) == {Problem.DUPLICATE_MARKER}
 
 
 def test_a_mirrored_picture_is_named_from_the_first_frame(pictures):

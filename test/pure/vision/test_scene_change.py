@@ -124,21 +124,21 @@ def test_looks_at_another_object_that_lies_still_cost_no_more() -> None:
     tracker = CountingTracker(CAMERA, REFERENCES, MARKER, known, [other])
     poses = np.array([HOME, HOME - [0.15, 0.05, 0.4]])
 
-    def look(number: int) -> dict[int, Observation]:
+    def measure(number: int) -> dict[int, Observation]:
         stamp = 1.0 + number * FRAME
         return tracker.update_several(two.render(poses), stamp, [0])[1]
 
     for number in range(60):
-        look(number)
+        measure(number)
     before = tracker.measured
     for number in range(60, 120):
-        seen = look(number)[0]
+        seen = measure(number)[0]
         assert seen.visible and seen.at_rest and seen.stamp == 1.0 + number * FRAME
     assert 8 <= tracker.measured - before <= 14
     # The other one alone moves: it is measured at once.
     poses[1] += [0.001, 0.0, 0.0]
     before = tracker.measured
-    assert look(120)[0].pose == pytest.approx(tuple(poses[1]), abs=5e-4)
+    assert measure(120)[0].pose == pytest.approx(tuple(poses[1]), abs=5e-4)
     assert tracker.measured == before + 1
 
 

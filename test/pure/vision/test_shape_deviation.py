@@ -100,8 +100,8 @@ def test_what_all_markers_show_is_no_size():
 
 def test_the_warnings_keeps_its_words_while_the_form_stays():
     pose, warnings = np.array([0.2, 0.1, 0.3]), ShapeWarnings(MARKER)
-    said = {warnings.sentence(judged(pose, 0.005, 0.0, seed)[0], 0.7) for seed in range(10)}
-    (sentence,) = said
+    sentences = {warnings.sentence(judged(pose, 0.005, 0.0, seed)[0], 0.7) for seed in range(10)}
+    (sentence,) = sentences
     assert "+0.7 % larger than its 50.0 mm" in sentence and "lifted (by 5 mm?)" in sentence
     assert warnings.sentence(judged(pose, 0.0, 0.0, 1)[0], 0.7) == ""
 
@@ -157,8 +157,8 @@ def test_sides_that_all_lie_outwards_do_not_move_the_table(bloom, places):
 @pytest.mark.parametrize("size", [0.03, 0.05])
 @pytest.mark.parametrize("count", [2, 4, 8])
 def test_a_file_with_wrong_sizes_is_contradicted(size, count):
-    told = references(PLACES[:count], size)
-    tracker = TableTracker(CAMERA, told)
+    board = references(PLACES[:count], size)
+    tracker = TableTracker(CAMERA, board)
     edges = reference_edges(references(PLACES[:count]), 1)
     assert tracker.update(edges, np.arange(count)) is TableState.CONTRADICTED
 

@@ -24,7 +24,7 @@ def disk(radius: float) -> np.ndarray:
 
 def traced(
     outline: np.ndarray,
-    looks: ObjectMarker | ObjectOutline,
+    appearance: ObjectMarker | ObjectOutline,
     pose: tuple[float, float, float],
     others: tuple[SceneObject, ...] = (),
     **settings: object,
@@ -34,12 +34,12 @@ def traced(
         POSE,
         REFERENCES,
         outline,
-        looks,
+        appearance,
         SceneSettings(**settings),  # type: ignore[arg-type]
         others=others,
     )
     poses = np.array([pose, *((0.2, 0.0, 0.0) for _ in others)])
-    return trace_object(scene.render(poses), CAMERA, REFERENCES, looks.height)
+    return trace_object(scene.render(poses), CAMERA, REFERENCES, appearance.height)
 
 
 def corners_on_table(found: TracedObject) -> np.ndarray:
@@ -66,9 +66,9 @@ def test_a_disk_with_a_marker_off_its_middle() -> None:
 
 @pytest.mark.parametrize("brighter", [False, True])
 def test_a_polygon_without_a_marker(brighter: bool) -> None:
-    looks = ObjectOutline(0.012, brighter, vertices=tuple(map(tuple, WEDGE.tolist())))
+    appearance = ObjectOutline(0.012, brighter, vertices=tuple(map(tuple, WEDGE.tolist())))
     pose = (-0.02, 0.01, 2.2)
-    found = traced(WEDGE, looks, pose)
+    found = traced(WEDGE, appearance, pose)
     assert found.marker is None and found.brighter == brighter
     true = transform_points(np.array(pose), WEDGE)
     # A dark wall beside a dark top cannot be told from it: off the middle the rim is its foot.
@@ -86,9 +86,9 @@ def test_a_polygon_without_a_marker(brighter: bool) -> None:
 
 
 def test_a_shadow_beside_a_bright_object_is_no_part_of_it() -> None:
-    looks = ObjectOutline(0.012, True, vertices=tuple(map(tuple, WEDGE.tolist())))
+    appearance = ObjectOutline(0.012, True, vertices=tuple(map(tuple, WEDGE.tolist())))
     pose = (0.0, 0.02, 0.4)
-    found = traced(WEDGE, looks, pose, shadow=(0.006, 0.004), shadow_depth=0.4)
+    found = traced(WEDGE, appearance, pose, shadow=(0.006, 0.004), shadow_depth=0.4)
     true = transform_points(np.array(pose), WEDGE)
     assert farthest(corners_on_table(found), true) < 4e-4
 

@@ -20,7 +20,7 @@ function renderPlot(taps, tolerance) {
     return;
   }
   plot.removeAttribute("hidden");
-  const left = 44, right = 392, top = 10, bottom = 106;
+  const left = 56, right = 392, top = 10, bottom = 106;
   const least = Math.log10(Math.max(0.01, Math.min(tolerance / 3, ...points.map((p) => p[1]))));
   const most = Math.log10(Math.max(2 * tolerance, ...points.map((p) => p[1])));
   const last = Math.max(points[points.length - 1][0], 3);
@@ -29,12 +29,11 @@ function renderPlot(taps, tolerance) {
   const parts = [drawn("rect", { class: "inside", x: left, width: right - left, y: y(tolerance), height: bottom - y(tolerance) })];
   for (let power = Math.ceil(least); power <= most; power += 1) {
     parts.push(drawn("line", { class: "grid", x1: left, x2: right, y1: y(10 ** power), y2: y(10 ** power) }));
-    parts.push(drawn("text", { x: left - 5, y: y(10 ** power) + 4, "text-anchor": "end" }, `${+(10 ** power).toFixed(2)}`));
+    parts.push(drawn("text", { x: left - 5, y: y(10 ** power) + 4, "text-anchor": "end" }, `${+(10 ** power).toFixed(2)} mm`));
   }
   const step = Math.ceil(last / 10);
   for (let tap = 0; tap <= last; tap += step) parts.push(drawn("text", { x: x(tap), y: bottom + 14, "text-anchor": "middle" }, tap ? `${tap}` : "start"));
   parts.push(drawn("text", { x: right, y: y(tolerance) - 4, "text-anchor": "end" }, `tolerance ${tolerance} mm`));
-  parts.push(drawn("text", { x: 2, y: top + 4 }, "mm"));
   parts.push(drawn("polyline", { points: points.map(([tap, mm]) => `${x(tap).toFixed(1)},${y(mm).toFixed(1)}`).join(" ") }));
   for (const [tap, mm] of points) parts.push(drawn("circle", { cx: x(tap), cy: y(mm), r: 3.5 }));
   plot.replaceChildren(...parts);

@@ -1,0 +1,27 @@
+"""Taps of a run folder from which properties of the object or the tappers are estimated."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from tapping_cell.calibration.csv_table import RecordError
+from tapping_cell.report.run import TapRow
+from tapping_cell.report.run_folder import read_run
+
+
+def measured_taps(folder: Path, object_name: str) -> list[TapRow]:
+    """Return the fired taps of a run whose result was measured.
+
+    Raises:
+        RecordError: the run is of another object.
+        tapping_cell.report.run_folder.RunError: the folder is damaged.
+    """
+    run = read_run(folder)
+    if run.object_name and run.object_name != object_name:
+        raise RecordError(
+            f"{folder} is a run of '{run.object_name}', but the object file is of '{object_name}'; "
+            "give the file of the object that was tapped (--object)"
+        )
+    # An unmeasured pose is NaN.
+    return [tap for tap in run.taps if tap.outcome == "fired" and math.isfinite(tap.measured.x)]

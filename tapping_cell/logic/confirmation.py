@@ -1,0 +1,75 @@
+"""How long a person's confirmation of a planned tap holds.
+
+If a confirmed tap is not fired because a message or image came too late, the tap is planned again.
+The confirmation holds for the new plan if it describes the same tap; otherwise a person is asked
+again and told what differs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tapping_cell.logic.task import Shot
+from tapping_cell.se2 import Pose
+
+HOLDS_S = 20.0
+"""Time after the answer for which a confirmation holds, so that no tap follows unexpectedly."""
+OBJECT_M, OBJECT_RAD = 0.0005, math.radians(0.5)
+"""Maximum displacement of the object since the confirmed plan."""
+STRIKE_M, STRIKE_RAD = 0.001, math.radians(1.0)
+"""Maximum difference of the strike poses, and of the predicted poses of the object."""
+SPEED_SHARE = 0.05
+"""Maximum relative difference of the striker's speeds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """A tap that a person confirmed at the steady time ``at``, s.
+
+    ``withdrawn``: why the confirmation no longer holds for any plan; empty if it may hold.
+    """
+
+    shot: Shot
+    at: float
+    withdrawn: str = ""
+
+    def difference(self, planned: Shot, now: float) -> str:
+        """Return why the confirmation does not hold for a newly planned tap at the steady time
+        ``now``; an empty text if it holds."""
+        confirmed = self.shot
+        old, new = confirmed.strike.plan, planned.strike.plan
+        if self.withdrawn:
+            return self.withdrawn
+        if now - self.at > HOLDS_S:
+            return f"the confirmation is more than {HOLDS_S:.0f} s old"
+        if (confirmed.object_id, old.tapper) != (planned.object_id, new.tapper):
+            return "another object or tapper was chosen"
+        poses = (
+            ("the object has moved", confirmed.before, planned.before, OBJECT_M, OBJECT_RAD),
+            ("the strike differs", old.strike_pose, new.strike_pose, STRIKE_M, STRIKE_RAD),
+            (
+                "the predicted pose differs",
+                confirmed.strike.predicted,
+                planned.strike.predicted,
+                STRIKE_M,
+                STRIKE_RAD,
+            ),
+        )
+        for words, one, other, distance, angle in poses:
+            if _apart(one, other, distance, angle):
+                return (
+                    f"{words} by {1e3 * one.distance_to(other):.2f} mm and "
+                    f"{abs(math.degrees(one.rotation_to(other))):.2f} deg (limits "
+                    f"{1e3 * distance:.1f} mm and {math.degrees(angle):.1f} deg)"
+                )
+        if abs(new.striker_speed - old.striker_speed) > SPEED_SHARE * old.striker_speed:
+            return (
+                f"the striker's speed changed from {1e3 * old.striker_speed:.0f} to "
+                f"{1e3 * new.striker_speed:.0f} mm/s"
+            )
+        return ""
+
+
+def _apart(one: Pose, other: Pose, distance: float, angle: float) -> bool:
+    return one.distance_to(other) > distance or abs(one.rotation_to(other)) > angle
