@@ -14,6 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
+from tapping_cell.cli.supervision import MOST_RESTARTS
 from tapping_cell.configuration.cell import (
     Cell,
     load_cell,
@@ -132,6 +133,8 @@ def _start(
             output="screen",
             respawn=node.respawn,
             respawn_delay=1.0,
+            # A node that refuses its configuration ends every time.
+            respawn_max_retries=MOST_RESTARTS,
         )
         for node in nodes
     ]

@@ -27,7 +27,7 @@ from tapping_cell_msgs.srv import ResetWorld
 from tapping_cell.cli.graph import SIMULATED, Graph
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
-from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.conversions import from_message, seconds, to_message
 from tapping_cell.se2 import Pose
 
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
@@ -37,8 +37,10 @@ LOW = 0.030
 STILL = 2e-4
 """Minimum displacement in m that counts as a motion of the object."""
 SILENCE_MARGIN_S = 0.4
-"""Maximum time between the last message that reports the arm in position and an observed strike."""
+"""Maximum time by stamps between the arm's last report that it is in position and a strike."""
 PATIENCE_S = 240.0
+PHASE_S = 120.0
+"""Maximum wait for a phase of a tap."""
 DOWN_S = 0.3
 """Time from the kill to the restart."""
 WORLD = "sim_world"
@@ -73,8 +75,10 @@ class Observed:
     commands: list[TapCommand] = field(default_factory=list)
     arm: ArmState = field(default_factory=ArmState)
     tapper: TapperState = field(default_factory=TapperState)
-    settled_at: float = -math.inf
-    """Time of the last message that reported the arm in position."""
+    settled: deque[float] = field(default_factory=lambda: deque(maxlen=20_000))
+    """Stamps of the messages that reported the arm in position, s."""
+    struck: list[float] = field(default_factory=list)
+    """Stamps of the true poses that showed the object begin to move, s."""
     lain: Pose | None = None
     moving: bool = False
     motions: int = 0
@@ -86,7 +90,7 @@ class Observed:
         """Process ``arm_state``."""
         self.arm = message
         if message.state == ArmState.IN_POSITION:
-            self.settled_at = time.monotonic()
+            self.settled.append(seconds(message.header.stamp))
 
     def on_tapper(self, message: TapperState) -> None:
         """Process ``tapper_state``."""
@@ -107,15 +111,21 @@ class Observed:
         elif not self.moving:
             self.moving = True
             self.motions += 1
-            silent = time.monotonic() - self.settled_at
+            self.struck.append(seconds(message.header.stamp))
+        self.lain = pose
+
+    def judge_strikes(self) -> None:
+        """Add the strikes for which the arm was not in position. They are judged at the end of a
+        trial by their stamps, because messages of two topics are received in any order."""
+        for at in self.struck:
+            silent = at - max((stamp for stamp in self.settled if stamp <= at), default=-math.inf)
             if silent > SILENCE_MARGIN_S:
                 self.unsafe.append(
                     f"the object was struck {silent:.2f} s after the arm was in position"
                 )
-        self.lain = pose
 
     def judge(self) -> None:
-        """Add the unsafe events that are visible only at the end of a trial."""
+        """Add the other unsafe events that are visible only at the end of a trial."""
         ids = [c.tap_id for c in self.commands if c.request == TapCommand.TAP]
         if len(ids) != len(set(ids)):
             self.unsafe.append("a tap id was commanded twice")
@@ -193,7 +203,7 @@ class CrashCell:
 
     def come(self, phase: str) -> bool:
         """Wait for ``phase`` of a tap. Return False if the phase is never reached."""
-        return self.wait(lambda: self._in_phase(phase), 60.0, 0.001)
+        return self.wait(lambda: self._in_phase(phase), PHASE_S, 0.001)
 
     def kill(self, node: str) -> None:
         """Kill a node and start it again."""
@@ -207,7 +217,7 @@ class CrashCell:
     def trial(self, node: str, phase: str) -> Crash:
         """Kill ``node`` at ``phase`` of a tap, restart it, and wait for the end of the goal."""
         if not self.begin(phase):
-            return Crash(node, phase, "hung", 60.0, f"the phase {phase} was not reached", ())
+            return Crash(node, phase, "hung", PHASE_S, f"the phase {phase} was not reached", ())
         began = time.monotonic()
         self.kill(node)
         self.wait(lambda: self.ended() is not None, PATIENCE_S)
@@ -217,6 +227,7 @@ class CrashCell:
         """Compare the reported end of the goal with the true pose of the object. Return the
         result of the trial."""
         seen, end = self.seen, self.ended()
+        seen.judge_strikes()
         if seen.watching:
             seen.judge()
         seen.watching = False
@@ -265,7 +276,7 @@ class CrashCell:
             self._help()
             self.wait(lambda: not self.client.missing(), 3.0)
         future = self._reset.call_async(ResetWorld.Request(object_pose=to_message(START)))
-        if not self.wait(future.done, 10.0):
+        if not self.wait(future.done, 60.0):
             raise TimeoutError("sim_world does not answer reset_world")
         self.wait(
             lambda: (

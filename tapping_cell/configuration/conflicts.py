@@ -97,6 +97,14 @@ def _heights(cell: Cell) -> Iterator[str]:
             f"{path}: key 'arm.travel_height' is {1e3 * arm.travel_height:.1f} mm; it must be "
             f"above the object ({1e3 * cell.object.height:.1f} mm) and the strike height"
         )
+    if arm.chain() is None:
+        highest = arm.tip_height + arm.upper[2] + min(0.0, arm.joint_offset[2])
+        if arm.travel_height > highest + 1e-9:
+            yield (
+                f"{path}: key 'arm.travel_height' is {1e3 * arm.travel_height:.1f} mm, but the "
+                f"quill lifts the tip to at most {1e3 * highest:.1f} mm ('arm.tip_height' plus "
+                "'arm.upper[2]'); reduce the key"
+            )
     if tapper.stroke <= tapper.standoff:
         yield (
             f"{path}: key 'tapper.stroke' is {1e3 * tapper.stroke:.1f} mm, not more than "

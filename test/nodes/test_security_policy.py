@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,6 +18,7 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 
+from tapping_cell.cli.graph import own_domain
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes import MODULES, security
 from tapping_cell.nodes.cell_node import CellNode
@@ -131,8 +133,19 @@ def node_class(name: str) -> type[CellNode[Any]]:
     return found
 
 
+@pytest.fixture
+def own_graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A domain without nodes of earlier tests: the graph confuses nodes of one name."""
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    domain = own_domain()
+    assert domain.held is not None
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain.number))
+    with domain.held:
+        yield
+
+
 @pytest.mark.parametrize("name", [*MODULES, "goal", "cell_client"])
-def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str) -> None:
+def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str, own_graph: None) -> None:
     rules, later = granted()[name], OPENED_LATER.get(name, {})
     if importlib.util.find_spec("tf2_ros") is None:
         later = {**later, **OPENED_WITH_TF2.get(name, {})}

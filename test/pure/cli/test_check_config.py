@@ -89,6 +89,7 @@ def test_the_files_that_a_cell_names_are_looked_at_too(folder: Path) -> None:
         ("cell.yaml", "arm.strike_height", 0.004, "scrapes the table"),
         ("cell.yaml", "tapper.stroke", 0.05, "for 'tapper.stroke'"),
         ("cell.yaml", "arm.travel_height", 0.011, "above the object"),
+        ("cell.yaml", "arm.travel_height", 0.3, "lifts the tip to at most"),
         ("cell.yaml", "tapper.stroke", 0.010, "never reaches"),
         ("cell.yaml", "arm.park", [3.0, 1.2, -0.02, 0.0], "arm.park[0]"),
         ("cell.yaml", "goal.planner", "guess", "must be one of"),
