@@ -90,9 +90,9 @@ def test_a_better_file_stays(records, fit, tmp_path, capsys):
     before = output.read_bytes()
     worse = write(tmp_path / "noisy", taps(noise=(0.05, 0.2), trials=4))
     assert main(["fit", str(worse), "--output", str(output), "--force"]) == 2
-    output = capsys.readouterr().err
-    assert "better and was kept" in output
-    assert "torque factor" in output
+    errors = capsys.readouterr().err
+    assert "better and was kept" in errors
+    assert "torque factor" in errors
     assert output.read_bytes() == before
     assert main(["fit", str(worse), "--output", str(output), "--force", "--accept-worse"]) == 0
     assert output.read_bytes() != before

@@ -62,6 +62,7 @@ def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, fl
     return learn_object(content, asked, moved), friction, factor
 
 
+@pytest.mark.timeout(900)  # seconds of processor each; beside the other rings much longer
 @pytest.mark.parametrize("seed", range(6))
 def test_friction_and_torque_factor_of_unknown_objects_are_learnt(seed: int) -> None:
     found, friction, factor = learnt(seed)
