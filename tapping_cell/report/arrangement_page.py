@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tapping_cell.report import error_codes
 from tapping_cell.report.arrangement_run import (
     ArrangedMove,
     ArrangedObject,
     ArrangementRun,
     moves_of,
 )
-from tapping_cell.report.page_style import document
+from tapping_cell.report.page_style import cards_section, document, failure_section
 from tapping_cell.report.palette import INK, SERIES, TABLE
 from tapping_cell.report.run_folder import PAGE
 from tapping_cell.report.svg import Plan
@@ -40,7 +39,7 @@ def page(run: ArrangementRun) -> str:
     moves = moves_of(run)
     parts = [
         _head(run),
-        _failure(run),
+        failure_section(run.error_code, run.error_msg),
         _cards(run, moves),
         _scenes(run, moves),
         _objects(run),
@@ -77,18 +76,6 @@ def _head(run: ArrangementRun) -> str:
     )
 
 
-def _failure(run: ArrangementRun) -> str:
-    if not run.error_code:
-        return ""
-    advice = error_codes.hint(run.error_code)
-    return (
-        f'<section class="trouble"><h2>{escape(error_codes.name(run.error_code))} '
-        f"<small>code {run.error_code}</small></h2><p>{escape(run.error_msg)}</p>"
-        + (f"<p><b>What to do:</b> {escape(advice)}</p>" if advice else "")
-        + "</section>"
-    )
-
-
 def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
     limit = f"{1000 * run.tolerance[0]:g} mm, {math.degrees(run.tolerance[1]):g} deg"
     cards = []
@@ -111,14 +98,7 @@ def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
     if run.contacts is not None:
         touched = ", ".join(f"'{one}' and '{other}'" for one, other in run.contacts)
         cards.append(("contacts between objects", str(len(run.contacts)), touched or "none"))
-    return (
-        '<section class="cards">'
-        + "".join(
-            f"<div><span>{escape(name)}</span><b>{escape(value)}</b><i>{escape(note)}</i></div>"
-            for name, value, note in cards
-        )
-        + "</section>"
-    )
+    return cards_section(cards)
 
 
 def _scenes(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:

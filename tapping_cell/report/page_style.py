@@ -1,8 +1,11 @@
-"""Common document structure and style of the pages of runs."""
+"""Common document structure, sections and style of the pages of runs."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
+
+from tapping_cell.report import error_codes
 
 _STYLE = """
 :root{--ink:#1c2733;--muted:#66727f;--line:#e3e7ec;--good:#1a7440;--bad:#b82f26;--so:#8a5f00}
@@ -83,4 +86,29 @@ def document(title: str, body: str) -> str:
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>{escape(title)}</title><style>{_STYLE}</style></head>"
         f"<body><main>{body}</main></body></html>\n"
+    )
+
+
+def failure_section(code: int, message: str) -> str:
+    """Return the section that states an error and what to do; empty if ``code`` is 0."""
+    if not code:
+        return ""
+    advice = error_codes.hint(code)
+    return (
+        f'<section class="trouble"><h2>{escape(error_codes.name(code))} '
+        f"<small>code {code}</small></h2><p>{escape(message)}</p>"
+        + (f"<p><b>What to do:</b> {escape(advice)}</p>" if advice else "")
+        + "</section>"
+    )
+
+
+def cards_section(cards: Iterable[tuple[str, str, str]]) -> str:
+    """Return the section of the main figures; each has a name, a value and a note."""
+    return (
+        '<section class="cards">'
+        + "".join(
+            f"<div><span>{escape(name)}</span><b>{escape(value)}</b><i>{escape(note)}</i></div>"
+            for name, value, note in cards
+        )
+        + "</section>"
     )

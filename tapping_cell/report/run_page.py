@@ -24,7 +24,7 @@ from tapping_cell.report.activities import (
     WITHDRAWS,
 )
 from tapping_cell.report.animation import TAP_S, animation
-from tapping_cell.report.page_style import document
+from tapping_cell.report.page_style import cards_section, document, failure_section
 from tapping_cell.report.palette import (
     CONFIRMING,
     GOAL,
@@ -89,7 +89,7 @@ def page(illustrated: IllustratedRun) -> str:
     run = illustrated.run
     parts = [
         _head(run),
-        _failure(run),
+        failure_section(run.error_code, run.error_msg),
         _figures(run),
         '<section class="two">',
         f"<figure>{overview(run)}<figcaption>{_legend(run)}</figcaption></figure>",
@@ -139,18 +139,6 @@ def _head(run: Run) -> str:
     )
 
 
-def _failure(run: Run) -> str:
-    if not run.error_code:
-        return ""
-    advice = error_codes.hint(run.error_code)
-    return (
-        f'<section class="trouble"><h2>{escape(error_codes.name(run.error_code))} '
-        f"<small>code {run.error_code}</small></h2><p>{escape(run.error_msg)}</p>"
-        + (f"<p><b>What to do:</b> {escape(advice)}</p>" if advice else "")
-        + "</section>"
-    )
-
-
 def _figures(run: Run) -> str:
     limit, turn = 1000 * run.tolerance[0], math.degrees(run.tolerance[1])
     cards = []
@@ -165,14 +153,7 @@ def _figures(run: Run) -> str:
         cards.append((f"{name} rotation", f"{angle:.2f} deg", f"tolerance {turn:g} deg"))
     cards.append(("taps", str(len(run.taps)), _each(run)))
     cards.append(("time", f"{run.wall_time:.1f} s", "from goal to end"))
-    return (
-        '<section class="cards">'
-        + "".join(
-            f"<div><span>{escape(name)}</span><b>{escape(value)}</b><i>{escape(note)}</i></div>"
-            for name, value, note in cards
-        )
-        + "</section>"
-    )
+    return cards_section(cards)
 
 
 def _each(run: Run) -> str:
