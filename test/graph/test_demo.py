@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 
 from tapping_cell.messages import TapperState
 from tapping_cell.nodes import MODULES
-from tapping_cell.report.bag import read_bag
+from tapping_cell.report.bag import BagError, read_bag
 
 NODES = (
     "sim_world",
@@ -60,6 +60,21 @@ def wait_for_nodes(folder: Path, process: subprocess.Popen[str]) -> dict[str, in
         assert time.monotonic() < deadline, f"only {sorted(found)} came up"
         time.sleep(0.1)
     return found
+
+
+def wait_for_record(folder: Path, process: subprocess.Popen[str]) -> None:
+    """Wait until the planner's state is written in the bag; it is written to twice a second."""
+
+    def written() -> bool:
+        try:
+            return any(True for _ in read_bag(folder / "bag").of("plan_state"))
+        except (BagError, OSError):
+            return False
+
+    deadline = time.monotonic() + 120
+    while not written():
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.1)
 
 
 @pytest.fixture
@@ -120,11 +135,7 @@ def check_bag(folder: Path, taps: int) -> None:
 def test_ctrl_c_in_a_goal_leaves_its_record(folder: Path) -> None:
     process = start(folder, "--move", "100", "0", "90")
     wait_for_nodes(folder, process)
-    deadline = time.monotonic() + 120
-    while not (folder / "bag").exists():
-        assert time.monotonic() < deadline and process.poll() is None
-        time.sleep(0.1)
-    time.sleep(1.0)
+    wait_for_record(folder, process)
     process.send_signal(signal.SIGINT)
     assert process.wait(120) == 130
     content = json.loads((folder / "summary.json").read_text())
@@ -140,11 +151,7 @@ def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
     """
     process = start(folder, "--seed", "5", "--move", "100", "0", "90")
     nodes = wait_for_nodes(folder, process)
-    deadline = time.monotonic() + 120
-    while not (folder / "bag").exists():
-        assert time.monotonic() < deadline and process.poll() is None
-        time.sleep(0.05)
-    time.sleep(1.0)  # the bag is written to twice a second
+    wait_for_record(folder, process)
     os.kill(nodes["run_recorder"], signal.SIGKILL)
     output, _ = process.communicate(timeout=280)
     assert process.returncode == 0, output
