@@ -973,7 +973,7 @@ class Trial:
 
         def check() -> None:
             failed = struck and struck[-1][0] > received_at - BAD_LINE_S
-            failed = failed or self.tapper_power_lost_at > received_at
+            failed = failed or self.tapper_power_lost_at > received_at - BAD_LINE_S
             cleared = "tapper_trigger" not in self.checker.stopped_at
             if not failed and not cleared and self.physical.tapper_board.state != "STOPPED":
                 self.checker.violate("stop not passed on", "the board did not receive a stop")
