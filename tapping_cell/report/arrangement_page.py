@@ -21,6 +21,7 @@ from tapping_cell.report.page_style import cards_section, document, failure_sect
 from tapping_cell.report.palette import INK, SERIES, TABLE
 from tapping_cell.report.run_folder import PAGE
 from tapping_cell.report.svg import Plan
+from tapping_cell.report.words import counted
 from tapping_cell.se2 import Array, Pose
 
 REACHED = "reached"
@@ -54,17 +55,11 @@ def headline(run: ArrangementRun) -> str:
     goals = [one for one in run.objects if one.goal is not None]
     reached = sum(one.outcome == REACHED for one in goals)
     if not run.error_code:
-        return (
-            f"Arrangement reached: {_counted(reached, 'object')}, {_counted(len(run.taps), 'tap')}"
-        )
+        return f"Arrangement reached: {counted(reached, 'object')}, {counted(len(run.taps), 'tap')}"
     return (
-        f"Arrangement given up: {reached} of {_counted(len(goals), 'object')} at the goal after "
-        f"{_counted(len(run.taps), 'tap')}"
+        f"Arrangement given up: {reached} of {counted(len(goals), 'object')} at the goal after "
+        f"{counted(len(run.taps), 'tap')}"
     )
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _head(run: ArrangementRun) -> str:
@@ -92,7 +87,7 @@ def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
             far, turned = (max(each[axis] for each in left) for axis in (0, 1))
             worst = f"{1000 * far:.2f} mm, {math.degrees(turned):.2f} deg"
             cards.append((f"largest {word} residual", worst, f"tolerance {limit}"))
-    cards.append(("taps", str(len(run.taps)), f"in {_counted(len(moves), 'move')}"))
+    cards.append(("taps", str(len(run.taps)), f"in {counted(len(moves), 'move')}"))
     each = f"{run.seconds / len(run.taps):.1f} s a tap" if run.taps else ""
     cards.append(("time", f"{run.seconds:.0f} s", each))
     if run.contacts is not None:
@@ -109,8 +104,8 @@ def _scenes(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
     if len(moves) > 1:
         middle = moves[(len(moves) - 1) // 2]
         done = middle.taps[-1].number
-        pictures.append((f"after {_counted(done, 'tap')}", _plan(run, middle.after)))
-    pictures.append((f"at the end, after {_counted(len(run.taps), 'tap')}", _plan(run, end)))
+        pictures.append((f"after {counted(done, 'tap')}", _plan(run, middle.after)))
+    pictures.append((f"at the end, after {counted(len(run.taps), 'tap')}", _plan(run, end)))
     figures = "".join(
         f"<figure>{plan.drawing(f'the table {words}')}<figcaption>{words}</figcaption></figure>"
         for words, plan in pictures

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from tapping_cell.report.run_folder import RunError
+from tapping_cell.report.run_folder import run_errors
 from tapping_cell.se2 import Pose
 
 SUMMARY = "arrangement.json"
@@ -122,7 +122,7 @@ def read_arrangement(folder: Path) -> ArrangementRun:
         RunError: the file is missing or damaged.
     """
     path = folder / SUMMARY
-    try:
+    with run_errors(path, "the folder of an arrangement"):
         content = json.loads(path.read_text(encoding="utf-8"))["run"]
         return ArrangementRun(
             **{
@@ -136,12 +136,6 @@ def read_arrangement(folder: Path) -> ArrangementRun:
                 else tuple((str(one), str(other)) for one, other in content["contacts"]),
             }
         )
-    except OSError as error:
-        raise RunError(
-            f"{path} cannot be read ({error.strerror}); is this the folder of an arrangement?"
-        ) from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise RunError(f"{path} is damaged or of another version: {error!r}") from error
 
 
 def _object(content: dict[str, Any]) -> ArrangedObject:

@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from tapping_cell.report.palette import GOAL, REST, START, STRIKE
 from tapping_cell.report.run import Run
+from tapping_cell.report.words import counted
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MOST_IN_WORDS = 6
@@ -33,7 +34,7 @@ def draw_cell(run: Run, path: Path) -> None:
 
 
 def _headline(run: Run) -> str:
-    taps = "1 tap" if len(run.taps) == 1 else f"{len(run.taps)} taps"
+    taps = counted(len(run.taps), "tap")
     result = f"goal reached in {taps}" if run.reached else f"{run.outcome} after {taps}"
     if run.start is None or run.goal is None:
         return result

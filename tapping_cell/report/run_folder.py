@@ -11,6 +11,7 @@ import csv
 import json
 import math
 import os
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -270,18 +271,26 @@ def read_run(folder: Path) -> Run:
     Raises:
         RunError: a file is missing or damaged.
     """
-    path = folder / SUMMARY
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        path = folder / TAPS
-        with path.open(newline="", encoding="utf-8") as stream:
-            taps = tuple(_tap(row) for row in csv.DictReader(stream))
-        path = folder / SUMMARY
+    summary, table, place = folder / SUMMARY, folder / TAPS, "a run folder"
+    with run_errors(summary, place):
+        content = json.loads(summary.read_text(encoding="utf-8"))
+    with run_errors(table, place), table.open(newline="", encoding="utf-8") as stream:
+        taps = tuple(_tap(row) for row in csv.DictReader(stream))
+    with run_errors(summary, place):
         return _run(content, taps)
+
+
+@contextlib.contextmanager
+def run_errors(path: Path, place: str) -> Iterator[None]:
+    """Convert the errors of reading a file of a run. ``place``: the kind of folder that holds it.
+
+    Raises:
+        RunError: the file is missing or damaged.
+    """
+    try:
+        yield
     except OSError as error:
-        raise RunError(
-            f"{path} cannot be read ({error.strerror}); is this a run folder?"
-        ) from error
+        raise RunError(f"{path} cannot be read ({error.strerror}); is this {place}?") from error
     except (KeyError, TypeError, ValueError) as error:
         raise RunError(f"{path} is damaged or of another version: {error!r}") from error
 

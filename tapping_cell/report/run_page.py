@@ -52,6 +52,7 @@ from tapping_cell.report.run import (
 from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.report.svg import Plan, chart, window
 from tapping_cell.report.tap_words import tap_sentence
+from tapping_cell.report.words import counted
 from tapping_cell.se2 import Array, Pose
 
 PICTURE_WIDTH = 720
@@ -107,7 +108,7 @@ def page(illustrated: IllustratedRun) -> str:
 
 def headline(run: Run) -> str:
     """Summarise the outcome of a run in a few words."""
-    taps = "1 tap" if len(run.taps) == 1 else f"{len(run.taps)} taps"
+    taps = counted(len(run.taps), "tap")
     if run.reached:
         return f"Goal reached in {taps}" if run.taps else "Goal reached without a tap"
     headline_text = _HEADLINES.get(run.outcome, "The end of the goal was not recorded")

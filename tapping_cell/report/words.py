@@ -1,4 +1,4 @@
-"""Names of the numeric states in the cell's messages."""
+"""Names of the numeric states in the cell's messages, and counts in words."""
 
 from __future__ import annotations
 
@@ -24,3 +24,8 @@ OUTCOMES = ("none", "fired", "not fired", "unknown")
 def word(words: tuple[str, ...], number: int) -> str:
     """Return the name of a number; ``unknown`` if it has none, as in another version's messages."""
     return words[number] if 0 <= number < len(words) else "unknown"
+
+
+def counted(number: int, thing: str) -> str:
+    """Format a count, as in "1 tap" and "3 taps"."""
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

@@ -1,12 +1,26 @@
 """Nodes under test keep goals and stops in a folder of the test, not of this account's cells."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tapping_cell.cli.graph import own_domain
 from tapping_cell.nodes import cell_identity
 
 
 @pytest.fixture(autouse=True)
 def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell_identity, "STATE", tmp_path / ".ros" / "tapping_cell")
+
+
+@pytest.fixture
+def own_graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A domain without nodes of earlier tests in this process, which may not be gone yet; the graph
+    confuses nodes of one name."""
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    domain = own_domain()
+    assert domain.held is not None
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain.number))
+    with domain.held:
+        yield

@@ -10,7 +10,6 @@ from harness import bench
 from tapping_cell_msgs.msg import ObjectState, StopState
 from test_camera_pose import Cell as CameraCell
 
-from tapping_cell.cli.graph import own_domain
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes.camera.camera_pose import CameraPose
 from tapping_cell.nodes.cell_identity import key_of, state_folder
@@ -24,13 +23,8 @@ NAMES = ("scara_arm:__node:=robot", "camera_pose:__node:=eye")
 
 
 @pytest.fixture
-def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[CellClient]:
-    """In a domain of its own: nodes of earlier tests in this process may not be gone yet."""
-    monkeypatch.delenv("ROS_DOMAIN_ID")
-    domain = own_domain()
-    assert domain.held is not None
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain.number))
-    with domain.held, CellClient() as made:
+def client(own_graph: None) -> Iterator[CellClient]:
+    with CellClient() as made:
         yield made
 
 

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -18,7 +17,6 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 
-from tapping_cell.cli.graph import own_domain
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes import MODULES, security
 from tapping_cell.nodes.cell_node import CellNode
@@ -131,17 +129,6 @@ def node_class(name: str) -> type[CellNode[Any]]:
         if isinstance(kind, type) and issubclass(kind, CellNode) and kind.__name__.lower() == wanted
     )
     return found
-
-
-@pytest.fixture
-def own_graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A domain without nodes of earlier tests: the graph confuses nodes of one name."""
-    monkeypatch.delenv("ROS_DOMAIN_ID")
-    domain = own_domain()
-    assert domain.held is not None
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain.number))
-    with domain.held:
-        yield
 
 
 @pytest.mark.parametrize("name", [*MODULES, "goal", "cell_client"])

@@ -25,11 +25,12 @@ from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.configuration.preset_layout import preset_layout
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
-from tapping_cell.nodes.page.cell_view import counted, shown, triple, with_code
+from tapping_cell.nodes.page.cell_view import shown, triple, with_code
 from tapping_cell.nodes.page.goal_check import GoalCheck
 from tapping_cell.nodes.page.requests import Arrange, BadRequest, Preset
 from tapping_cell.planning import PlanningError
 from tapping_cell.report.error_codes import hint
+from tapping_cell.report.words import counted
 from tapping_cell.se2 import Pose
 
 PROGRESS_TEXTS = {

@@ -25,7 +25,7 @@ from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.report.error_codes import hint
-from tapping_cell.report.words import PHASES
+from tapping_cell.report.words import PHASES, counted
 from tapping_cell.se2 import Pose
 
 SILENCE_LIMIT_S = 1.5
@@ -90,11 +90,6 @@ class Mode(NamedTuple):
 def with_code(sentence: str, code: int) -> str:
     """Append the error code to a message if there is one."""
     return f"{sentence} ({code})" if code else sentence
-
-
-def counted(number: int, thing: str) -> str:
-    """Format a count, as in "1 tap" and "3 taps"."""
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
 class CellView:

@@ -61,7 +61,6 @@ from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.arrangements import Arrangements
 from tapping_cell.nodes.page.cell_view import (
     CellView,
-    counted,
     shown,
     triple,
     with_code,
@@ -93,6 +92,7 @@ from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
 from tapping_cell.planning import planner_names
 from tapping_cell.report.error_codes import hint
+from tapping_cell.report.words import counted
 from tapping_cell.vision import CameraError, CameraModel, View
 
 STATE_PERIOD_S = 0.2
