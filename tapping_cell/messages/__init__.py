@@ -310,6 +310,7 @@ class ErrorCode:
     NO_ARRANGEMENT: ClassVar[int] = 412
     NO_CONTACT_FOUND: ClassVar[int] = 406
     NO_TAP_FOUND: ClassVar[int] = 401
+    OBJECT_DOES_NOT_TURN: ClassVar[int] = 407
     OBJECT_MOVED: ClassVar[int] = 311
     OBJECT_NOT_AT_REST: ClassVar[int] = 305
     OBJECT_NOT_SEEN: ClassVar[int] = 301

@@ -290,6 +290,10 @@ class Gains:
         factor = np.exp(longest) / self.value[..., 0]
         return Spread(np.broadcast_to(factor, slope.shape), aside - expected[..., None])
 
+    def largest_rotation_gain(self, probability: float) -> Array:
+        """Return the rotation gain (...,) below which the true one is with ``probability``."""
+        return self.rotation.quantile(np.array([1.0, 0.0, 0.0]), probability)
+
     def predicted_covariance(
         self, commanded: ArrayLike, orientation: float, scatter: Scatter
     ) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.alternatives import alternative_taps
 from tapping_cell.planning.free_space import FreeSpace
-from tapping_cell.planning.gains import Gains, Spread
+from tapping_cell.planning.gains import LOWEST, NAMES, Gains, Spread
 from tapping_cell.planning.goal import check_goal, edge_warning, others_text, place_text
 from tapping_cell.planning.interface import Array, Planner, Taps, TapValues
 from tapping_cell.planning.near_taps import NearTaps, best_first, near_taps
@@ -51,6 +51,14 @@ PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
 UNKNOWN = 1.6
 """Ratio of the longest possible slide to the predicted slide above which the object is probed
 first. An object that matches its file has a ratio of 1.2 after one tap."""
+
+FEWEST_TO_JUDGE_ROTATION = 3
+"""Minimum number of explained taps before the object can be judged not to turn."""
+
+ROTATION_CONFIDENCE = 0.975
+"""Probability with which the rotation gain must be below its least value for that."""
+
+LEAST_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
 NEAR_CHUNK = 12
 """Number of taps, in order of rank, whose clearance is checked together."""
@@ -214,7 +222,11 @@ class GoalSession(ABC):
         if arrived is not None:
             return arrived
         left, box = self.residual(pose), self.stopping(covariance)
-        return self._refusal_before_tap(pose, left, box) or self._next_tap(pose, left)
+        return (
+            self._refusal_before_tap(pose, left, box)
+            or self._rotation_refusal(left, box)
+            or self._next_tap(pose, left)
+        )
 
     def arrived(
         self, object_pose: ArrayLike, covariance: ArrayLike | None, *, observe_again: bool
@@ -254,6 +266,26 @@ class GoalSession(ABC):
                 "rest for longer, calibrate the camera or widen the tolerance",
             )
         return None
+
+    def _rotation_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
+        """Refuse to correct the angle of an object that taps cannot turn.
+
+        Below the least gain of the model the plan promises a rotation that no tap gives, and the
+        goal would end only at the maximum number of taps.
+        """
+        if abs(left[2]) <= box.rotation or self.gains.taken < FEWEST_TO_JUDGE_ROTATION:
+            return None
+        gain = float(self.gains.largest_rotation_gain(ROTATION_CONFIDENCE))
+        if gain > LEAST_ROTATION_GAIN:
+            return None
+        return Refusal(
+            RefusalReason.OBJECT_DOES_NOT_TURN,
+            f"taps turn the object by at most {100.0 * gain:.0f} % of what its file predicts "
+            f"({100.0 * LEAST_ROTATION_GAIN:.0f} % is needed), so that its angle, "
+            f"{abs(math.degrees(left[2])):.1f} degrees from the goal, cannot be corrected; clean "
+            "the side of the object, check contact_friction in its file, or send a goal with the "
+            "object's present angle",
+        )
 
     def _made(
         self, pose: Array, left: Array, commanded: Array, plan: StrikePlan, detour: str = ""

@@ -249,6 +249,28 @@ def test_with_any_friction_the_object_stays_on_the_table_and_comes_to_its_goal(
         assert isinstance(decision, Done), decision
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("gain", [0.0, 0.02, 0.05, 0.2, 1.0])
+def test_an_object_that_taps_cannot_turn_is_refused_and_any_other_comes_to_its_goal(
+    planner, space, free, gain, seed
+):
+    rng = np.random.default_rng([seed, int(100 * gain)])
+    session = PositioningSession((0.05, 0.02, 0.3), planner, space, free)
+    end, pose = run(session, np.array([-0.05, -0.02, 0.0]), rng, (1.0, gain))
+    if gain > 0.1:
+        assert isinstance(end, Done), end
+        return
+    assert isinstance(end, Refusal) and end.reason is RefusalReason.OBJECT_DOES_NOT_TURN
+    assert REFUSALS[end.reason] == ErrorCode.OBJECT_DOES_NOT_TURN
+    assert 3 <= session.taps <= 10
+    assert "contact_friction" in end.sentence and "degrees from the goal" in end.sentence
+    # Its position can still be corrected, if the goal has the angle that the object has.
+    kept = (*session.goal[:2], pose[2])
+    again = PositioningSession(kept, planner, space, free, session.gains)
+    end, _ = run(again, pose, rng, (1.0, gain))
+    assert isinstance(end, Done), end
+
+
 def test_a_probe_begins_with_the_smallest_taps_and_ends_when_the_object_is_known(
     planner, space, free
 ):
