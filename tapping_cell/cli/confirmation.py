@@ -16,6 +16,7 @@ from tapping_cell_msgs.msg import PlannedTap
 from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.clients.goal_client import Event, GoalClient, PhaseChanged, TapProposed
 from tapping_cell.nodes.conversions import from_message
+from tapping_cell.report.words import expected_effort
 
 QUESTION = "make this tap? y: yes, s: skip it, c: cancel the goal"
 
@@ -88,7 +89,9 @@ def proposal_text(tap: PlannedTap) -> str:
     covariance = covariance_from_message(tap.predicted_pose.covariance)
     along = math.sqrt(max(float(np.max(np.linalg.eigvalsh(covariance[:2, :2]))), 0.0))
     turn = math.sqrt(max(float(covariance[2, 2]), 0.0))
-    why = f"; {tap.reason}" if tap.reason else ""
+    effort = expected_effort(tap.expected_taps, tap.expected_seconds)
+    why = f"; expected to the goal: {effort}" if effort else ""
+    why += f"; {tap.reason}" if tap.reason else ""
     return (
         f"tap {tap.number} planned: striker {1000 * tap.striker_speed:.0f} mm/s, expected to move "
         f"the object {1000 * before.distance_to(after):.1f} mm (+- {1000 * along:.1f} mm) and turn "

@@ -347,6 +347,8 @@ def _fixed_cell(arguments: argparse.Namespace) -> Cell | None:
 
 def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     """Return the evaluation that the options describe, in SI units."""
+    from tapping_cell.configuration.cell import load_cell
+    from tapping_cell.logic.arm_times import ArmTimes
     from tapping_cell.planning import PlanningError
     from tapping_cell.planning.evaluation import Evaluation
 
@@ -354,12 +356,11 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     world: World | None = None
     space = clock = None
     objective = arguments.objective
+    cell = load_cell(arguments.cell, arguments.object)
     if arguments.model != "abstract" or arguments.table:
         from tapping_cell.configuration.assembly import make_tap
-        from tapping_cell.configuration.cell import load_cell
         from tapping_cell.planning import PlannerSettings
 
-        cell = load_cell(arguments.cell, arguments.object)
         tap = make_tap(cell)
         fitted = PlannerSettings.for_tap(tap)
         settings = replace(
@@ -406,6 +407,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         space=space,
         objective=objective or "taps",
         clock=clock,
+        mean_tap=math.nan if arguments.table else ArmTimes(cell).mean_tap,
     )
 
 
@@ -606,9 +608,10 @@ def _seconds_text(figures: dict[str, Any]) -> list[str]:
     if seconds is None:
         return []
     low, high = seconds["mean_interval"]
+    source = "" if figures["inputs"]["table"] else " (mean time of a tap)"
     return [
         f"  seconds           mean {seconds['mean']:.2f} (95 % interval {low:.2f} to {high:.2f}), "
-        f"90 % within {seconds['p90']:.1f}"
+        f"90 % within {seconds['p90']:.1f}{source}"
     ]
 
 

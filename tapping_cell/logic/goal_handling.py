@@ -106,8 +106,7 @@ class GoalHandling:
         self._adapt = adapt
         self._probe = probe
         self._objective = objective or cell.file.goal.objective
-        arm = self._objective == "time" and cell.file.arm is not None
-        self._times = ArmTimes(cell) if arm else None
+        self._times = ArmTimes(cell) if cell.file.arm is not None else None
         self._keep_for = keep_for
         self._time_limit = time_limit
         self._in_background = solve_in_background
@@ -190,6 +189,7 @@ class GoalHandling:
             self.map.free,
             self._gains,
             times=self._times,
+            objective=self._objective,
             adapt=self._adapt,
             probe=self._probe or probe,
             most_taps=most_taps,

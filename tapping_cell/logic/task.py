@@ -103,6 +103,8 @@ class Shot:
             strike_pose=to_message(plan.strike_pose, height),
             striker_speed=plan.striker_speed,
             reason="; ".join(filter(None, (self.purpose, self.strike.detour, self.asked_again))),
+            expected_taps=self.strike.expected.taps,
+            expected_seconds=self.strike.expected.seconds,
             answer_by=to_stamp(answer_by),
         )
         tap.predicted_pose.pose = to_message(self.strike.predicted)
@@ -129,6 +131,8 @@ class Shot:
             predicted_pose=to_message(strike.predicted),
             predicted_covariance=self.covariance.reshape(-1).tolist(),
             reason=strike.detour,
+            expected_taps=strike.expected.taps,
+            expected_seconds=strike.expected.seconds,
             measured_pose=seen.pose,
             striker_speed=strike.plan.striker_speed,
             measured_speed=self.measured_speed,

@@ -391,6 +391,8 @@ class TapRecord:
     predicted_pose: Pose = field(default_factory=Pose)
     predicted_covariance: list[float] = field(default_factory=lambda: [0.0] * 9)
     reason: str = ""
+    expected_taps: float = 0.0
+    expected_seconds: float = 0.0
     measured_pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
     striker_speed: float = 0.0
     measured_speed: float = 0.0
@@ -513,6 +515,8 @@ class PlannedTap:
     striker_speed: float = 0.0
     predicted_pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
     reason: str = ""
+    expected_taps: float = 0.0
+    expected_seconds: float = 0.0
     answer_by: Time = field(default_factory=Time)
 
 

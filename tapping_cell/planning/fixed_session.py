@@ -30,6 +30,7 @@ from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import (
     MISSED,
     MOST_TAPS,
+    Expected,
     GoalSession,
     Strike,
     noise_of,
@@ -223,14 +224,16 @@ class FixedTapperSession(GoalSession):
                 " it out of the working area, into a keep-out or to where no tap can bring it"
                 " back; move the object by hand towards the middle",
             )
-        index, commanded, length = chosen
-        return self._made(pose, left, commanded, self._space.plan(index, pose, length))
+        index, commanded, length, expected = chosen
+        plan = self._space.plan(index, pose, length)
+        return self._made(pose, left, commanded, plan, expected=expected)
 
     def _best(
         self, pose: Array, left: Array, lines: Lines, usable: list[int]
-    ) -> tuple[int, Array, float] | None:
+    ) -> tuple[int, Array, float, Expected] | None:
         """Return the tap with the least expected cost, in taps or time: index of the tapper,
-        commanded displacement (3,) and its length. Return None if no tap is acceptable."""
+        commanded displacement (3,), its length and the expected effort. Return None if no tap is
+        acceptable."""
         assert self._solved is not None
         solution = self._solved.solution
         assert solution is not None, "the goal is not solved yet; check ready first"
@@ -246,7 +249,7 @@ class FixedTapperSession(GoalSession):
             return None
         size = np.maximum(np.hypot(expected[..., 0], expected[..., 1]), 1e-9)
         # The error is object minus goal. The scatter is the one that the goal was solved with.
-        after = states_after(
+        states = states_after(
             np.broadcast_to(-left, (*size.shape, 3)),
             np.arctan2(expected[..., 1], expected[..., 0]),
             expected[..., 2] / size,
@@ -255,20 +258,21 @@ class FixedTapperSession(GoalSession):
             self._points,
         )
         box = self.settings.stopping
-        cost = expected_taps(
+        follow = expected_taps(
             solution.value,
             solution.grid,
             (box.distance, box.rotation),
-            after,
+            states,
         )
-        if self._space.objective == "time":
-            travel, reach = lines.travel[usable, None], lines.reach[usable, None]
-            cost += tap_seconds(travel, reach, length) / MEAN_TAP_S
-        cost = np.where(allowed, cost, math.inf)
-        row, column = np.unravel_index(int(np.argmin(cost)), cost.shape)
-        if cost[row, column] >= LOST - 1.0:
+        seconds = tap_seconds(lines.travel[usable, None], lines.reach[usable, None], length)
+        timed = self._space.objective == "time"
+        cost = np.where(allowed, follow + (seconds / MEAN_TAP_S if timed else 0.0), math.inf)
+        best = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        if cost[best] >= LOST - 1.0:
             return None
-        return usable[int(row)], commanded[row, column], float(length[row, column])
+        after = float(follow[best])
+        effort = Expected(1.0 + after, float(seconds[best]) + after * MEAN_TAP_S)
+        return usable[int(best[0])], commanded[best], float(length[best]), effort
 
     def _ends_well(self, pose: Array, commanded: Array, expected: Array) -> BoolArray:
         """Return which displacements (tappers, n, 3) are acceptable. Under all uncertainty the

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,6 +93,19 @@ class ObserveAgain:
     probability: float
 
 
+class Expected(NamedTuple):
+    """Expected effort until the goal is reached, including the next tap; NaN where unknown.
+
+    taps: number of taps. seconds: time from the command of the next tap on, s.
+    """
+
+    taps: float = math.nan
+    seconds: float = math.nan
+
+
+UNKNOWN_EFFORT = Expected()
+
+
 @dataclass(frozen=True, slots=True)
 class Strike:
     """The next tap.
@@ -101,6 +115,7 @@ class Strike:
     residual: goal minus object before the tap. plan: strike and arm waypoints.
     method: planning method that chose the tap; detour: reason why the method's first choice was
     rejected, or an empty string.
+    expected: expected effort until the goal is reached.
     """
 
     commanded: Pose
@@ -110,6 +125,7 @@ class Strike:
     plan: StrikePlan
     method: str
     detour: str = ""
+    expected: Expected = UNKNOWN_EFFORT
 
 
 Decision = Done | ObserveAgain | Strike | Refusal
@@ -288,7 +304,13 @@ class GoalSession(ABC):
         )
 
     def _made(
-        self, pose: Array, left: Array, commanded: Array, plan: StrikePlan, detour: str = ""
+        self,
+        pose: Array,
+        left: Array,
+        commanded: Array,
+        plan: StrikePlan,
+        detour: str = "",
+        expected: Expected = UNKNOWN_EFFORT,
     ) -> Strike:
         wanted = self.gains.predict(commanded, pose[2])
         after = pose + wanted
@@ -301,6 +323,7 @@ class GoalSession(ABC):
             plan=plan,
             method=self.method,
             detour=detour,
+            expected=expected,
         )
 
 
@@ -314,8 +337,9 @@ class PositioningSession(GoalSession):
         free: map of workable places in ``space``. If None, the map is computed here, which takes
             about 0.1 s; reuse one map for several goals.
         gains: gains learnt about the object in earlier runs.
-        times: durations of the arm's motions, for choosing the taps that reach the goal in the
-            least time; None chooses the fewest taps. This requires a method that implements
+        times: durations of the arm's motions; None if unknown.
+        objective: "taps" chooses the fewest taps, "time" the taps that reach the goal in the least
+            time. The latter requires ``times`` and a method that implements
             ``interface.TapValues``, and ``arm`` must be set before a decision.
         adapt: whether ``observe`` learns.
         probe: begin with a few of the smallest taps, which measure friction and rotation of an
@@ -332,6 +356,7 @@ class PositioningSession(GoalSession):
         gains: Gains | None = None,
         *,
         times: TapTimes | None = None,
+        objective: str = "taps",
         adapt: bool = True,
         probe: bool = False,
         most_taps: int = MOST_TAPS,
@@ -343,6 +368,7 @@ class PositioningSession(GoalSession):
         self._missed: tuple[float, ...] = ()  # headings of consecutive missed taps
         self._skipped: tuple[float, ...] = ()  # headings that the operator rejected
         self._times = times
+        self._objective = objective
         self._adapt = adapt
         self._probes_left = MOST_PROBES if probe else 0
         self._most_taps = most_taps
@@ -456,11 +482,11 @@ class PositioningSession(GoalSession):
         detour = self._obstacle(pose, first, missed)
         best = self._best_near(pose, left, tap, missed)
         if best is not None:
-            return self._made(pose, left, *best, detour)
+            return self._chosen(pose, left, *best, detour)
         if not detour:
             found = self._space.first_strike(Pose(*pose.tolist()), first[None, :])
             if found is not None:
-                return self._made(pose, left, first, found[1], "")
+                return self._chosen(pose, left, first, found[1], "")
             detour = (
                 "the arm or the tool has no room for the tap along the line"
                 if bool(self._space.tap.reachable(first, pose))
@@ -503,10 +529,47 @@ class PositioningSession(GoalSession):
             found = self._space.first_strike(Pose(*pose.tolist()), candidates[:1])
             if found is not None:
                 self._visited.add(pose, 1.0 + float(cost[0]))
-                return self._made(pose, left, candidates[0], found[1], detour)
+                return self._chosen(pose, left, candidates[0], found[1], detour)
         if missed:
             return self._strike(pose, left, missed=())
         return self._no_strike(pose, detour, allowed, struck, trusted)
+
+    def _chosen(
+        self, pose: Array, left: Array, commanded: Array, plan: StrikePlan, detour: str
+    ) -> Strike:
+        expected = self._expected(pose, left, commanded, plan)
+        return self._made(pose, left, commanded, plan, detour, expected)
+
+    def _expected(self, pose: Array, left: Array, commanded: Array, plan: StrikePlan) -> Expected:
+        """Return the expected effort of a displacement (3,) and the taps after it. It is unknown
+        if the method has no such value or if an obstacle blocks the straight line to the goal."""
+        if not isinstance(self.planner, TapValues) or self._blocked(pose):
+            return UNKNOWN_EFFORT
+        distance, rotation, heading = self.gains.to_plan(left)
+        size, turn, direction = self.gains.to_plan(self.gains.predict(commanded, pose[2]))
+        most = self.planner.settings.cone_slope * float(size)
+        follow = self.planner.taps_after(
+            float(distance),
+            float(rotation),
+            np.array([float(direction - heading)]),
+            np.array([float(size)]),
+            np.clip([float(turn)], -most, most),
+        )
+        if follow is None:
+            return UNKNOWN_EFFORT
+        taps = 1.0 + follow.item()
+        return Expected(taps, self._expected_seconds(taps, plan))
+
+    def _expected_seconds(self, taps: float, plan: StrikePlan) -> float:
+        """Return the expected time of these taps, the first of which is ``plan``, s; NaN if the
+        durations of the arm's motions are unknown."""
+        if self._times is None:
+            return math.nan
+        way = self._times.mean_way
+        if self.arm is not None:
+            own = self._times.to_strikes(self.arm, np.array([plan.strike_pose])).item()
+            way = own if math.isfinite(own) else way
+        return taps * self._times.mean_tap + way - self._times.mean_way
 
     def _best_near(
         self, pose: Array, left: Array, own: Taps, missed: tuple[float, ...]
@@ -514,7 +577,9 @@ class PositioningSession(GoalSession):
         """Return the tap, among all directions, that reaches the goal in the least expected time:
         its displacement (3,) and strike. Return None if this time is not known. ``own``: the
         method's tap."""
-        if self._times is None or self.arm is None or self._blocked(pose):
+        if self._objective != "time" or self._times is None or self.arm is None:
+            return None
+        if self._blocked(pose):
             return None
         if not isinstance(self.planner, TapValues):
             return None

@@ -70,6 +70,10 @@ class TapRow:
     """Covariance of ``predicted`` in x, y, theta (m, rad); None if unknown."""
     tapper: str = ""
     """Name of the tapper that struck; empty in a cell with one tapper."""
+    expected_taps: float = math.nan
+    """Expected number of taps to the goal before this tap, including it; NaN if unknown."""
+    expected_seconds: float = math.nan
+    """Expected time to the goal from the command of this tap, s; NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,6 +150,8 @@ def tap_columns(tap: TapRow) -> dict[str, object]:
         row[column] = f"{unit * (known[first][second] if known else math.nan):.6g}"
     row["reason"] = tap.reason
     row["tapper"] = tap.tapper
+    row["expected_taps"] = f"{tap.expected_taps:.3f}"
+    row["expected_s"] = f"{tap.expected_seconds:.3f}"
     return row
 
 
@@ -363,4 +365,6 @@ def _tap(row: dict[str, str]) -> TapRow:
         reason=row.get("reason", ""),
         predicted_covariance=_covariance(row),
         tapper=row.get("tapper", ""),
+        expected_taps=float(row.get("expected_taps", math.nan)),
+        expected_seconds=float(row.get("expected_s", math.nan)),
     )

@@ -204,6 +204,8 @@ def _taps(
                 reason=str(getattr(record, "reason", "")),
                 predicted_covariance=_covariance(record),
                 tapper=str(getattr(record, "tapper", "")),
+                expected_taps=float(getattr(record, "expected_taps", math.nan)),
+                expected_seconds=float(getattr(record, "expected_seconds", math.nan)),
             )
         )
     return tuple(rows)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from tapping_cell.report.run import TapRow
+from tapping_cell.report.words import expected_effort
 from tapping_cell.se2 import Pose, wrap_angle
 
 WITHIN_95 = 7.81
@@ -32,6 +33,9 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
             )
     elif tap.reason:
         parts.append(f"Chosen because {tap.reason}.")
+    effort = expected_effort(tap.expected_taps, tap.expected_seconds)
+    if effort:
+        parts.append(f"Expected before the tap: {effort} to the goal.")
     return " ".join(part for part in parts if part)
 
 

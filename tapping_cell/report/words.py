@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 PHASES = (
     "idle",
     "waiting for the cell",
@@ -24,6 +26,13 @@ OUTCOMES = ("none", "fired", "not fired", "unknown")
 def word(words: tuple[str, ...], number: int) -> str:
     """Return the name of a number; ``unknown`` if it has none, as in another version's messages."""
     return words[number] if 0 <= number < len(words) else "unknown"
+
+
+def expected_effort(taps: float, seconds: float) -> str:
+    """Format the expected effort to a goal, as in "2.2 taps, 5.9 s"; empty if unknown."""
+    if not taps > 0.0:
+        return ""
+    return f"{taps:.1f} taps" + (f", {seconds:.1f} s" if math.isfinite(seconds) else "")
 
 
 def counted(number: int, thing: str) -> str:

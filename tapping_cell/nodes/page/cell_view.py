@@ -25,7 +25,7 @@ from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.report.error_codes import hint
-from tapping_cell.report.words import PHASES, counted
+from tapping_cell.report.words import PHASES, counted, expected_effort
 from tapping_cell.se2 import Pose
 
 SILENCE_LIMIT_S = 1.5
@@ -376,6 +376,7 @@ def planned_row(plan: PlanState) -> dict[str, object] | None:
             shown(1e3 * after.distance_to(goal), 1),
             shown(math.degrees(after.rotation_to(goal)), 1),
         ],
+        "expected": expected_effort(tap.expected_taps, tap.expected_seconds),
         "reason": tap.reason,
         "seconds_left": max(0, round(left)) if plan.state == PlanState.CONFIRMING else None,
     }

@@ -103,8 +103,9 @@ def run_open_trials(
     within = (distance <= settings.tolerance_position) & (
         np.abs(rotation) <= settings.tolerance_angle
     )
-    never, unknown = np.zeros(count, dtype=bool), np.full(count, math.nan)
-    return Results(taps, end, within, distance, rotation, never, unknown)
+    never = np.zeros(count, dtype=bool)
+    seconds = np.asarray(taps * evaluation.mean_tap, dtype=float)
+    return Results(taps, end, within, distance, rotation, never, seconds)
 
 
 def observe_longer(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -44,6 +45,8 @@ class Evaluation:
     probe: begin with a probe of the object (only on a table).
     objective: "taps" or "time"; "time" requires a table and a ``clock``.
     clock: factory of the clock that computes the durations of taps; None does not compute times.
+    mean_tap: mean duration of a tap of the cell's arm, s, with which trials on an open table are
+        timed, because an arm has no place there; NaN does not compute times.
     space: factory of the table, arm and striker for trials with starts and goals all over a table.
         It must be picklable, because every process calls it. None means an open table.
     """
@@ -64,6 +67,7 @@ class Evaluation:
     space: Callable[[], StrikeSpace] | None = None
     objective: str = "taps"
     clock: Callable[[], TapClock] | None = None
+    mean_tap: float = math.nan
 
     def __post_init__(self) -> None:
         """Reject invalid parameters (PlanningError)."""

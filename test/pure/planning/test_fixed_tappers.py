@@ -123,6 +123,24 @@ def test_trials_take_about_the_least_expected_time() -> None:
     assert 0.6 * expected < np.mean(results.seconds) < 1.05 * expected
 
 
+@pytest.mark.parametrize("objective", ["taps", "time"])
+def test_a_tap_has_the_expected_taps_and_seconds_of_the_solution(objective: str) -> None:
+    space = make_fixed_space(CELL, objective=objective)
+    solved = solver()
+    solution = solved.goal(space, PLAN, np.zeros(3)).solution
+    assert solution is not None
+    unit = MEAN_TAP_S if objective == "time" else 1.0
+    ratios = []
+    for pose in ([0.03, 0.02, 0.2], [-0.04, 0.01, -0.1], [0.0, -0.05, 0.5], [0.02, 0.0, 1.0]):
+        strike = FixedTapperSession((0.0, 0.0, 0.0), PLAN, space, solved).decide(pose)
+        assert isinstance(strike, Strike)
+        taps, seconds = strike.expected
+        ratios.append((seconds if objective == "time" else taps) / unit)
+        ratios[-1] /= solution.taps_to_go([pose]).item()
+        assert taps >= 1.0 and seconds > BESIDES_FLIGHT_S * taps
+    assert 0.8 < np.mean(ratios) < 1.2
+
+
 def test_lines_that_are_off_are_learnt_while_tapping() -> None:
     evaluation = FixedEvaluation(
         SPACE, PLAN, trials=12, seed=2, mount_error=(5e-4, math.radians(0.5))

@@ -82,7 +82,7 @@ def test_a_quick_tap_is_quick_by_the_arms_own_way(cell):
     pose, goal = np.zeros(3), np.array([0.01, 0.0, 0.3])
     chosen = []
     for yaw in (0.0, 2.0, -2.0):
-        session = PositioningSession(goal, planner, space, free, times=times)
+        session = PositioningSession(goal, planner, space, free, times=times, objective="time")
         session.arm = (-0.05 * math.cos(yaw), -0.05 * math.sin(yaw), 0.06, yaw)
         strike = session.decide(pose)
         plain = PositioningSession(goal, planner, space, free).decide(pose)
@@ -112,11 +112,37 @@ def test_without_values_or_a_place_of_the_arm_taps_are_counted(cell):
     _, space, free, planner, times = cell
     goal, pose = (0.05, 0.02, 0.3), (0.0, 0.0, 0.0)
     plain = PositioningSession(goal, planner, space, free).decide(pose)
-    assert PositioningSession(goal, planner, space, free, times=times).decide(pose) == plain
+    session = PositioningSession(goal, planner, space, free, times=times, objective="time")
+    assert session.decide(pose).commanded == plain.commanded
     exact = make_planner("exact", planner.settings)
-    session = PositioningSession(goal, exact, space, free, times=times)
+    session = PositioningSession(goal, exact, space, free, times=times, objective="time")
     session.arm = times.parked
     assert session.decide(pose) == PositioningSession(goal, exact, space, free).decide(pose)
+
+
+@pytest.mark.parametrize("goal", [(0.05, 0.02, 0.3), (0.01, 0.0, 0.17), (-0.1, 0.06, -2.0)])
+def test_a_strike_has_the_expected_taps_and_seconds_of_the_policy(cell, goal):
+    _, space, free, planner, times = cell
+    session = PositioningSession(goal, planner, space, free, times=times)
+    session.arm = times.parked
+    strike = session.decide(np.zeros(3))
+    taps = float(planner.taps_to_go(math.hypot(*goal[:2]), goal[2]))
+    if strike.detour:  # another tap than the policy's best one
+        assert strike.expected.taps > taps - 0.03
+    else:
+        assert strike.expected.taps == pytest.approx(taps, abs=0.03)
+    way = times.to_strikes(times.parked, [strike.plan.strike_pose]).item()
+    after = (strike.expected.taps - 1.0) * times.mean_tap
+    assert strike.expected.seconds - after - way == pytest.approx(times.mean_tap - times.mean_way)
+
+
+def test_a_method_without_such_a_value_says_none(cell):
+    _, space, free, planner, times = cell
+    exact = make_planner("exact", planner.settings)
+    strike = PositioningSession((0.05, 0.02, 0.3), exact, space, free, times=times).decide(
+        np.zeros(3)
+    )
+    assert math.isnan(strike.expected.taps) and math.isnan(strike.expected.seconds)
 
 
 def test_time_without_an_arm_is_refused():

@@ -43,11 +43,12 @@ class Planned {
 
   words(tap) {
     const why = tap.reason ? ` Reason for this tap: ${tap.reason}.` : "";
+    const effort = tap.expected ? ` Expected to the goal, this tap included: ${tap.expected}.` : "";
     const [distance, angle] = tap.remaining;
     const [x, y] = tap.to;
     return `The striker at ${tap.speed.toFixed(0)} mm/s moves the object by ${tap.distance.toFixed(1)} \u00b1 ${tap.deviation.toFixed(1)} mm `
       + `and turns it by ${signed(tap.turn)} \u00b1 ${tap.turn_deviation.toFixed(1)}\u00b0, to x ${signed(x)} mm, y ${signed(y)} mm. Then ${distance.toFixed(1)} mm and `
-      + `${signed(angle)}\u00b0 remain to the goal.${why}`;
+      + `${signed(angle)}\u00b0 remain to the goal.${effort}${why}`;
   }
 
   tick() {
