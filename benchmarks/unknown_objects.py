@@ -2,9 +2,10 @@
 
 Ten simulated objects are drawn at random (disks, rings, polygons; friction 0.05 to 0.6, torque
 factor 0.8 to 4; restitution, contact friction and density are also unknown). Each object starts
-with the file that the verb `new-object` makes from its true shape and height. `learn-object` makes
-a new file from the taps of nine goals with learning from taps. Further goals are then run with that
-file and, with the same random numbers, with the true file. The camera is perfect.
+with the file that the verb `new-object` makes from its true shape and height. `learn-object` runs
+nine goals, during which the planner learns from each tap, and makes a new file from these taps.
+Further goals are then run with that file and, with the same random numbers, with the true file. The
+camera is perfect.
 """
 
 from __future__ import annotations

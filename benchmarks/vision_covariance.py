@@ -29,8 +29,8 @@ FUSED = 30
 CASES = {
     "exact files, one frame": (0.0, 0.0, 1),
     f"exact files, {FUSED} frames": (0.0, 0.0, FUSED),
-    "lens off by 0.3 usual deviations": (0.3, 0.0, 1),
-    "lens off by a usual deviation": (1.0, 0.0, 1),
+    "lens off by 0.3 standard deviations": (0.3, 0.0, 1),
+    "lens off by 1 standard deviation": (1.0, 0.0, 1),
     "references misplaced by 0.03 mm": (0.0, 3e-5, 1),
     "both: 0.3 and 0.03 mm": (0.3, 3e-5, 1),
     "both: 1 and 0.1 mm": (1.0, 1e-4, 1),

@@ -45,7 +45,8 @@ def scatter_parts(series: Sequence[tuple[Array, Array]]) -> Parts | None:
             from the scatter.
 
     Returns:
-        The estimate, or None if too few taps or too similar sizes do not determine a floor.
+        The estimate, or None if there are too few taps, or if their sizes are too similar to
+        determine a floor.
     """
     taken = [_known(*pair) for pair in series]
     for deviation, size in taken:

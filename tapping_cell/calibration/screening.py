@@ -134,7 +134,8 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
         if trial.track is not None:
             return _from_track(trial, header, math.inf, math.inf, gravity)
         return _Rejection(
-            "not measured", "neither displacement and rotation nor both poses are given"
+            "not measured",
+            "displacement and rotation, or the poses before and after the tap, are missing",
         )
     spread = _or(trial.displacement_std, math.sqrt(2) * header.rest_position_std)
     turn_spread = _or(trial.rotation_std, math.sqrt(2) * header.rest_rotation_std)

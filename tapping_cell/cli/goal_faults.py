@@ -79,7 +79,7 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
         print(f"{'taken out':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
     results: list[dict[str, object]] = []
     for mutant in chosen:
-        caught = _hunt(mutant, goals, seed, jobs)
+        caught = hunt(mutant, goals, seed, jobs)
         results.append(caught)
         if not as_json:
             found = caught["caught by"] or "SURVIVED"
@@ -94,8 +94,12 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
     return 1 if survived else 0
 
 
-def _hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
-    """Search for a violation with an active mutant, on all cores."""
+def hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
+    """Search for a violation with an active mutant, in ``jobs`` processes at a time.
+
+    Return the mutant's name and finding, the number of goals, and the violated invariant, empty if
+    the mutant was not detected.
+    """
     done = 0
     while done < goals:
         step = min(GOALS_IN_A_STEP, -(-(goals - done) // jobs))

@@ -283,7 +283,8 @@ class MarlinDialect:
                     raise self._restarted()
                 strange += 1
                 if strange > 1:
-                    # Not a garbled digit: the board's line count differs, so it rejects all lines.
+                    # This is not a garbled digit. The board's line count differs from ours, so
+                    # that the board rejects all lines.
                     self._begin_numbers(deadline)
                     self._number += 1
                     number = self._number

@@ -174,7 +174,7 @@ class ArmOptions:
     """Hz."""
     set_up: bool = False
     """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
-    look_early: bool = True
+    withdraw_until_seen: bool = True
     """Whether the arm withdraws only until the camera sees the object, not to the park pose."""
 
 
@@ -277,7 +277,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _scene_of(self, command: TapCommand) -> Scene | None:
         """Return what the camera must see after a tap, or None if it is not known."""
-        if self._camera is None or not self._options.look_early:
+        if self._camera is None or not self._options.withdraw_until_seen:
             return None
         poses = (command.object_pose, command.predicted_pose, command.strike_pose)
         before, predicted, strike = (from_message(pose) for pose in poses)

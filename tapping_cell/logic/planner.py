@@ -536,7 +536,7 @@ class PlannerLogic:
         missing = self._monitor.missing(now)
         if missing is None:
             self._observe_after = now.steady
-            self._enter(Event.CELL_READY, S.LOOKING, now, self._settings.look_deadline)
+            self._enter(Event.CELL_READY, S.LOOKING, now, self._settings.observe_deadline)
             return
         orphan = self._monitor.left_behind()
         if orphan:
@@ -561,11 +561,11 @@ class PlannerLogic:
                 deadline = self._settings.withdraw_deadline
                 self._enter(Event.HIDDEN, S.SETTLING, now, deadline)
             elif self._late(now):
-                self._fail(*self._monitor.blind(self._settings.look_deadline, needed, now), now)
+                self._fail(*self._monitor.blind(self._settings.observe_deadline, needed, now), now)
             return
         if not task.ready:
             # Only the goal's time limit ends this wait.
-            self._deadline = now.steady + self._settings.look_deadline
+            self._deadline = now.steady + self._settings.observe_deadline
             return
         unknown = self.goals.update_free_space(task, self._observe_after, now)
         if unknown is not None:
@@ -781,7 +781,7 @@ class PlannerLogic:
         assert shot is not None
         self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned anew: {why}")
         self._observe_after = now.steady
-        self._enter(Event.TAP_DROPPED, S.LOOKING, now, self._settings.look_deadline)
+        self._enter(Event.TAP_DROPPED, S.LOOKING, now, self._settings.observe_deadline)
 
     def _wait_for_arm(self, task: Task, now: Now) -> None:
         """Wait until the arm has moved the striker to its strike pose."""
@@ -867,7 +867,7 @@ class PlannerLogic:
             shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
             self._observe_after = now.steady
-            self._enter(Event.WITHDRAWN, S.LOOKING, now, self._settings.look_deadline)
+            self._enter(Event.WITHDRAWN, S.LOOKING, now, self._settings.observe_deadline)
             return
         self._check_cell(
             ErrorCode.ARM_TIMEOUT,

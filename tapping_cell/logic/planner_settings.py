@@ -50,7 +50,7 @@ class PlannerSettings:
     ready_deadline: float = quantity(
         "maximum wait for arm, tapper and camera to become ready", "s", 1.0, 3600.0, default=30.0
     )
-    look_deadline: float = quantity(
+    observe_deadline: float = quantity(
         "maximum wait for a measurement of the object at rest", "s", 0.5, 600.0, default=10.0
     )
     place_deadline: float = quantity(

@@ -494,8 +494,8 @@ class TapperLogic(DeviceLogic[State, Event]):
                 )
             )
             return
-        # The promise is counted from the call. The arm handled the call later, so the end of the
-        # promise by the arm's own clock is later, too.
+        # The promise is assumed to begin with the call. The arm handled the call later, so its
+        # promise ends later, too.
         until = self._asked_at + permit.hold(tap.flight)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:

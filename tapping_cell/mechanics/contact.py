@@ -72,7 +72,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     radius = tip if tip > 0 else 1.0
     corner_normal = (points[corner] - centre) / radius
     normal = np.where(by_edge[..., None], -normals[edge], corner_normal)
-    # A ball that starts with the whole body behind it misses.
+    # A ball that has already passed the whole body when it starts does not hit it.
     support = (np.einsum("...i,ji->...j", direction, points)).max(axis=-1) + tip
     hits &= np.einsum("...i,...i->...", start, direction) < support
     normal = np.where(hits[..., None], normal, -direction)

@@ -31,8 +31,8 @@ PAPER_STRIKER_ERROR = (7.5, 7.5, 5.0)
 # The steel shaft in figure 1 of the paper appears to be 10 mm thick and 80 mm long. The Jacobian
 # does not depend on its mass.
 _STRIKER_MASS = 0.05
-# B1 and B3 relative to B2, fitted to the x and theta rows of PAPER_JACOBIAN (residual 4.5 % rms of
-# 0.135 and of 0.0251). B2 is that of a free striker.
+# B1 and B3 relative to B2, fitted to the x and theta rows of PAPER_JACOBIAN. The rms residual is
+# 4.5 % of the scale of each row (0.135 and 0.0251). B2 is that of a free striker.
 _FITTED_B1 = 2.650
 _FITTED_B3 = -0.2686
 

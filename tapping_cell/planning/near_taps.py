@@ -30,7 +30,8 @@ SHARES = np.array([-1.0, -0.5, 0.5, 1.0])
 
 
 class NearTaps(NamedTuple):
-    """Taps in all directions: commanded displacements (n, 3) and expected following taps (n,)."""
+    """Taps in all directions: commanded displacements (n, 3), and the expected number of further
+    taps after each (n,)."""
 
     commanded: Array
     follow: Array

@@ -691,8 +691,11 @@ class PositioningSession(GoalSession):
         return np.asarray(workable & nominal & safe)
 
     def _spread(self, commanded: ArrayLike) -> Spread | None:
-        """Bounds of where displacements (..., 3) may end. Return None, which means the scatter
-        alone, if the session does not learn and therefore trusts the object's file."""
+        """Return bounds of where displacements (..., 3) may end.
+
+        Return None if the session does not learn and therefore trusts the object's file. Only the
+        scatter then limits where they may end.
+        """
         if not self._adapt:
             return None
         scatter, deviations = self.planner.settings.scatter, self._space.settings.footprint

@@ -263,7 +263,8 @@ def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, A
 
 
 def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tuple[Array, Array]:
-    """Weights for hypot(N(mean, along), N(0, aside)).
+    """Return interpolation weights for the expectation over a distance hypot(u, v), with normal
+    distributions u ~ N(mean, along) and v ~ N(0, aside).
 
     The lateral part is represented by nodes of equal probability. The integral over each cell of
     the grid is computed by Gaussian quadrature with three points.

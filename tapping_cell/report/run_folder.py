@@ -112,7 +112,7 @@ def summary(run: Run) -> dict[str, Any]:
         "error_msg": run.error_msg,
         "phases": [[phase.began, phase.name] for phase in run.phases],
         "activities": [[step.began, step.name] for step in run.activities],
-        "troubles": [[t.at, t.source, t.code, t.sentence] for t in run.errors],
+        "errors": [[t.at, t.source, t.code, t.sentence] for t in run.errors],
         "outline_mm": [[1000 * x, 1000 * y] for x, y in run.outline],
         "table_mm": [1000 * size for size in run.table_size],
         "files": run.files,
@@ -320,7 +320,7 @@ def _run(content: dict[str, Any], taps: tuple[TapRow, ...]) -> Run:
         began=math.nan if content["began"] is None else content["began"],
         phases=tuple(Phase(*phase) for phase in content["phases"]),
         activities=tuple(Phase(*step) for step in content.get("activities", ())),
-        errors=tuple(ErrorEvent(*event) for event in content["troubles"]),
+        errors=tuple(ErrorEvent(*event) for event in content["errors"]),
         files=content["files"],
     )
 

@@ -375,7 +375,8 @@ class World:
         self._before = self._after = motion
 
     def _centred(self, pose: Pose) -> Motion:
-        """Return the motion at rest of an object whose frame is at ``pose``."""
+        """Return the state of an object at rest whose frame is at ``pose``; it holds the centre of
+        mass."""
         x, y = self._truth.support.mass_offset
         cos, sin = math.cos(pose.theta), math.sin(pose.theta)
         return Motion(pose.x + cos * x - sin * y, pose.y + sin * x + cos * y, pose.theta)

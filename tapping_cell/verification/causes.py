@@ -46,6 +46,7 @@ LASTING_S = {
     "camera": 8.0,
     "object moved": 2.0,
     "object turned": 2.0,
+    "object creeps": 2.0,
     "emergency stop": 5.0,
     "guard": 4.0,
 }
@@ -92,7 +93,7 @@ DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
 COVERED = "the arm covers the object"
 """Condition that is not a fault but can also explain an error code."""
 SHORT_TIME_LIMIT = "the goal has a short time limit"
-CAMERA = frozenset({"camera", "object moved", "object turned"})
+CAMERA = frozenset({"camera", "object moved", "object turned", "object creeps"})
 
 EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.GOAL_REPLACED: frozenset({"second client", "second node"}),

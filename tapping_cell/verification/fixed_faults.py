@@ -103,6 +103,16 @@ def _out_in_a_freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
     )
 
 
+def _creep(rng: np.random.Generator, trial: FaultTarget) -> Made:
+    """The object is pushed slowly, by less than the distance at which it counts as moved."""
+    way, direction = float(rng.uniform(0.0005, 0.0018)), float(rng.uniform(-np.pi, np.pi))
+    shift = Pose(way * float(np.cos(direction)), way * float(np.sin(direction)), 0.0)
+    lasting = float(rng.uniform(0.2, 1.5))
+    return lambda t: t.move_object(shift, lasting), (
+        f"the object is pushed by {1e3 * way:.1f} mm within {lasting:.2f} s"
+    )
+
+
 def _blocked(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """A striker does not leave its mount when it is released."""
     name, lasting = _any_tapper(rng, trial), float(rng.uniform(1.0, 8.0))
@@ -181,13 +191,14 @@ FIXED_MAKERS: dict[str, Maker] = {
     "striker stays out": _stays_out,
     "striker out in a freeze": _out_in_a_freeze,
     "striker blocked": _blocked,
+    "object creeps": _creep,
 }
 FIXED_AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     *("striker stays out", "striker blocked", "foreign command") * 3,
     *("striker out in a freeze",) * 2,
     *("line at a shot", "cable at a shot", "loss of power") * 2,
-    *("object moved", "foreign withdrawal", "repeated command") * 2,
+    *("object moved", "object creeps", "foreign withdrawal", "repeated command") * 2,
     *("slow topic", "kill", "restart", "deactivate", "cancel", "camera", "emergency stop"),
     *("stop service", "guard", "clock step", "duplicates", "second client", "object turned"),
 )

@@ -28,6 +28,8 @@ class FixedInvariantChecker(InvariantChecker):
 
     unread_until: Callable[[], float] = lambda: -math.inf
     """Time until which the tapper's node may not have read the boards, because of a fault."""
+    _motion_at_check: bool = False
+    """Whether the tapper's last observation showed the object in motion at the last check."""
 
     @property
     def _cell(self) -> PhysicalFixedCell:
@@ -64,8 +66,20 @@ class FixedInvariantChecker(InvariantChecker):
                 f"shot {shot} was released by '{release.tapper}', the command named"
                 f" '{command.tapper}'",
             )
+        if self._motion_at_check:
+            self.violate(
+                "fired at motion it saw",
+                f"shot {shot} was released although the last observation that the tapper had"
+                " received at its last check showed the object in motion",
+            )
         if not release.object_at_rest and not self._recently_moved(release.time):
             self.violate("object in motion", f"shot {shot} was released while the object moved")
+
+    def on_asked(self, process: str, job: str, answer: object | None) -> None:
+        """Process the answer of a machine to a query of its running job."""
+        super(FixedInvariantChecker, self).on_asked(process, job, answer)
+        if process == "tapper_trigger" and job == "fire":
+            self._motion_at_check = self.motion_seen_by_tapper
 
     def _recently_moved(self, time: float) -> bool:
         moved = self.moved_by_hand

@@ -75,7 +75,7 @@ FIXED_MUTANTS: tuple[Mutant, ...] = (
         PEERS,
         "if self._mounts is not None and not seen.at_rest:",
         "if False:",
-        kinds=("foreign command", "object moved", "repeated command"),
+        kinds=("object creeps",),
         fixed=True,
     ),
     Mutant(

@@ -98,6 +98,8 @@ class InvariantChecker:
     message timeout of the camera, and the delay of messages under way."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """Poses of the object that the tapper's process received, each with the time of receipt."""
+    motion_seen_by_tapper: bool = False
+    """Whether the object moved in the last of these observations."""
     taken_by_tapper: dict[int, list[TapCommand]] = field(default_factory=dict)
     """TAP commands that the tapper's process received, by id. If two commands have the same id, the
     tapper may execute only one that it received."""

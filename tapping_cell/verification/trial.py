@@ -936,6 +936,7 @@ class Trial:
                 self.checker.camera_received = now
             if message.visible:
                 self.checker.seen_by_tapper.append((now, from_message(message.pose.pose)))
+                self.checker.motion_seen_by_tapper = not message.at_rest
         if process == "tap_planner" and topic == "object_state" and message.visible:
             self.checker.seen_moving = not message.at_rest
         if process == "scara_arm" and topic == "tapper_state" and message.state in CHARGED:

@@ -17,7 +17,7 @@ from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.se2 import Pose
 
 OTHER = shared_folder() / "objects" / "plain_disk_with_dot.yaml"
-PATIENT = {"other_object_files": OTHER, "look_deadline": 10.0, "place_deadline": 10.0}
+PATIENT = {"other_object_files": OTHER, "observe_deadline": 10.0, "place_deadline": 10.0}
 NAME, RADIUS = "plain disk with dot", 0.048
 START, GOAL = Pose(-0.10, 0.0, 0.0), Pose(0.12, 0.0, 0.3)
 BETWEEN = Pose(0.01, 0.02, 0.0)

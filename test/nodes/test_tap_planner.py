@@ -41,7 +41,7 @@ START = Pose(-0.05, 0.02, 0.2)
 GOAL = Pose(-0.03, 0.02, 0.25)
 FAST = {
     "ready_deadline": 5.0,
-    "look_deadline": 4.0,
+    "observe_deadline": 4.0,
     "place_deadline": 4.0,
     "fire_deadline": 4.0,
     "withdraw_deadline": 4.0,

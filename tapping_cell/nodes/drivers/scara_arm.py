@@ -52,7 +52,7 @@ class Parameters:
         "only while an enabling device is held",
         default=False,
     )
-    look_early: bool = text(
+    withdraw_until_seen: bool = text(
         "after a tap, withdraw only until the camera sees the object; if false, to the park pose",
         default=True,
     )
@@ -172,7 +172,7 @@ def make_logic(parameters: Parameters) -> ArmLogic:
             parameters.home_on_activate,
             parameters.state_rate,
             parameters.set_up,
-            parameters.look_early,
+            parameters.withdraw_until_seen,
         )
     )
 

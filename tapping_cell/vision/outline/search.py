@@ -418,7 +418,9 @@ def turn_by_dot(
         )
     away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius
     if away.any() and contrast[away].max() > 0.6 * contrast[best]:
-        return Refused(TWO_DOTS, "two dots are seen instead of one, so its angle is unknown")
+        return Refused(
+            TWO_DOTS, "two dots are seen instead of one, so the object's angle is unknown"
+        )
     return np.asarray(poses[best])
 
 

@@ -99,8 +99,8 @@ class TableTracker:
         disturbed = self._disturbed(rays, rows)
         known = (self._seen[rows] > 0) & ~self._moved_markers[rows]
         apart = int((disturbed & known).sum())
-        # A single disturbed marker, if there are others to compare it with, was itself moved or is
-        # partly occluded.
+        # If other markers are seen too, a single disturbed marker does not mean that the camera has
+        # moved, because that marker itself was moved or is partly occluded.
         moving = apart >= min(2, len(self.ids) - 1) and 2 * apart >= known.sum() > 0
         if self.pose is not None and (moving or self._too_many_moved(rows, disturbed)):
             self._suspects += 1
