@@ -17,7 +17,12 @@ from tapping_cell.report.arrangement_run import (
     ArrangementRun,
     moves_of,
 )
-from tapping_cell.report.page_style import cards_section, document, failure_section
+from tapping_cell.report.page_style import (
+    cards_section,
+    document,
+    failure_section,
+    scrolling_table,
+)
 from tapping_cell.report.palette import INK, SERIES, TABLE
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.run import Picture
@@ -185,7 +190,7 @@ def _objects(run: ArrangementRun) -> str:
         )
         for number, one in enumerate(run.objects)
     ]
-    return f"<section><h2>Objects</h2>{_table(head, rows)}</section>"
+    return f"<section><h2>Objects</h2>{_table('Objects', head, rows)}</section>"
 
 
 def _order(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
@@ -246,15 +251,15 @@ def _taps(run: ArrangementRun) -> str:
         )
         for tap in run.taps
     ]
-    return f"<section><h2>Taps</h2>{_table(head, rows)}</section>"
+    return f"<section><h2>Taps</h2>{_table('Taps', head, rows)}</section>"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _table(name: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     titles = "".join(f"<th>{escape(title)}</th>" for title in head)
     lines = "".join(
         "<tr>" + "".join(f"<td>{_unbroken(text)}</td>" for text in row) + "</tr>" for row in rows
     )
-    return f'<div class="scroll"><table class="wide"><tr>{titles}</tr>{lines}</table></div>'
+    return scrolling_table(name, f"<tr>{titles}</tr>{lines}")
 
 
 def _unbroken(text: str) -> str:

@@ -22,7 +22,12 @@ from tapping_cell.report.activities import (
     WITHDRAWS,
 )
 from tapping_cell.report.animation import TAP_S, animation
-from tapping_cell.report.page_style import cards_section, document, failure_section
+from tapping_cell.report.page_style import (
+    cards_section,
+    document,
+    failure_section,
+    scrolling_table,
+)
 from tapping_cell.report.palette import (
     CONFIRMING,
     GOAL,
@@ -405,10 +410,10 @@ def _errors(run: Run) -> str:
         f"<td>{escape(event.sentence)}<br><small>{escape(error_codes.hint(event.code))}</small></td></tr>"
         for event in run.errors
     )
+    head = "<tr><th>when</th><th>topic</th><th>code</th><th>problem and remedy</th></tr>"
     return (
-        "<section><h2>Warnings and errors</h2><div class='scroll'><table class='wide'>"
-        "<tr><th>when</th><th>topic</th><th>code</th><th>problem and remedy</th></tr>"
-        f"{rows}</table></div></section>"
+        "<section><h2>Warnings and errors</h2>"
+        f"{scrolling_table('Warnings and errors', head + rows)}</section>"
     )
 
 
