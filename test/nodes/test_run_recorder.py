@@ -233,6 +233,8 @@ def test_an_arrangement_is_one_run_with_its_objects_taps_and_contacts(tmp_path: 
         both.contacts.publish(fake.stamp(ObjectContact(object_id="disk", other_id="bar")))
         both.see(**goals)
         time.sleep(0.2)
+        # The last states of the planner are received together with the end of the arrangement.
+        fake.plan(fake.goal(goals["bar"]), PlanState.PLANNING, taps=2)
         both.report(False, taps=2, **goals)
         fake.report(fake.goal(goals["bar"]), taps=2, records=records)
         fake.plan(fake.goal(goals["bar"]), PlanState.REACHED, taps=2)

@@ -390,6 +390,7 @@ class RunRecorder(CellNode[Parameters]):
         if self._arranging and self._ends_at is None:
             self._planner_received = time.monotonic()
             if not report.active:
+                self._end = PlanState(header=report.header)
                 self._ends_at = time.monotonic() + TAIL_S
         elif report.active:
             self._conclude(pictures=True)
