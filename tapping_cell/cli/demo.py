@@ -140,7 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
     nodes = nodes_of(cell, hardware=False)
     if scene is None:
-        # The recorder supports only one object.
+        # The demo writes the report of an arrangement itself, from the action and the ground truth.
         nodes = (*nodes, RECORDER)
     try:
         with (

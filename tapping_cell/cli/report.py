@@ -3,7 +3,8 @@
 A run is a folder written by the recorder or the demo, or only the bag of a run. For each run
 folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its bag. If the bag is
 missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For an
-arrangement of several objects, report.html is rebuilt from arrangement.json. For several runs, a
+arrangement of several objects, arrangement.json and report.html are rebuilt from its bag, or if
+that is missing, report.html from arrangement.json. For several runs, a
 page comparison.html is also written.
 
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
@@ -25,7 +26,9 @@ from rich.progress import track
 from rich.table import Table
 
 from tapping_cell.cli.errors import print_error
+from tapping_cell.report.arrangement_folder import write_arrangement_folder
 from tapping_cell.report.arrangement_page import write_page
+from tapping_cell.report.arrangement_reader import holds_arrangement
 from tapping_cell.report.arrangement_run import SUMMARY as ARRANGEMENT
 from tapping_cell.report.arrangement_run import read_arrangement
 from tapping_cell.report.bag import BagError
@@ -74,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             console.print(f"{path} is not a run: skipped", highlight=False, markup=False)
             continue
         try:
-            if (path / ARRANGEMENT).exists():
+            if is_arrangement(path):
                 arranged.append(write_arrangement(path, None if several else arguments.output))
                 continue
             reports.append(write_report(path, None if several else arguments.output))
@@ -110,6 +113,18 @@ def no_run(path: Path) -> bool:
     return path.is_dir() and not holds_run
 
 
+def is_arrangement(path: Path) -> bool:
+    """Return whether a run is an arrangement of several objects.
+
+    Raises:
+        BagError: the bag is unreadable.
+    """
+    if (path / ARRANGEMENT).exists() or (path / SUMMARY).exists():
+        return (path / ARRANGEMENT).exists()
+    bag = path / BAG if (path / BAG).is_dir() else path
+    return bag.exists() and holds_arrangement(bag)
+
+
 def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
     """Rewrite the files of one run. Return the run and the folder of the files.
 
@@ -139,14 +154,18 @@ def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
 
 
 def write_arrangement(path: Path, output: Path | None) -> Path:
-    """Rewrite the page of an arrangement of several objects. Return its path.
+    """Rewrite the files of an arrangement of several objects. Return the path of its page.
 
     Raises:
-        RunError, OSError: the arrangement is unreadable, or the page cannot be written.
+        BagError, RunError, OSError: the arrangement is unreadable, or a file cannot be written.
     """
-    folder = output or path
+    is_folder = path.is_dir() and not any(path.glob("*.mcap"))
+    folder = output or (path if is_folder else path.parent)
     folder.mkdir(parents=True, exist_ok=True)
-    return write_page(read_arrangement(path), folder)
+    if is_folder and not (path / BAG).is_dir():
+        return write_page(read_arrangement(path), folder)
+    write_arrangement_folder(folder, source=path / BAG if is_folder else path)
+    return folder / PAGE
 
 
 def compare(reports: list[tuple[Run, Path]], folder: Path) -> Path:

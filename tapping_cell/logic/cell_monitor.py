@@ -273,16 +273,15 @@ class CellMonitor:
                 "file and other_object_files as tap_planner",
             )
         if seen.error_code:
-            text = str(seen.error_msg)
-            return int(seen.error_code), f"{name}: {text}" if self._watched else text
+            text = f"{name}: {seen.error_msg}" if self._watched else str(seen.error_msg)
+            if seen.error_code == ErrorCode.OBJECT_NOT_SEEN and not seen.visible:
+                text += self._hidden_place()
+            return int(seen.error_code), text
         if not seen.visible:
-            covers = self.arm is not None and not self.arm.clear_of_camera
-            way = (
-                "the arm was not withdrawn and may cover it: home the arm, or uncover the marker"
-                if covers
-                else "uncover the marker"
+            return (
+                ErrorCode.OBJECT_NOT_SEEN,
+                f"{name} is not seen; uncover the marker{self._hidden_place()}",
             )
-            return ErrorCode.OBJECT_NOT_SEEN, f"{name} is not seen; {way}"
         age = now.steady - self.observed_at(now)
         if age > self._silence_limit:
             return (
@@ -301,6 +300,22 @@ class CellMonitor:
             ErrorCode.OBJECT_NOT_AT_REST,
             f"{name} was not at rest within {waited:.0f} s; make sure that nothing moves it, "
             "then send the goal again",
+        )
+
+    def _hidden_place(self) -> str:
+        """Return, as the end of a sentence, which part of the table the arm hides; empty without an
+        arm."""
+        if not self.has_arm or self.arm is None:
+            return ""
+        if not self.arm.clear_of_camera:
+            return "; the arm was not withdrawn and may cover it: home the arm"
+        tip = self.tip
+        if tip is None:
+            return "; if the arm covers it, home the arm"
+        return (
+            "; the arm has withdrawn and hides only what lies under it (its tool is at"
+            f" x {1000 * tip[0]:.0f} mm, y {1000 * tip[1]:.0f} mm): if the object lies there, move"
+            " it to a visible place, then send the goal again"
         )
 
     def _silence(self, name: str, now: Now) -> str:

@@ -1021,10 +1021,11 @@ class PlannerLogic:
             for name in REMEMBERED:
                 setattr(state, name, getattr(self.last, name))
         self.last = state
-        self._effects.append(Publish("plan_state", state))
         if isinstance(task, ArrangementTask) and draw:
+            # Published first, so that a recorder knows that the goal belongs to an arrangement.
             active = self.state not in FINAL
             self._effects.append(Publish("arrangement_state", task.report(now, active)))
+        self._effects.append(Publish("plan_state", state))
         if task is not None and self.state in FINAL and state.planner != PRESCRIBED:
             self._effects.append(Publish("goal_report", _final_report(state, task)))
         if draw:

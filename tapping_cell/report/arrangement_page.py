@@ -17,8 +17,15 @@ from tapping_cell.report.arrangement_run import (
     ArrangementRun,
     moves_of,
 )
-from tapping_cell.report.page_style import cards_section, document, failure_section
+from tapping_cell.report.page_style import (
+    cards_section,
+    document,
+    failure_section,
+    scrolling_table,
+)
 from tapping_cell.report.palette import INK, SERIES, TABLE
+from tapping_cell.report.photograph import photograph
+from tapping_cell.report.run import Picture
 from tapping_cell.report.run_folder import PAGE
 from tapping_cell.report.svg import Plan
 from tapping_cell.report.words import counted
@@ -28,21 +35,24 @@ REACHED = "reached"
 _MARGIN_MM = 12.0
 
 
-def write_page(run: ArrangementRun, folder: Path) -> Path:
-    """Write ``report.html`` to the folder; return its path."""
+def write_page(run: ArrangementRun, folder: Path, pictures: Sequence[Picture] = ()) -> Path:
+    """Write ``report.html`` to the folder; return its path. ``pictures``: see :func:`page`."""
     path = folder / PAGE
-    path.write_text(page(run), encoding="utf-8")
+    path.write_text(page(run, pictures), encoding="utf-8")
     return path
 
 
-def page(run: ArrangementRun) -> str:
-    """Return the page of an arrangement, which loads no other files."""
+def page(run: ArrangementRun, pictures: Sequence[Picture] = ()) -> str:
+    """Return the page of an arrangement, which loads no other files.
+
+    ``pictures``: camera images in the order of time; those before, between and after are shown.
+    """
     moves = moves_of(run)
     parts = [
         _head(run),
         failure_section(run.error_code, run.error_msg),
         _cards(run, moves),
-        _scenes(run, moves),
+        _scenes(run, moves, pictures),
         _objects(run),
         _order(run, moves),
         _taps(run),
@@ -96,20 +106,29 @@ def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
     return cards_section(cards)
 
 
-def _scenes(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
-    """Draw the table before the first move, half-way and at the end."""
+def _scenes(run: ArrangementRun, moves: Sequence[ArrangedMove], pictures: Sequence[Picture]) -> str:
+    """Show the table before the first move, half-way and at the end."""
     start = {one.name: one.start for one in run.objects if one.start is not None}
     end = {one.name: one.end for one in run.objects if one.end is not None}
-    pictures = [("before", _plan(run, start))]
+    scenes: list[tuple[str, Plan, float | None]] = [("before", _plan(run, start), 0.0)]
     if len(moves) > 1:
         middle = moves[(len(moves) - 1) // 2]
-        done = middle.taps[-1].number
-        pictures.append((f"after {counted(done, 'tap')}", _plan(run, middle.after)))
-    pictures.append((f"at the end, after {counted(len(run.taps), 'tap')}", _plan(run, end)))
+        done = middle.taps[-1]
+        words = f"after {counted(done.number, 'tap')}"
+        scenes.append((words, _plan(run, middle.after), done.at_rest_at))
+    words = f"at the end, after {counted(len(run.taps), 'tap')}"
+    scenes.append((words, _plan(run, end), math.inf))
     figures = "".join(
         f"<figure>{plan.drawing(f'the table {words}')}<figcaption>{words}</figcaption></figure>"
-        for words, plan in pictures
+        for words, plan, _ in scenes
     )
+    photographs = "".join(
+        photograph(_nearest(pictures, at), f"camera image {words}")
+        for words, _, at in scenes
+        if pictures and at is not None
+    )
+    if photographs:
+        photographs = f'<div class="three">{photographs}</div>'
     legend = " ".join(
         f'<span class="key"><i style="background:{_colour(number)}"></i>{number + 1} '
         f"{escape(one.name)}</span>"
@@ -117,8 +136,13 @@ def _scenes(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
     )
     return (
         f'<section><h2>Before, between and after</h2><div class="three">{figures}</div>'
-        f"<p>{legend} Dashed: goals.</p></section>"
+        f"<p>{legend} Dashed: goals.</p>{photographs}</section>"
     )
+
+
+def _nearest(pictures: Sequence[Picture], at: float) -> Picture:
+    """Return the first image after a time (s since the beginning), else the last image."""
+    return next((each for each in pictures if each.at >= at), pictures[-1])
 
 
 def _plan(run: ArrangementRun, poses: Mapping[str, Pose], moved: str = "") -> Plan:
@@ -166,7 +190,7 @@ def _objects(run: ArrangementRun) -> str:
         )
         for number, one in enumerate(run.objects)
     ]
-    return f"<section><h2>Objects</h2>{_table(head, rows)}</section>"
+    return f"<section><h2>Objects</h2>{_table('Objects', head, rows)}</section>"
 
 
 def _order(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
@@ -227,15 +251,15 @@ def _taps(run: ArrangementRun) -> str:
         )
         for tap in run.taps
     ]
-    return f"<section><h2>Taps</h2>{_table(head, rows)}</section>"
+    return f"<section><h2>Taps</h2>{_table('Taps', head, rows)}</section>"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _table(name: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     titles = "".join(f"<th>{escape(title)}</th>" for title in head)
     lines = "".join(
         "<tr>" + "".join(f"<td>{_unbroken(text)}</td>" for text in row) + "</tr>" for row in rows
     )
-    return f'<div class="scroll"><table class="wide"><tr>{titles}</tr>{lines}</table></div>'
+    return scrolling_table(name, f"<tr>{titles}</tr>{lines}")
 
 
 def _unbroken(text: str) -> str:

@@ -41,6 +41,7 @@ class ArrangedTap:
 
     ``measured`` is None if the object was not seen afterwards. ``purpose``: why this object was
     tapped now; ``reason``: why the tap was not the planner's first choice. Both may be empty.
+    ``at_rest_at``: s since the beginning, when the object was at rest again; None if unknown.
     """
 
     number: int
@@ -53,6 +54,7 @@ class ArrangedTap:
     outcome: str
     purpose: str
     reason: str
+    at_rest_at: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

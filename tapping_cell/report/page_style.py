@@ -112,3 +112,14 @@ def cards_section(cards: Iterable[tuple[str, str, str]]) -> str:
         )
         + "</section>"
     )
+
+
+def scrolling_table(name: str, content: str, kind: str = "wide") -> str:
+    """Return a table that scrolls where it is wider than the screen, also by the keyboard.
+
+    ``name``: what the table shows, for screen readers. ``content``: rows; ``kind``: style classes.
+    """
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(name)}">'
+        f'<table class="{kind}">{content}</table></div>'
+    )

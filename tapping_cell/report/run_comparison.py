@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from statistics import fmean
 
-from tapping_cell.report.page_style import document
+from tapping_cell.report.page_style import document, scrolling_table
 from tapping_cell.report.palette import SERIES
 from tapping_cell.report.run import Run
 from tapping_cell.report.svg import chart
@@ -163,10 +163,8 @@ def _table(rows: Sequence[Row], links: Sequence[str]) -> str:
             _cell(row.time, f"{row.time:.1f} s"),
         )
         lines.append(f"<tr>{''.join(cells)}</tr>")
-    return (
-        f'<div class="scroll"><table class="wide sorts"><thead><tr>{head}</tr></thead>'
-        f"<tbody>{''.join(lines)}</tbody></table></div><script>{_SORTING}</script>"
-    )
+    content = f"<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody>"
+    return f"{scrolling_table('Runs', content, 'wide sorts')}<script>{_SORTING}</script>"
 
 
 def _cell(value: float, text: str) -> str:
@@ -187,7 +185,7 @@ def _groups(groups: Sequence[Group]) -> str:
         f"<td>{_number(group.time, 1, ' s')}</td></tr>"
         for group in groups
     ]
-    return f'<div class="scroll"><table class="wide">{head}{"".join(lines)}</table></div>'
+    return scrolling_table("Groups of runs", head + "".join(lines))
 
 
 def _charts(runs: Sequence[Run]) -> str:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from datetime import datetime
 from html import escape
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from tapping_cell.report import error_codes
@@ -24,7 +22,12 @@ from tapping_cell.report.activities import (
     WITHDRAWS,
 )
 from tapping_cell.report.animation import TAP_S, animation
-from tapping_cell.report.page_style import cards_section, document, failure_section
+from tapping_cell.report.page_style import (
+    cards_section,
+    document,
+    failure_section,
+    scrolling_table,
+)
 from tapping_cell.report.palette import (
     CONFIRMING,
     GOAL,
@@ -39,6 +42,7 @@ from tapping_cell.report.palette import (
     WAITING,
     WITHDRAWING,
 )
+from tapping_cell.report.photograph import photograph
 from tapping_cell.report.run import (
     CANCELED,
     FAILED,
@@ -55,7 +59,6 @@ from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.report.words import counted
 from tapping_cell.se2 import Array, Pose
 
-PICTURE_WIDTH = 720
 SHORTEST_SHOWN_S = 0.05
 _HEADLINES = {
     NOT_TRULY_REACHED: "Measured at the goal, but not truly there",
@@ -94,7 +97,7 @@ def page(illustrated: IllustratedRun) -> str:
         _figures(run),
         '<section class="two">',
         f"<figure>{overview(run)}<figcaption>{_legend(run)}</figcaption></figure>",
-        _picture(illustrated.pictures[-1], "the last image") if illustrated.pictures else "",
+        photograph(illustrated.pictures[-1], "the last image") if illustrated.pictures else "",
         "</section>",
         _film(run),
         _charts(run),
@@ -289,7 +292,7 @@ def _timeline(run: Run) -> str:
 
 def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
     before = [picture for picture in pictures if picture.at <= tap.commanded_at]
-    photo = _picture(before[-1], f"the image before tap {tap.number}") if before else ""
+    photo = photograph(before[-1], f"the image before tap {tap.number}") if before else ""
     missed = 1000 * tap.predicted.distance_to(tap.measured)
     turned = math.degrees(tap.predicted.rotation_to(tap.measured))
     gate = (
@@ -398,24 +401,6 @@ def _to_go(pose: Pose, goal: Pose) -> str:
     return f"{1000 * pose.distance_to(goal):.2f} mm, {turn:+.2f} deg"
 
 
-def _picture(picture: Picture, caption: str) -> str:
-    """Embed a photograph in the page, downscaled to at most ``PICTURE_WIDTH`` pixels."""
-    data = picture.jpeg
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        return ""
-    if image.shape[1] > PICTURE_WIDTH:
-        size = (PICTURE_WIDTH, round(image.shape[0] * PICTURE_WIDTH / image.shape[1]))
-        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        coded, jpeg = cv2.imencode(".jpg", small, (cv2.IMWRITE_JPEG_QUALITY, 82))
-        data = jpeg.tobytes() if coded else data
-    code = base64.b64encode(data).decode()
-    return (
-        f'<figure><img alt="{escape(caption)}" src="data:image/jpeg;base64,{code}">'
-        f"<figcaption>{escape(caption)}, at {picture.at:.1f} s</figcaption></figure>"
-    )
-
-
 def _errors(run: Run) -> str:
     if not run.errors:
         return ""
@@ -425,10 +410,10 @@ def _errors(run: Run) -> str:
         f"<td>{escape(event.sentence)}<br><small>{escape(error_codes.hint(event.code))}</small></td></tr>"
         for event in run.errors
     )
+    head = "<tr><th>when</th><th>topic</th><th>code</th><th>problem and remedy</th></tr>"
     return (
-        "<section><h2>Warnings and errors</h2><div class='scroll'><table class='wide'>"
-        "<tr><th>when</th><th>topic</th><th>code</th><th>problem and remedy</th></tr>"
-        f"{rows}</table></div></section>"
+        "<section><h2>Warnings and errors</h2>"
+        f"{scrolling_table('Warnings and errors', head + rows)}</section>"
     )
 
 

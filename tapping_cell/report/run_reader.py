@@ -13,6 +13,8 @@ from typing import Any
 from tapping_cell.report import error_codes
 from tapping_cell.report.activities import activities
 from tapping_cell.report.bag import Bag, BagError, read_bag
+from tapping_cell.report.message_values import pose_of as _pose
+from tapping_cell.report.message_values import seconds_of as _seconds
 from tapping_cell.report.run import (
     CANCELED,
     FAILED,
@@ -75,7 +77,7 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     """
     reports = [message for _, message in bag.of("goal_report")]
     plans = [message for _, message in bag.of("plan_state")]
-    notes = _notes(bag)
+    notes = notes_of(bag)
     report = _own_report(reports, notes)
     own = [
         plan for plan in plans if plan.goal.header.frame_id and plan.state in range(1, len(PHASES))
@@ -96,7 +98,7 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     ended = _seconds(last.header.stamp)
     states = [(_seconds(m.header.stamp), m) for _, m in bag.of("object_state")]
     truths = [(_seconds(m.header.stamp), _pose(m.pose)) for _, m in bag.of("ground_truth")]
-    records = report.records if report is not None else _records(mine)
+    records = report.records if report is not None else records_of(mine)
     seen = [(at, m) for at, m in states if m.visible and m.at_rest and not m.error_code]
     after = [(at, m) for at, m in seen if at <= ended + _TRUTH_WITHIN_S]
     final = after[-1] if after else None
@@ -142,7 +144,7 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     return IllustratedRun(run, pictures)
 
 
-def _notes(bag: Bag) -> dict[str, Any]:
+def notes_of(bag: Bag) -> dict[str, Any]:
     """Return the recorder's own notes; empty for a bag of another recorder."""
     found: dict[str, Any] = {}
     for _, message in bag.of(NOTES):
@@ -166,7 +168,7 @@ def _same_goal(one: Any, other: Any) -> bool:
     return bool(one.header == other.header and one.pose == other.pose)
 
 
-def _records(plans: list[Any]) -> list[Any]:
+def records_of(plans: list[Any]) -> list[Any]:
     """Collect the finished taps from the individual states of the planner."""
     by_id = {plan.last_tap.tap_id: plan.last_tap for plan in plans if plan.last_tap.tap_id}
     return sorted(by_id.values(), key=lambda record: int(record.number))
@@ -295,10 +297,6 @@ def _errors(bag: Bag, began: float, ended: float) -> tuple[ErrorEvent, ...]:
     return tuple(sorted(found, key=lambda event: event.at))
 
 
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
-
-
 def _finite(value: float) -> float:
     """Return a tolerance, or 0 for a rejected request with a tolerance that is not finite."""
     return float(value) if math.isfinite(value) else 0.0
@@ -307,10 +305,3 @@ def _finite(value: float) -> float:
 def _is_pose(pose: Any) -> bool:
     values = (pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w)
     return all(math.isfinite(value) for value in values)
-
-
-def _pose(pose: Any) -> Pose:
-    """Return the planar part of a ROS pose."""
-    q = pose.orientation
-    theta = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
-    return Pose(float(pose.position.x), float(pose.position.y), theta)

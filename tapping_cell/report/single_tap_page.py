@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 
 from tapping_cell.report import single_tap_figures as figures
-from tapping_cell.report.page_style import document
+from tapping_cell.report.page_style import document, scrolling_table
 from tapping_cell.report.single_tap import Parameter, RunError, SingleTapReport
 
 PAGE = "report.html"
@@ -72,7 +72,7 @@ def _list(entries: Iterable[str]) -> str:
     return "<ul>" + "".join(f"<li>{escape(entry)}</li>" for entry in entries) + "</ul>"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _table(name: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     titles = "".join(
         f'<th class="{"" if i == 0 else "number"}">{escape(title)}</th>'
         for i, title in enumerate(head)
@@ -86,7 +86,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
         + "</tr>"
         for row in rows
     )
-    return f'<div class="scroll"><table class="wide"><tr>{titles}</tr>{lines}</table></div>'
+    return scrolling_table(name, f"<tr>{titles}</tr>{lines}")
 
 
 def _values(parameters: Sequence[Parameter]) -> str:
@@ -104,7 +104,7 @@ def _values(parameters: Sequence[Parameter]) -> str:
                 _number(change, "+.1f", " %"),
             )
         )
-    return _table(("", "old", "fitted", "95 % interval", "change"), rows)
+    return _table("Parameters", ("", "old", "fitted", "95 % interval", "change"), rows)
 
 
 def _errors(runs: Sequence[RunError]) -> str:
@@ -134,7 +134,7 @@ def _errors(runs: Sequence[RunError]) -> str:
         )
         for run in runs
     )
-    return _table(head, rows)
+    return _table("Prediction errors", head, rows)
 
 
 def _facts(report: SingleTapReport) -> str:

@@ -22,6 +22,9 @@ PHASES = (
 OUTCOMES = ("none", "fired", "not fired", "unknown")
 """Names of the outcomes of ``tapping_cell_msgs/TapperState``, by number."""
 
+PROGRESS = ("waiting", "being tapped", "making way", "reached", "not reached")
+"""Names of the states of ``tapping_cell_msgs/ObjectProgress``, by number."""
+
 
 def word(words: tuple[str, ...], number: int) -> str:
     """Return the name of a number; ``unknown`` if it has none, as in another version's messages."""

@@ -19,13 +19,26 @@ from geometry_msgs.msg import PoseStamped
 from harness import Bench, bench
 from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header, String
-from tapping_cell_msgs.msg import ArmState, ErrorCode, GoalReport, ObjectState, PlanState, TapRecord
+from tapping_cell_msgs.msg import (
+    ArmState,
+    ArrangementState,
+    ErrorCode,
+    GoalReport,
+    ObjectContact,
+    ObjectProgress,
+    ObjectState,
+    ObjectStates,
+    PlanState,
+    TapRecord,
+)
 
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import to_message
+from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.recorder import run_recorder
 from tapping_cell.nodes.recorder.run_recorder import RunRecorder
+from tapping_cell.report.arrangement_run import read_arrangement
 from tapping_cell.report.bag import read_bag
 from tapping_cell.report.run import Run
 from tapping_cell.report.run_folder import read_run
@@ -154,6 +167,102 @@ def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> No
     assert (folder / "cell.png").stat().st_size > 10_000
     assert "Goal reached in 1 tap" in (folder / "report.html").read_text()
     assert "cell.yaml" in json.dumps(json.loads((folder / "summary.json").read_text())["files"])
+
+
+PLACES = {"disk": (Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)), "bar": (START, Pose(0.0, 0.1, 0.0))}
+
+
+class FakeArrangement:
+    """Publishes as the planner, the camera and the simulated world do in an arrangement."""
+
+    def __init__(self, fake: FakeCell) -> None:
+        self.fake = fake
+        create = fake.node.create_publisher
+        self.progress = create(ArrangementState, "arrangement_state", LATCHED)
+        self.states = create(ObjectStates, "object_states", LATCHED)
+        self.truths = create(ObjectStates, "true_states", 10)
+        self.contacts = create(ObjectContact, "true_contacts", 10)
+        listened = (self.progress, self.states, self.truths, self.contacts)
+        fake.bench.wait(
+            lambda: all(topic.get_subscription_count() == 1 for topic in listened),
+            "the recorder listens to the topics of several objects",
+        )
+
+    def see(self, **poses: Pose) -> None:
+        message = self.fake.stamp(ObjectStates())
+        for name, pose in poses.items():
+            one = self.fake.stamp(ObjectState(object_id=name, visible=True, at_rest=True))
+            one.pose.pose = to_message(pose)
+            message.objects.append(one)
+        self.states.publish(message)
+        self.truths.publish(message)
+
+    def report(self, active: bool, taps: int = 0, code: int = 0, **poses: Pose) -> None:
+        state = self.fake.stamp(ArrangementState(active=active, taps=taps, error_code=code))
+        for name, pose in poses.items():
+            done = ObjectProgress.REACHED if not active and not code else ObjectProgress.ACTIVE
+            one = ObjectProgress(object_id=name, state=done, has_goal=True, taps=1)
+            one.goal_pose, one.pose.pose = to_message(PLACES[name][1]), to_message(pose)
+            one.pose.covariance[0] = 1e-9
+            state.objects.append(one)
+        self.progress.publish(state)
+
+
+def test_an_arrangement_is_one_run_with_its_objects_taps_and_contacts(tmp_path: Path) -> None:
+    """Every move is a goal of the planner, but the whole arrangement is one folder."""
+    with cell(tmp_path, pictures=True) as fake:
+        both = FakeArrangement(fake)
+        starts = {name: start for name, (start, _) in PLACES.items()}
+        goals = {name: goal for name, (_, goal) in PLACES.items()}
+        both.see(**starts)
+        time.sleep(0.2)
+        both.report(True, **starts)
+        fake.plan(fake.goal(goals["disk"]), PlanState.PLACING)
+        records = []
+        for number, (name, (start, goal)) in enumerate(PLACES.items(), start=1):
+            plan = PlanState(state=PlanState.PLACING, goal=fake.goal(goal), planner="optimal")
+            plan.planned_tap.tap_id = number
+            plan.planned_tap.reason = f"'{name}' goes to its goal: its goal is free"
+            fake.plans.publish(fake.stamp(plan))
+            record = TapRecord(tap_id=number, number=number, object_id=name)
+            record.object_pose = to_message(start)
+            record.predicted_pose = record.measured_pose.pose = to_message(goal)
+            record.at_rest_at = fake.node.get_clock().now().to_msg()
+            records.append(record)
+            time.sleep(0.2)
+        both.contacts.publish(fake.stamp(ObjectContact(object_id="disk", other_id="bar")))
+        both.see(**goals)
+        time.sleep(0.2)
+        # The last states of the planner are received together with the end of the arrangement.
+        fake.plan(fake.goal(goals["bar"]), PlanState.PLANNING, taps=2)
+        both.report(False, taps=2, **goals)
+        fake.report(fake.goal(goals["bar"]), taps=2, records=records)
+        fake.plan(fake.goal(goals["bar"]), PlanState.REACHED, taps=2)
+        fake.bench.wait(lambda: len(fake.runs) >= 1, "the arrangement is recorded")
+        folder = Path(fake.runs[0].data)
+        # The goal after it has its own folder again.
+        fake.follow(fake.goal(Pose(0.03, 0.0, 0.0)))
+        fake.bench.wait(lambda: len(fake.runs) >= 2, "the next goal is recorded")
+    assert folder.name.endswith("arrange_2_objects")
+    assert len(list((tmp_path / "runs").iterdir())) == 2
+    run = read_arrangement(folder)
+    known = {one.name: one for one in run.objects}
+    for name, (start, goal) in PLACES.items():
+        one = known[name]
+        assert one.start is not None and one.start.distance_to(start) < 1e-9
+        assert one.goal is not None and one.goal.distance_to(goal) < 1e-9
+        assert one.end is not None and one.end_true is not None and one.outcome == "reached"
+        assert one.end.distance_to(goal) < 1e-9 and one.end_true.distance_to(goal) < 1e-9
+    assert [(tap.name, tap.purpose) for tap in run.taps] == [
+        (name, f"'{name}' goes to its goal: its goal is free") for name in PLACES
+    ]
+    assert run.contacts == (("disk", "bar"),) and run.error_code == 0
+    assert "Arrangement reached: 2 objects, 2 taps" in (folder / "report.html").read_text()
+    rows = {str(row["name"]): row for row in Runs(tmp_path / "runs").rows()}
+    row = rows[folder.name]
+    assert (row["objects"], row["taps"], row["outcome"], row["report"]) == (2, 2, "reached", True)
+    (other,) = (row for name, row in rows.items() if name != folder.name)
+    assert other["goal"] == [30.0, 0.0, 0.0]
 
 
 def test_a_report_is_made_when_the_topics_are_remapped(tmp_path: Path) -> None:

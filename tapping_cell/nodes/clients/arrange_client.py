@@ -18,24 +18,16 @@ from tapping_cell_msgs.msg import (
     ObjectStates,
     PlanState,
     TapperState,
-    TapRecord,
 )
 
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
 from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.report.arrangement_reader import arranged_tap
 from tapping_cell.report.arrangement_run import ArrangedTap
-from tapping_cell.report.words import OUTCOMES, word
+from tapping_cell.report.words import PROGRESS, word
 from tapping_cell.se2 import Pose
-
-STATES = {
-    ObjectProgress.WAITING: "waiting",
-    ObjectProgress.ACTIVE: "being tapped",
-    ObjectProgress.MAKING_WAY: "making way",
-    ObjectProgress.REACHED: "reached",
-    ObjectProgress.FAILED: "not reached",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +144,7 @@ class ArrangeClient(ActionFollower[Event]):
                 result.taps,
                 _ends(result.objects),
                 tuple(
-                    _tap(number, record, self._purposes.get(record.tap_id, ""))
+                    arranged_tap(number, record, self._purposes.get(record.tap_id, ""))
                     for number, record in enumerate(result.records, start=1)
                 ),
             )
@@ -203,7 +195,7 @@ def _ends(objects: list[ObjectProgress]) -> tuple[ObjectEnd, ...]:
     return tuple(
         ObjectEnd(
             one.object_id,
-            STATES[one.state],
+            word(PROGRESS, one.state),
             one.has_goal,
             one.taps,
             one.residual_distance,
@@ -211,23 +203,4 @@ def _ends(objects: list[ObjectProgress]) -> tuple[ObjectEnd, ...]:
             from_message(one.pose.pose) if any(one.pose.covariance) else None,
         )
         for one in objects
-    )
-
-
-def _tap(number: int, record: TapRecord, description: str) -> ArrangedTap:
-    """Return a tap for the report. ``description``: the reasons that the planner published before
-    the tap: first for the choice of the object, then for the choice of the tap."""
-    measured = from_message(record.measured_pose.pose)
-    why_tap = record.reason or "asked again because"
-    return ArrangedTap(
-        number=number,
-        name=record.object_id,
-        before=from_message(record.object_pose),
-        predicted=from_message(record.predicted_pose),
-        measured=measured if math.isfinite(measured.x) else None,
-        strike=from_message(record.strike_pose),
-        striker_speed=record.striker_speed,
-        outcome=word(OUTCOMES, record.outcome),
-        purpose=description.partition(f"; {why_tap}")[0],
-        reason=record.reason,
     )

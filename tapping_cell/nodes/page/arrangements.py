@@ -30,16 +30,8 @@ from tapping_cell.nodes.page.goal_check import GoalCheck
 from tapping_cell.nodes.page.requests import Arrange, BadRequest, Preset
 from tapping_cell.planning import PlanningError
 from tapping_cell.report.error_codes import hint
-from tapping_cell.report.words import counted
+from tapping_cell.report.words import PROGRESS, counted, word
 from tapping_cell.se2 import Pose
-
-PROGRESS_TEXTS = {
-    ObjectProgress.WAITING: "waiting",
-    ObjectProgress.ACTIVE: "being tapped",
-    ObjectProgress.MAKING_WAY: "making way",
-    ObjectProgress.REACHED: "reached",
-    ObjectProgress.FAILED: "not reached",
-}
 
 Answer = Callable[[Mapping[str, object]], None]
 
@@ -182,7 +174,7 @@ class Arrangements:
 def progress_row(one: ObjectProgress) -> dict[str, object]:
     """Return the progress of one object, in mm and degrees."""
     return {
-        "state": PROGRESS_TEXTS[one.state],
+        "state": word(PROGRESS, one.state),
         "distance": shown(1e3 * one.residual_distance),
         "rotation": shown(math.degrees(one.residual_rotation)),
         "taps": one.taps,

@@ -1,7 +1,7 @@
 """Access of the page to the recorder's run folders: list, find by name, and pack for download.
 
 A requested name only selects a folder directly in the recorder's folder. Links are not followed,
-and a folder without a run's ``summary.json`` is not served.
+and a folder with neither ``summary.json`` nor ``arrangement.json`` is not served.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import os
 import tempfile
 import zipfile
 from pathlib import Path
+from typing import Any
 
 from tapping_cell.nodes.recorder.run_names import is_run_name
 
-SUMMARY = "summary.json"
+SUMMARY, ARRANGEMENT = "summary.json", "arrangement.json"
 REPORT = "report.html"
 MOST_ROWS = 40
 LARGEST_SUMMARY = 4_000_000
@@ -30,11 +31,11 @@ class Runs:
         self._rows: dict[str, tuple[int, dict[str, object]]] = {}
 
     def rows(self) -> list[dict[str, object]]:
-        """Return the latest runs, newest first: name, time, outcome, goal, taps, residual, error,
-        report.
+        """Return the latest runs, newest first: name, time, outcome, goal, objects, taps, residual,
+        error, report.
 
         Times are in s, poses are [mm, mm, degrees] and residuals [mm, degrees]; unknown values are
-        None.
+        None. ``objects``: number of objects with a goal; ``goal`` is None if there are several.
         """
         found = []
         for name, changed in self._summaries():
@@ -52,8 +53,7 @@ class Runs:
         path = self.folder / name
         try:
             own = path.is_dir() and not path.is_symlink()
-            summary = path / SUMMARY
-            return path if own and summary.is_file() and not summary.is_symlink() else None
+            return path if own and self._summary(path) is not None else None
         except OSError:
             return None
 
@@ -94,6 +94,15 @@ class Runs:
             raise
         return archive
 
+    @staticmethod
+    def _summary(folder: Path) -> Path | None:
+        """Return the summary of a run, or None if the folder holds none."""
+        for name in (SUMMARY, ARRANGEMENT):
+            path = folder / name
+            if path.is_file() and not path.is_symlink():
+                return path
+        return None
+
     def _summaries(self) -> list[tuple[str, int]]:
         """Return names and modification times of the latest runs, newest first."""
         found = []
@@ -101,11 +110,9 @@ class Runs:
             with os.scandir(self.folder) as entries:
                 for entry in entries:
                     if entry.is_dir(follow_symlinks=False) and is_run_name(entry.name):
-                        try:
-                            changed = os.lstat(Path(entry.path, SUMMARY)).st_mtime_ns
-                        except OSError:
-                            continue
-                        found.append((entry.name, changed))
+                        summary = self._summary(Path(entry.path))
+                        if summary is not None:
+                            found.append((entry.name, os.lstat(summary).st_mtime_ns))
         except OSError:
             return []
         found.sort(key=lambda each: each[1], reverse=True)
@@ -117,16 +124,20 @@ class Runs:
             "began": None,
             "outcome": "unreadable",
             "goal": None,
+            "objects": 1,
             "taps": None,
             "residual": None,
             "error": "",
         }
         run = self.find(name)
-        if run is None:
+        summary = None if run is None else self._summary(run)
+        if summary is None:
             return row
         try:
-            with (run / SUMMARY).open(encoding="utf-8") as file:
+            with summary.open(encoding="utf-8") as file:
                 content = json.loads(file.read(LARGEST_SUMMARY))
+            if summary.name == ARRANGEMENT:
+                return row | _arrangement(content)
             goal, residual = content["goal"], content["measured_residual"]
             row |= {
                 "began": _number(content["began"]),
@@ -140,6 +151,36 @@ class Runs:
         except (OSError, ValueError, TypeError, KeyError, OverflowError, RecursionError):
             return row
         return row
+
+
+def _arrangement(content: dict[str, Any]) -> dict[str, object]:
+    """Return the values of a row from the summary of an arrangement."""
+    run = content["run"]
+    goals = [one for one in run["objects"] if one["goal"] is not None]
+    measured = [
+        (1000 * math.dist(one["end"][:2], one["goal"][:2]), _turn(one["end"][2] - one["goal"][2]))
+        for one in goals
+        if one["end"] is not None
+    ]
+    single = goals[0]["goal"] if len(goals) == 1 else None
+    return {
+        "began": _number(run["began"]),
+        "goal": single
+        and [_number(1000 * single[0]), _number(1000 * single[1]), _turn(single[2], signed=True)],
+        "objects": len(goals),
+        "taps": int(content["taps"]),
+        "residual": [_number(max(each[axis] for each in measured)) for axis in (0, 1)]
+        if measured
+        else None,
+        "error": str(content["error_msg"])[:500],
+        "outcome": "reached" if content["reached"] else "failed",
+    }
+
+
+def _turn(angle: float, signed: bool = False) -> float:
+    """Return an angle in degrees, -180 to 180, or its absolute value."""
+    turn = math.degrees(math.remainder(angle, 2 * math.pi))
+    return round(turn if signed else abs(turn), 3)
 
 
 def _number(value: object) -> float | None:

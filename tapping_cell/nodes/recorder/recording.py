@@ -12,10 +12,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from tapping_cell_msgs.msg import GoalReport, PlanState
+from tapping_cell_msgs.msg import ArrangementState, GoalReport, PlanState
 
-from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.logic.planner import WORKING_STATES
+from tapping_cell.report.arrangement_folder import write_arrangement_folder
 from tapping_cell.report.bag import BagError, BagWriter, Quality
 from tapping_cell.report.message_types import MessageTypes, UnknownMessageType
 from tapping_cell.report.run_folder import write_folder
@@ -102,12 +103,30 @@ def check_disk_space(folder: Path, least_free: float) -> None:
 
 def run_name(began: float, namespace: str, goal: Any) -> str:
     """Return a run name with start time, namespace and goal (mm, mm, degrees)."""
-    when = datetime.fromtimestamp(began).strftime("%Y-%m-%d_%H-%M-%S")
-    pose = goal.pose
+    return _joined(began, namespace, _goal_words(goal.pose))
+
+
+def arrangement_name(began: float, namespace: str, report: ArrangementState) -> str:
+    """Return the name of the run of an arrangement: with the goal of one object, or else with the
+    number of objects."""
+    goals = [one for one in report.objects if one.has_goal]
+    if len(goals) == 1:
+        words = f"{goals[0].object_id}_{_goal_words(goals[0].goal_pose)}"
+    else:
+        words = f"arrange_{len(goals)}_objects"
+    return _joined(began, namespace, words)
+
+
+def _goal_words(pose: Any) -> str:
     turn = 2 * math.degrees(math.atan2(pose.orientation.z, pose.orientation.w))
     values = (1000 * pose.position.x, 1000 * pose.position.y, (turn + 180) % 360 - 180)
     where = "_".join(f"{value:.0f}" if math.isfinite(value) else "nan" for value in values)
-    parts = (when, namespace.strip("/").replace("/", "-"), f"to_{where}")
+    return f"to_{where}"
+
+
+def _joined(began: float, namespace: str, words: str) -> str:
+    when = datetime.fromtimestamp(began).strftime("%Y-%m-%d_%H-%M-%S")
+    parts = (when, namespace.strip("/").replace("/", "-"), words)
     return re.sub(r"[^\w.+-]", "_", "_".join(part for part in parts if part))[:120]
 
 
@@ -126,6 +145,10 @@ def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
         notes |= {
             "object": cell.object.name,
             "outline": cell.outline(),
+            "objects": [
+                {"name": name, "outline": each.outline()} for name, each in cells_of(cell).items()
+            ],
+            "tolerance": cell.tolerance,
             "table_size": (table.length, table.width),
             "files": {str(f): f.read_text(encoding="utf-8") for f in sorted(files)},
         }
@@ -135,13 +158,21 @@ def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
 class Recording:
     """Run folder with an open bag. Every method is called from the recorder's own thread."""
 
-    def __init__(self, folder: Path, topics: dict[str, RecordedTopic], types: MessageTypes) -> None:
-        """Open a bag for these topics, given by resolved name.
+    def __init__(
+        self,
+        folder: Path,
+        topics: dict[str, RecordedTopic],
+        types: MessageTypes,
+        arrangement: bool = False,
+    ) -> None:
+        """Open a bag for these topics, given by resolved name. ``arrangement``: it is a run of
+        several objects.
 
         Raises:
             CannotRecord: the bag cannot be created.
         """
         self.folder = folder
+        self._arrangement = arrangement
         try:
             self._bag = BagWriter(folder / BAG, types, {"run": folder.name})
             for name, topic in topics.items():
@@ -176,7 +207,10 @@ class Recording:
         Raises:
             BagError, OSError: the bag contains no run, or the files cannot be written.
         """
-        write_folder(self.folder, pictures=pictures)
+        if self._arrangement:
+            write_arrangement_folder(self.folder, page=pictures)
+        else:
+            write_folder(self.folder, pictures=pictures)
 
 
 def is_own_goal(plan: PlanState, method_of_experiments: str) -> bool:

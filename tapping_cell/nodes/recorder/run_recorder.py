@@ -1,4 +1,5 @@
-"""Recorder: writes a run folder with bag, tables, image and page for every goal. It moves nothing.
+"""Recorder: writes a run folder with bag, tables, image and page for every goal and every
+arrangement of several objects. It moves nothing.
 
 It writes in a separate thread. A write failure is published on /diagnostics, and the goal
 continues. Messages of the last seconds are buffered, so that a bag starts before its goal.
@@ -25,9 +26,12 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 from std_msgs.msg import Bool, String
 from tapping_cell_msgs.msg import (
     ArmState,
+    ArrangementState,
     ErrorCode,
     GoalReport,
+    ObjectContact,
     ObjectState,
+    ObjectStates,
     PlanState,
     TapCommand,
     TapperState,
@@ -48,6 +52,7 @@ from tapping_cell.nodes.recorder.recording import (
     ReceivedMessage,
     RecordedTopic,
     Recording,
+    arrangement_name,
     cell_notes,
     check_disk_space,
     is_own_goal,
@@ -96,8 +101,10 @@ STATES: dict[str, type] = {
     "object_state": ObjectState,
     "plan_state": PlanState,
     "tapper_state": TapperState,
+    "arrangement_state": ArrangementState,
 }
-"""Latched topics."""
+"""Latched topics. arrangement_state is the last to be read: the planner publishes it before the
+plan_state of the same report, so when that is read, arrangement_state has arrived as well."""
 STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
@@ -105,12 +112,15 @@ STREAMS: dict[str, type] = {
     "joint_states": JointState,
     "joint_trajectory": JointTrajectory,
     "tap_command": TapCommand,
+    "true_contacts": ObjectContact,
 }
 """Topics that are not latched."""
 FRAMES: dict[str, type] = {
     "camera/camera_info": CameraInfo,
     "ground_truth": PoseStamped,
     "object_pose": PoseWithCovarianceStamped,
+    "object_states": ObjectStates,
+    "true_states": ObjectStates,
 }
 """Topics with a message per image: read only while a goal is active."""
 
@@ -195,6 +205,7 @@ class RunRecorder(CellNode[Parameters]):
         self._bag_begins = 0
         self._ends_at: float | None = None
         self._end: PlanState | GoalReport | None = None
+        self._arranging = False
         self._recording: Recording | None = None
         self._error = ""
         self._runs = 0
@@ -314,7 +325,10 @@ class RunRecorder(CellNode[Parameters]):
             (now - max(0, clock - received) if received else now, name, data)
             for name, data, received in self._polled.take(names)
         ]
-        for stamp, name, data in sorted(waiting, key=lambda entry: entry[0]):
+        # At the beginning of an arrangement, its own state precedes that of the planner.
+        arrangements = [entry for entry in waiting if entry[1] == "arrangement_state"]
+        others = [entry for entry in waiting if entry[1] != "arrangement_state"]
+        for stamp, name, data in (*arrangements, *sorted(others, key=lambda entry: entry[0])):
             if name == PICTURES and not self._is_picture_due(stamp):
                 continue
             self._note(name, ReceivedMessage(self._recorded_name(name), stamp, data))
@@ -322,6 +336,8 @@ class RunRecorder(CellNode[Parameters]):
                 self._on_plan_state(deserialize_message(data, PlanState))
             elif name == "goal_report":
                 self._on_goal_report(deserialize_message(data, GoalReport))
+            elif name == "arrangement_state":
+                self._on_arrangement_state(deserialize_message(data, ArrangementState))
 
     def _is_picture_due(self, stamp: int) -> bool:
         rate = self._picture_rate
@@ -351,6 +367,8 @@ class RunRecorder(CellNode[Parameters]):
         if not self.active:
             return
         self._planner_received = time.monotonic()
+        if self._arranging and self._ends_at is None:
+            return
         known = self._plan is not None and same_goal(self._plan, plan)
         if self._is_late(plan):
             return
@@ -364,11 +382,25 @@ class RunRecorder(CellNode[Parameters]):
         self._conclude(pictures=True)
         self._begin(plan, refused=False)
 
+    def _on_arrangement_state(self, report: ArrangementState) -> None:
+        """Begin or end the recording of an arrangement, of which each move is a goal of the
+        planner."""
+        if not self.active:
+            return
+        if self._arranging and self._ends_at is None:
+            self._planner_received = time.monotonic()
+            if not report.active:
+                self._end = PlanState(header=report.header)
+                self._ends_at = time.monotonic() + TAIL_S
+        elif report.active:
+            self._conclude(pictures=True)
+            self._begin(PlanState(header=report.header), refused=False, arrangement=report)
+
     def _is_late(self, plan: PlanState) -> bool:
         """Return whether a report is older than the end of its goal, since topics are not
         ordered."""
         end = self._end
-        if end is None or not same_goal(plan, end):
+        if end is None or not (self._arranging or same_goal(plan, end)):
             return False
         return seconds(plan.header.stamp) <= seconds(end.header.stamp)
 
@@ -377,7 +409,7 @@ class RunRecorder(CellNode[Parameters]):
             return
         if not report.refused:
             self._end = report
-            if self._plan is not None and same_goal(self._plan, report):
+            if self._plan is not None and not self._arranging and same_goal(self._plan, report):
                 self._ends_at = time.monotonic() + TAIL_S
             return
         # The topic is latched, so the last report is sent again to every new subscriber.
@@ -392,11 +424,22 @@ class RunRecorder(CellNode[Parameters]):
             self._begin(asked, refused=True)
             self._ends_at = time.monotonic()
 
-    def _begin(self, plan: PlanState, refused: bool) -> None:
+    def _begin(
+        self, plan: PlanState, refused: bool, arrangement: ArrangementState | None = None
+    ) -> None:
         """Start a recording with the messages of the last seconds."""
         began = seconds(plan.header.stamp)
-        name = self._name or run_name(began, self.get_namespace(), plan.goal)
-        notes = {**self._notes, "began": began, "refused": refused}
+        self._arranging = arrangement is not None
+        if arrangement is not None:
+            name = self._name or arrangement_name(began, self.get_namespace(), arrangement)
+        else:
+            name = self._name or run_name(began, self.get_namespace(), plan.goal)
+        notes = {
+            **self._notes,
+            "began": began,
+            "refused": refused,
+            "arrangement": self._arranging,
+        }
         with self._lock:
             lead = list(self._lead)
             first = lead[0].stamp if lead else self._now()
@@ -416,7 +459,8 @@ class RunRecorder(CellNode[Parameters]):
         self._ends_at = None
         self._planner_received = time.monotonic()
         folder = Path(self._folder).expanduser().absolute()
-        self._submit(lambda: self._open(folder, name))
+        several = self._arranging
+        self._submit(lambda: self._open(folder, name, several))
 
     def _tick(self) -> None:
         self._receive((*STATES, *STREAMS, PICTURES))
@@ -433,6 +477,7 @@ class RunRecorder(CellNode[Parameters]):
             if self._plan is None:
                 return
             self._plan = self._ends_at = None
+            self._arranging = False
             rest = sorted(self._waiting, key=_stamp)
             self._waiting.clear()
         self._submit(lambda: self._close(rest, pictures and self.settings.pictures))
@@ -443,12 +488,12 @@ class RunRecorder(CellNode[Parameters]):
 
     # Writing: the worker's thread
 
-    def _open(self, folder: Path, name: str) -> None:
+    def _open(self, folder: Path, name: str, arrangement: bool) -> None:
         try:
             least_free = MEGABYTE * self.settings.least_free
             prepared = bool(self._name)
             made = new_folder(folder, name, self.settings.most_runs, least_free, prepared)
-            self._recording = Recording(made, self._topics, self._types)
+            self._recording = Recording(made, self._topics, self._types, arrangement)
         except CannotRecord as error:
             self._complain(str(error))
             return

@@ -322,8 +322,14 @@ def test_an_object_moved_by_hand_before_the_tap_gives_it_up(cell: Table) -> None
     cell.wait(lambda: cell.taps, "a tap is commanded")
     cell.poses[other] = moved(cell.poses[other], 0.01, 0.0)
     cell.wait(lambda: cell.states[-1].state == PlanState.SETTLING, "it gives the tap up", 1.0)
-    withdrawals = [tap for tap in cell.taps if tap.request == TapCommand.WITHDRAW]
-    assert [tap.tap_id for tap in withdrawals] == [cell.taps[0].tap_id]
+    withdrawn: list[int] = []
+
+    def commanded() -> list[int]:
+        withdrawn[:] = [tap.tap_id for tap in cell.taps if tap.request == TapCommand.WITHDRAW]
+        return withdrawn
+
+    cell.wait(commanded, "the arm is sent away")
+    assert withdrawn == [cell.taps[0].tap_id]
 
 
 def test_a_hidden_object_is_waited_for_and_named_in_the_end(cell: Table) -> None:

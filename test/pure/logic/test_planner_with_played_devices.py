@@ -68,6 +68,7 @@ class Actors(VirtualNode):
     ) -> None:
         self.pose = START
         self.moves_when_fired = True
+        self.tip = Pose(0.0, 0.0, 0.0)
         self.visible = self.at_rest = True
         self.camera_active = self.arm_active = self.tapper_active = True
         self.arm_arrives = self.arm_withdraws = True
@@ -147,6 +148,7 @@ class Actors(VirtualNode):
                 tap_id=0 if idle else tap_id,
                 homed=True,
                 clear_of_camera=idle,
+                tip_pose=to_message(self.tip),
                 error_code=code,
                 error_msg=sentence,
             )
@@ -374,6 +376,20 @@ def test_what_is_missing_is_named_and_no_tap_is_commanded(
     end = actors.end()
     assert end.error_code == code, end.error_msg
     assert len(end.error_msg) > 15
+    assert actors.taps() == []
+
+
+def test_an_object_under_the_arm_is_told_with_the_arms_place_and_the_remedy(
+    actors: Actors,
+) -> None:
+    """The object may be put, or may come to lie, where the withdrawn arm hides it."""
+    actors.visible, actors.tip = False, Pose(0.15, -0.08, 0.0)
+    actors.run(0.6)
+    actors.send()
+    end = actors.end()
+    assert end.error_code == ErrorCode.OBJECT_NOT_SEEN
+    assert "its tool is at x 150 mm, y -80 mm" in end.error_msg
+    assert "if the object lies there, move it to a visible place" in end.error_msg
     assert actors.taps() == []
 
 

@@ -74,7 +74,7 @@ function renderRuns(runs, key, hint, connected) {
     row.className = run.outcome === "refused" ? "refused" : "";
     const when = run.began === null ? run.name : new Date(1000 * run.began).toLocaleString([], {
       month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", hour12: false });
-    const goal = run.goal ? `${run.goal.map((n) => n === null ? "?" : n.toFixed(0)).join(", ")}\u00b0` : "?";
+    const goal = run.objects > 1 ? `${run.objects} objects` : run.goal ? `${run.goal.map((n) => n === null ? "?" : n.toFixed(0)).join(", ")}\u00b0` : "?";
     const residual = run.residual && run.residual[0] !== null
       ? `${run.residual[0].toFixed(2)} mm, ${run.residual[1].toFixed(1)}\u00b0` : "";
     for (const text of [when, goal, run.outcome, run.taps === null ? "" : String(run.taps), residual]) row.insertCell().textContent = text;

@@ -1,0 +1,42 @@
+"""Files of the run folder of an arrangement of several objects: ``arrangement.json`` and
+``report.html``."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from tapping_cell.report.arrangement_page import write_page
+from tapping_cell.report.arrangement_reader import read_arranged_run
+from tapping_cell.report.arrangement_run import SUMMARY, ArrangementRun, to_content
+from tapping_cell.report.run_folder import BAG
+
+
+def write_arrangement_folder(
+    folder: Path, page: bool = True, source: Path | None = None
+) -> ArrangementRun:
+    """Write the files of an arrangement from its bag, replacing existing files.
+
+    ``page``: also write the report. ``source``: the bag; None: the one in the folder.
+
+    Raises:
+        tapping_cell.report.bag.BagError: the bag is unreadable or contains no arrangement.
+        OSError: the folder cannot be written.
+    """
+    run, pictures = read_arranged_run(source or folder / BAG, folder.name)
+    content = {
+        "reached": not run.error_code,
+        "taps": len(run.taps),
+        "error_code": run.error_code,
+        "error_msg": run.error_msg,
+        "contacts": run.contacts,
+        "seconds": round(run.seconds, 1),
+        "run": to_content(run),
+    }
+    fresh = folder / f".{SUMMARY}"
+    fresh.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(fresh, folder / SUMMARY)
+    if page:
+        write_page(run, folder, pictures)
+    return run

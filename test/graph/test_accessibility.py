@@ -1,0 +1,159 @@
+"""axe-core finds no serious problem on the page and in the reports, in light, in dark and on a
+phone.
+
+axe-core is not a dependency: `npm install --no-save axe-core` in the root of the repository, or
+TAPPING_CELL_AXE=/path/of/axe.min.js. Without it, these tests are skipped.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_operator_in_chromium import BROWSER, DRIVER, FLAGS, Page, demanding, opened, webdriver
+
+from tapping_cell.report.arrangement_page import write_page
+from tapping_cell.report.arrangement_run import ArrangedObject, ArrangedTap, ArrangementRun
+from tapping_cell.report.run_folder import PAGE, write_folder
+from tapping_cell.se2 import Pose
+
+ROOT = Path(__file__).resolve().parents[2]
+INSTALLED = ROOT / "node_modules" / "axe-core" / "axe.min.js"
+AXE = Path(os.environ.get("TAPPING_CELL_AXE") or INSTALLED)
+if not AXE.is_file():
+    pytest.skip(
+        "axe-core is not installed: npm install --no-save axe-core, or TAPPING_CELL_AXE",
+        allow_module_level=True,
+    )
+
+SERIOUS = ("serious", "critical")
+DESKTOP, PHONE = (1366, 768), (390, 844)
+SQUARE = ((-0.02, -0.02), (0.02, -0.02), (0.02, 0.02), (-0.02, 0.02))
+
+
+def problems(driver: webdriver.Chrome) -> list[str]:
+    """The serious problems that axe-core finds in the document, each with its first element."""
+    driver.execute_script(AXE.read_text(encoding="utf-8"))
+    found: dict[str, Any] = driver.execute_async_script(
+        "const done = arguments[arguments.length - 1];"
+        "axe.run(document).then(done, (error) => done({error: String(error)}));"
+    )
+    assert "error" not in found, found["error"]
+    assert found["passes"], "axe-core has looked at nothing"
+    return [
+        f"{each['id']}: {each['help']}; {json.dumps(each['nodes'][0]['html'])[:300]}; "
+        f"{each['nodes'][0]['failureSummary'][:300]}"
+        for each in found["violations"]
+        if each["impact"] in SERIOUS
+    ]
+
+
+def looks(driver: webdriver.Chrome) -> Iterator[str]:
+    """Show the document in both colour schemes, as wide as on a desktop and on a phone."""
+    for width, height in (DESKTOP, PHONE):
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        for scheme in ("light", "dark"):
+            media = [{"name": "prefers-color-scheme", "value": scheme}]
+            driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": media})
+            yield f"{scheme}, {width} pixels wide"
+
+
+def audit(driver: webdriver.Chrome, what: str) -> dict[str, list[str]]:
+    """The serious problems of the document, by what is shown and how."""
+    found = {f"{what}, {look}": problems(driver) for look in looks(driver)}
+    folder = os.environ.get("TAPPING_CELL_PICTURES")
+    if folder:
+        for look in looks(driver):
+            name = f"{what} {look}".replace(",", "").replace(" ", "_")
+            driver.save_screenshot(str(Path(folder) / f"{name}.png"))
+    return {look: each for look, each in found.items() if each}
+
+
+@pytest.fixture
+def driver(tmp_path: Path) -> Iterator[webdriver.Chrome]:
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path / 'browser'}"):
+        options.add_argument(flag)
+    made = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    yield made
+    made.quit()
+
+
+def test_the_report_of_an_arrangement(driver: webdriver.Chrome, tmp_path: Path) -> None:
+    one, other = Pose(-0.1, 0.0, 0.0), Pose(0.1, 0.0, 0.5)
+    why = "'disk' goes to its goal: its goal and a path to it are free"
+    run = ArrangementRun(
+        name="arrangement",
+        began=1.7e9,
+        seconds=20.0,
+        table_size=(0.6, 0.44),
+        tolerance=(0.001, math.radians(1.0)),
+        objects=tuple(
+            ArrangedObject(name, SQUARE, one, other, other, other, "reached", 1)
+            for name in ("disk", "square", "bar", "ring", "star", "plate", "block", "tile")
+        ),
+        taps=(ArrangedTap(1, "disk", one, other, other, one, 0.4, "fired", why, "a reason", 4.0),),
+        contacts=(("disk", "bar"),),
+        error_code=412,
+        error_msg="'bar' cannot be reached",
+    )
+    driver.get(write_page(run, tmp_path).as_uri())
+    assert not audit(driver, "arrangement report")
+
+
+@demanding
+def test_the_page_and_the_report_of_its_run(tmp_path: Path) -> None:
+    with opened(tmp_path) as page:
+        page.ready()
+        found = audit(page.driver, "idle")
+        for each in page.driver.find_elements("css selector", "details"):
+            page.driver.execute_script("arguments[0].open = true", each)
+        found |= audit(page.driver, "everything open")
+        found |= asked(page)
+        found |= stopped(page)
+        (folder,) = (path.parent for path in (tmp_path / "runs").glob("*/summary.json"))
+        write_folder(folder)
+        page.driver.get((folder / PAGE).as_uri())
+        found |= audit(page.driver, "run report")
+    assert not found, json.dumps(found, indent=2)
+
+
+def asked(page: Page) -> dict[str, list[str]]:
+    """Audit the page while a planned tap waits for its answer; then let it be made."""
+    page.element("ask").click()
+    page.wait(lambda: "is on" in page.text("settings-answer"), "the planner asks from now on")
+    seen = page.client.object_pose()
+    page.type_goal(f"{1e3 * seen.x - 30:.1f}", f"{1e3 * seen.y:.1f}", 0)
+    page.element("send").click()
+    page.wait(lambda: page.element("planned-yes").is_displayed(), "a tap is proposed")
+    found = audit(page.driver, "a tap is proposed")
+    page.element("ask").click()
+    page.wait(lambda: "is off" in page.text("settings-answer"), "the planner asks no more")
+
+    def reached() -> bool:
+        # The tap that is shown still waits for its answer; taps after it are not asked for.
+        answer = page.element("planned-yes")
+        if answer.is_displayed() and answer.is_enabled():
+            answer.click()
+        return "reached" in page.text("goal-words")
+
+    page.wait(reached, "the goal", 150.0)
+    return found
+
+
+def stopped(page: Page) -> dict[str, list[str]]:
+    """Audit the page after STOP, with the steps back and with the question before one of them."""
+    page.element("stop").click()
+    page.wait(lambda: page.mode() == "stopped", "the stop")
+    found = audit(page.driver, "stopped")
+    page.wait(lambda: page.driver.find_elements("id", "step-clear"), "the page offers to clear")
+    page.driver.execute_script("document.getElementById('step-clear').click()")
+    page.wait(lambda: page.element("confirm-yes").is_displayed(), "the question")
+    return found | audit(page.driver, "a question is asked")
