@@ -40,6 +40,7 @@ from tapping_cell.messages import (
     PositionObject,
     TapCommand,
     TapperState,
+    Time,
     Trigger,
 )
 from tapping_cell.se2 import Pose
@@ -285,8 +286,8 @@ class Trial:
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._waiting_faults: list[Fault] = []
-        self._taken: set[int] = set()
-        """Ids of the taps whose command the tapper's process has handled."""
+        self._taken: dict[int, Time] = {}
+        """Taps whose command the tapper's process has handled: id and stamp of the latest command."""
         self._struck: list[tuple[float, str]] = []
         self._checked_tap = 0
         """Id of the last tap that was reported with TAPPER_FAULT."""
@@ -952,7 +953,10 @@ class Trial:
             and process == "tapper_trigger"
             and message.request == TapCommand.TAP
         ):
-            self._taken.add(message.tap_id)
+            if self._taken.get(message.tap_id) != message.header.stamp:
+                # The end of another command with this id, which was refused, is not its end.
+                self.checker.ended_taps.pop(message.tap_id, None)
+            self._taken[message.tap_id] = message.header.stamp
             self.checker.planner_waits = False
             self.checker.taken_by_tapper.setdefault(message.tap_id, []).append(message)
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
