@@ -36,6 +36,7 @@ LONG_SECTIONS = (
     "demos",
     "disarm",
     "fixed-cycle",
+    "fixed-tappers",
     "idle",
     "lack-of-fit",
     "lost-nodes",
@@ -89,8 +90,8 @@ def make_parser() -> argparse.ArgumentParser:
         "(vision*), experiments "
         "(calibration, lack-of-fit), demos per truth file (demos), callbacks (composition), "
         "goals (cycle, fixed-cycle, two-computers, unknown-worlds), losses (disarm), freezes"
-        " of a node (lost-nodes), goals per mutant (mutants), trials "
-        "(precision, unknown-objects), or seconds (node, idle) (default: set by each section)",
+        " of a node (lost-nodes), goals per mutant (mutants), trials (fixed-tappers, precision, "
+        "unknown-objects), or seconds (node, idle) (default: set by each section)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

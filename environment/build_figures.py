@@ -581,6 +581,72 @@ def guard_figure() -> str:
     return draw.svg()
 
 
+def ring_figure() -> str:
+    """Draw the fixed tappers of the positioning cell from above, with the table of their mounts."""
+    cell = load_cell(ROOT / "config" / "positioning_cell" / "cell.yaml")
+    fixed, tapper = cell.file.fixed_tappers, cell.file.tapper
+    assert fixed is not None
+    scale, middle = 1350.0, (400.0, 440.0)
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        return middle[0] + scale * x, middle[1] - scale * y
+
+    draw = Drawing(1180, 850, "Mounts of the fixed tappers")
+    draw.text(
+        24,
+        30,
+        f"{len(fixed.tappers)} fixed tappers from above, mm and degrees in the frame table",
+        size=17,
+        bold=True,
+    )
+    x, y, radius = fixed.working_area
+    draw.circle(*at(x, y), radius * scale, "#f7f9fb", _BLUE)
+    draw.text(middle[0], middle[1] + 0.055 * scale, "working disc,", "middle", 12, _BLUE)
+    draw.text(middle[0], middle[1] + 0.066 * scale, f"radius {_mm(radius)}", "middle", 12, _BLUE)
+    draw.line(at(0, 0), at(0.03, 0), arrow=True)
+    draw.line(at(0, 0), at(0, 0.03), arrow=True)
+    draw.text(at(0.034, 0)[0], at(0, 0)[1] + 4, "x")
+    draw.text(at(0, 0)[0] - 4, at(0, 0.034)[1], "y")
+    for one in fixed.tappers:
+        px, py = one.position
+        cos, sin = math.cos(one.direction), math.sin(one.direction)
+        end = at(px + tapper.stroke * cos, py + tapper.stroke * sin)
+        draw.line(at(px, py), end, color=_GREY, width=0.8, dash="5 4", arrow=True)
+        back, front = (-tapper.tool_length, -tapper.tool_start)
+        bar = [at(px + s * cos, py + s * sin) for s in (back, front)]
+        draw.line(*bar, color="#b9c7d6", width=2.0 * tapper.tool_radius * scale)
+        draw.circle(*at(px, py), tapper.tip_radius * scale, _INK)
+        label = at(px - 0.065 * cos, py - 0.065 * sin)
+        draw.text(label[0], label[1] + 4, one.name, "middle", 12, _INK, bold=True)
+    left, top = 810.0, 90.0
+    names = ("tapper", "x", "y", "direction", "channel")
+    columns = tuple(zip((0.0, 110.0, 170.0, 245.0, 325.0), names, strict=True))
+    for offset, words in columns:
+        draw.text(left + offset, top, words, "start" if offset == 0.0 else "end", 13, bold=True)
+    for row, one in enumerate(fixed.tappers, 1):
+        values = (
+            one.name,
+            f"{1e3 * one.position[0]:.1f}",
+            f"{1e3 * one.position[1]:.1f}",
+            f"{math.degrees(one.direction):.1f}",
+            str(one.channel),
+        )
+        for (offset, _), value in zip(columns, values, strict=True):
+            anchor = "start" if offset == 0.0 else "end"
+            draw.text(left + offset, top + 26 * row, value, anchor, 13)
+    notes = (
+        "x, y: centre of the ball at rest",
+        "direction: of its travel, counter-clockwise from x",
+        f"stroke: {_mm(tapper.stroke)} (dashed)",
+        f"height of the ball's centre: {_mm(fixed.strike_height)}",
+        f"ball: radius {1e3 * tapper.tip_radius:.1f}; striker: {1e3 * tapper.mass:.0f} g",
+        "a line must be known to 0.3 at the contact: measure it",
+    )
+    for row, words in enumerate(notes):
+        draw.text(left, top + 26 * (len(fixed.tappers) + 2) + 24 * row, words, size=13, color=_GREY)
+    return draw.svg()
+
+
 FIGURES: dict[Path, Callable[[], str]] = {
     FOLDER / "tapper_board.svg": board_figure,
     FOLDER / "striker_spring.svg": lambda: striker_figure(spring=True),
@@ -588,6 +654,7 @@ FIGURES: dict[Path, Callable[[], str]] = {
     FOLDER / "table.svg": table_figure,
     FOLDER / "camera.svg": camera_figure,
     FOLDER / "guard.svg": guard_figure,
+    FOLDER / "ring.svg": ring_figure,
 }
 
 

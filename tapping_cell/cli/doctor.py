@@ -77,7 +77,9 @@ def run(arguments: argparse.Namespace) -> int:
     except ConfigurationError as error:
         print_error(str(error))
         return 2
-    rows = [*check_arm(cell, _confirm if arguments.write else None), *check_tapper(cell)]
+    rows = check_tapper(cell)
+    if cell.file.arm is not None:
+        rows = [*check_arm(cell, _confirm if arguments.write else None), *rows]
     good = all(row.ok for row in rows)
     if arguments.json:
         print(json.dumps({"ok": good, "findings": [asdict(row) for row in rows]}, indent=2))
@@ -193,31 +195,41 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
 
 
 def check_tapper(cell: Cell) -> list[Row]:
-    """Check the tapper's board. Opening the connection discharges the tapper."""
+    """Check every tapper board. Opening the connection discharges the tapper."""
     section = cell.file.tapper
     if section.output is not None:
         return check_output(section, section.output)
+    ports = [board.port for board in cell.boards]
+    names = ["tapper"] if len(ports) == 1 else [f"tapper board {n + 1}" for n in range(len(ports))]
+    return [
+        row
+        for name, port in zip(names, ports, strict=True)
+        for row in _check_board(name, port, section.baud)
+    ]
+
+
+def _check_board(name: str, given_port: str, baud: int) -> list[Row]:
     try:
-        port = _port(section.port)
-        driver = TapperDriver(SerialTransport(port, section.baud))
+        port = _port(given_port)
+        driver = TapperDriver(SerialTransport(port, baud))
         try:
             reply = driver.connect(PATIENCE)
         finally:
             driver.close()
     except (HardwareFault, ValueError) as fault:
-        return [Row("tapper", "connection", "failed", False, str(fault))]
+        return [Row(name, "connection", "failed", False, str(fault))]
     stop = "pressed or latched" if reply.stop_latched else "clear"
     return [
-        Row("tapper", "firmware", f"{driver.version} on {port}", True),
+        Row(name, "firmware", f"{driver.version} on {port}", True),
         Row(
-            "tapper",
+            name,
             "interlock",
             "closed" if reply.interlock_closed else "open",
             reply.interlock_closed,
             "" if reply.interlock_closed else "close the guard, or check the loop on D2",
         ),
         Row(
-            "tapper",
+            name,
             "stop",
             stop,
             not reply.stop_latched,

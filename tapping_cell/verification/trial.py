@@ -287,7 +287,7 @@ class Trial:
         self._pressed_until = -math.inf
         self._waiting_faults: list[Fault] = []
         self._taken: dict[int, Time] = {}
-        """Taps whose command the tapper's process has handled: id and stamp of the latest command."""
+        """Taps whose command the tapper's process has handled: id, stamp of the last command."""
         self._struck: list[tuple[float, str]] = []
         self._checked_tap = 0
         """Id of the last tap that was reported with TAPPER_FAULT."""

@@ -51,6 +51,24 @@ def test_a_cell_that_is_set_up_is_all_green(
     assert {row["device"] for row in report["findings"]} == {"arm", "tapper"}
 
 
+@pytest.mark.parametrize("boards", [1, 2])
+def test_a_cell_without_an_arm_has_its_boards_checked(
+    tmp_path: Path, plug: Plug, boards: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(shared_folder(), tmp_path / "config")
+    path = tmp_path / "config" / "positioning_cell" / "cell.yaml"
+    document = yaml.safe_load(path.read_text())
+    for number in range(boards):
+        device = TapperEmulator(on_fire=lambda *_: None, now=time.monotonic())
+        port = str(plug(device, f"tapper{number}").path)
+        for entry in document["fixed_tappers"]["tappers"][number::boards]:
+            entry["port"] = port
+    path.write_text(yaml.safe_dump(document))
+    assert main(["doctor", "--cell", str(path), "--json"]) == 0
+    found = {row["device"] for row in json.loads(capsys.readouterr().out)["findings"]}
+    assert found == ({"tapper"} if boards == 1 else {"tapper board 1", "tapper board 2"})
+
+
 def test_a_difference_is_named_with_its_command_and_stored_after_a_yes(
     tmp_path: Path,
     plug: Plug,
