@@ -181,7 +181,7 @@ def test_a_frame_that_is_not_known_is_refused_with_those_that_are(
     send_until(
         played,
         goal("elsewhere", IN_FIXTURE),
-        lambda: reports and "known are table, fixture" in reports[-1].error_msg,
+        lambda: reports and "use one of table, fixture" in reports[-1].error_msg,
     )
     assert reports[-1].error_code == ErrorCode.GOAL_WRONG_FRAME
     assert "'elsewhere'" in reports[-1].error_msg
