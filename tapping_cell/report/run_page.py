@@ -313,7 +313,7 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
     if math.isfinite(tap.learnt.distance):
-        rows += [("learnt", _gains(tap.learnt)), ("learnt error of the aim", _aim(tap.learnt))]
+        rows += [("learnt", _gains(tap.learnt)), ("learnt aiming error", _aim(tap.learnt))]
     table = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
     return (
         f'<section class="tap"><h2>Tap {tap.number} <small>{escape(tap.method)}</small></h2>'

@@ -266,7 +266,8 @@ def rough_places(
     around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
     shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
     places: list[_Place] = []
-    # In pixels of the downscaled image. The shortest rim is a disk's, in diagonal pixel steps.
+    # In pixels of the downscaled image. Of all shapes with this area a disk has the shortest rim,
+    # and diagonal steps count as one pixel.
     area = outline.area / (float(scale.prod()) * pixel**2)
     shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
     for threshold in _SHADES:
