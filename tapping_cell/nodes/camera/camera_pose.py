@@ -390,13 +390,15 @@ class CameraPose(CellNode[Parameters]):
         if not self._annotated.is_due(time.monotonic()):
             return
         assert self._cell is not None and self._tracker is not None
+        # The outline and the caption are those of the cell's own object.
+        own = self._tapped in ("", self._cell.object.name)
         picture = annotate(
             grey,
             self._tracker.view,
             observation,
             self._cell.outline(),
             self._cell.object.height,
-            self._goal,
+            self._goal if own else None,
         )
         self._annotated.publish(picture, message.header, time.monotonic())
 
