@@ -25,6 +25,7 @@ from tapping_cell_msgs.msg import ArmState, PlanState, TapCommand, TapperState
 from tapping_cell_msgs.srv import ResetWorld
 
 from tapping_cell.cli.graph import SIMULATED, Graph
+from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.nodes.conversions import from_message, seconds, to_message
@@ -38,6 +39,11 @@ STILL = 2e-4
 """Minimum displacement in m that counts as a motion of the object."""
 SILENCE_MARGIN_S = 0.4
 """Maximum time by stamps between the arm's last report that it is in position and a strike."""
+RELEASE_AFTER_SILENCE_S = 0.65
+"""Maximum time from the last message of planner or camera to a release: ``silence_limit`` of the
+tapper (0.45 s), a message under way, and the firing window."""
+STROKE_FACTOR = 1.1
+"""Maximum time of flight, as a multiple of the stroke divided by the commanded speed."""
 PATIENCE_S = 240.0
 PHASE_S = 120.0
 """Maximum wait for a phase of a tap."""
@@ -84,6 +90,8 @@ class Observed:
     motions: int = 0
     unsafe: list[str] = field(default_factory=list)
     shots: dict[int, int] = field(default_factory=dict)
+    frozen: list[tuple[str, float, float]] = field(default_factory=list)
+    """Freezes of a node: its name, begin and end, s."""
     watching: bool = False
 
     def on_arm(self, message: ArmState) -> None:
@@ -123,6 +131,17 @@ class Observed:
                 self.unsafe.append(
                     f"the object was struck {silent:.2f} s after the arm was in position"
                 )
+            for node, began, ended in self.frozen:
+                if began + RELEASE_AFTER_SILENCE_S + self._flight(at) < at < ended:
+                    self.unsafe.append(
+                        f"the object was struck {at - began:.2f} s after {node} was frozen"
+                    )
+
+    def _flight(self, at: float) -> float:
+        """Return the maximum time of flight in s of the tap that was commanded last by ``at``."""
+        taps = [c for c in self.commands if c.request == TapCommand.TAP]
+        speeds = [c.striker_speed for c in taps if seconds(c.header.stamp) <= at]
+        return STROKE_FACTOR * load_cell().file.tapper.stroke / speeds[-1] if speeds else 0.0
 
     def judge(self) -> None:
         """Add the other unsafe events that are visible only at the end of a trial."""
@@ -203,7 +222,7 @@ class CrashCell:
 
     def come(self, phase: str) -> bool:
         """Wait for ``phase`` of a tap. Return False if the phase is never reached."""
-        return self.wait(lambda: self._in_phase(phase), PHASE_S, 0.001)
+        return self.wait(lambda: self.in_phase(phase), PHASE_S, 0.001)
 
     def kill(self, node: str) -> None:
         """Kill a node and start it again."""
@@ -213,6 +232,18 @@ class CrashCell:
             # A restarted sim_world puts the object at another place. This motion is not a strike.
             self.seen.watching = False
         self.graph.restart(node)
+
+    def freeze(self, node: str, duration: float) -> None:
+        """Stop the process of a node for ``duration`` s (SIGSTOP). A strike while the node has been
+        silent for longer than the last check allows is an unsafe event."""
+        began = time.time()
+        os.kill(self.graph.process_ids[node], signal.SIGSTOP)
+        try:
+            self.wait(lambda: False, duration)
+        finally:
+            ended = time.time()
+            os.kill(self.graph.process_ids[node], signal.SIGCONT)
+        self.seen.frozen.append((node, began, ended))
 
     def trial(self, node: str, phase: str) -> Crash:
         """Kill ``node`` at ``phase`` of a tap, restart it, and wait for the end of the goal."""
@@ -248,7 +279,8 @@ class CrashCell:
         ends = (PlanState.REACHED, PlanState.FAILED)
         return next((p for p in tuple(self.seen.plans) if p.state in ends), None)
 
-    def _in_phase(self, phase: str) -> bool:
+    def in_phase(self, phase: str) -> bool:
+        """Return whether the current tap is in ``phase``."""
         seen, plan = self.seen, self.seen.plans[-1] if self.seen.plans else PlanState()
         arm, tapper = seen.arm, seen.tapper
         low = arm.tip_pose.position.z < LOW

@@ -222,10 +222,13 @@ class GrblDialect:
         Neither the line nor its ``ok`` has a checksum, and one wrong bit turns ``$H`` into ``$X``,
         which is also answered with ``ok``. A controller that still executes a move of a terminated
         program rejects ``$H``, so this call waits for the move to end. The wait is limited, because
-        a garbled feed rate may be tiny.
+        a garbled feed rate may be tiny. With an axis without a switch, which an operator moves to
+        its mark before homing, a moving arm is refused.
         """
         patience = min(deadline, self._transport.now() + REST_PATIENCE)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
+            if self._settings.without_switch:
+                raise HardwareFault(FaultReason.HOMING_FAILED, self._not_at_its_mark())
             self._pump(POLL_PERIODS[1])
         # The settings may have been changed since the connect.
         controller_needs.refuse(self._compared(deadline))
@@ -773,6 +776,14 @@ class GrblDialect:
     def _in_order(self, position: Sequence[float]) -> tuple[float, ...]:
         """Return the four axes of a reported position, in joint order."""
         return tuple(position[column] for column in self._columns)
+
+    def _not_at_its_mark(self) -> str:
+        letters = ", ".join(self._settings.letters[axis] for axis in self._settings.without_switch)
+        return (
+            f"the arm is moving, so axis {letters}, which has no home switch, is not at its marked"
+            " position: wait until the arm stops, clear the fault, move the axis there by hand,"
+            " then home again"
+        )
 
     def _override_text(self) -> str:
         if self._feed_override == 100:

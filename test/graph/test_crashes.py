@@ -2,15 +2,23 @@
 
 ``python -m tapping_cell faults --crashes`` kills every node at every phase of a tap; ``faults
 --goals`` does so, and freezes them, in virtual time.
+
+``TAPPING_CELL_FREEZES=100:7`` freezes planner and camera node 100 times each, at moments drawn from
+the seed 7 (``test/nodes/test_frozen_tapper.py`` does so with tapper and arm).
 """
 
 from __future__ import annotations
 
+import os
+import random
+import time
 from collections.abc import Iterator
 
 import pytest
 
-from tapping_cell.cli.crash_trials import CrashCell
+from tapping_cell.cli.crash_trials import PHASES, CrashCell
+
+FREEZES, SEED = map(int, os.environ.get("TAPPING_CELL_FREEZES", "4:5").split(":"))
 
 
 @pytest.fixture(scope="module")
@@ -33,3 +41,28 @@ def test_every_node_is_killed_in_the_course_of_a_goal_which_is_reached(cell: Cra
     crash = cell.finish("every node", "", 0.0)
     assert crash.ended == "reached", crash
     assert crash.clean, crash.unsafe
+
+
+@pytest.mark.parametrize("node", ["tap_planner", "camera_pose"])
+def test_nothing_is_struck_on_the_word_of_a_frozen_planner_or_camera(
+    cell: CrashCell, node: str
+) -> None:
+    draw = random.Random(SEED)
+    frozen = strikes = goals = 0
+    while frozen < FREEZES:
+        goals += 1
+        phase = draw.choice(PHASES[1:4])
+        assert cell.begin(phase), f"the goal never came to be {phase}; {cell.ended()}"
+        while cell.ended() is None and frozen < FREEZES:
+            time.sleep(draw.uniform(0.0, 0.1))
+            cell.freeze(node, draw.uniform(0.05, 2.0))
+            frozen += 1
+            phase = draw.choice(PHASES[1:4])
+            cell.wait(lambda phase=phase: cell.ended() is not None or cell.in_phase(phase), 120.0)
+        assert cell.wait(lambda: cell.ended() is not None, 240.0)
+        crash = cell.finish(node, "frozen", 0.0)
+        strikes += len(cell.seen.struck)
+        assert crash.ended != "hung", crash
+        assert not crash.unsafe, crash
+    print(f"{frozen} freezes of {node} (seed {SEED}): {goals} goals, {strikes} strikes")
+    assert strikes

@@ -301,6 +301,27 @@ def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
     assert cell.truth().tool == pytest.approx(0.7, abs=1e-3)
 
 
+def test_an_arm_that_still_moves_is_not_homed_where_a_person_cannot_have_put_its_tool() -> None:
+    """A move that goes on after an unplug ends far from the mark of the axis without a switch."""
+    cell = Cell("grbl-mega-5x")
+    driver = cell.ready()
+    cell.during_the_next_move(0.4, lambda: cell.line._hang_up(cell.clock.now, 0.3))
+    with pytest.raises(HardwareFault):
+        driver.move_to(FAR, 0.1)
+    cell.wait(0.5)
+    driver.connect()
+    assert cell.emulator.moving(cell.clock.now)
+    with pytest.raises(HardwareFault, match="axis A, which has no home switch") as caught:
+        driver.home(HomingStrategy.FIRMWARE)
+    assert caught.value.reason is FaultReason.HOMING_FAILED and not driver.homed
+    cell.wait(60.0)
+    driver.clear_fault()
+    cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)  # type: ignore[union-attr]
+    driver.home(HomingStrategy.FIRMWARE)
+    driver.move_to((0.1, 1.4, -0.01, 0.7))
+    assert np.allclose(cell.truth(), (0.1, 1.4, -0.01, 0.7), atol=1e-3)
+
+
 def test_a_report_that_lost_an_axis_is_a_bad_line_also_after_a_fault_was_cleared() -> None:
     cell = Cell("grblhal")
     driver = cell.ready()
