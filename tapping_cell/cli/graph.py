@@ -4,6 +4,7 @@ together."""
 from __future__ import annotations
 
 import ctypes
+import errno
 import json
 import os
 import random
@@ -37,6 +38,8 @@ MOST_RECORDER_STARTS = 3
 LAST_DOMAIN = 232
 """Highest ROS domain for which the middleware has valid port numbers."""
 
+MOST_PARTICIPANTS = 20
+"""Number of participants of a domain that are looked for; a cell has 8."""
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is the shared
 default."""
@@ -314,9 +317,26 @@ class Domain:
             os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
+def has_participants(domain: int) -> bool:
+    """Return whether DDS participants on this machine use a ROS domain, for example nodes that were
+    started by ``ros2 run`` and hold no reservation.
+
+    DDSI-RTPS 2.2, section 9.6.1.1: participant k of domain d receives discovery messages on the UDP
+    port 7400 + 250 d + 10 + 2 k.
+    """
+    for participant in range(MOST_PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
+            try:
+                tried.bind(("", 7400 + 250 * domain + 10 + 2 * participant))
+            except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    return True
+    return False
+
+
 def own_domain() -> Domain:
     """Return the domain of ROS_DOMAIN_ID if that is set. Otherwise reserve a domain that no other
-    run of any user on this machine uses, until this process ends.
+    run and no node of any user on this machine uses, until this process ends.
 
     Raises:
         GraphError: every domain is in use, or ROS_DOMAIN_ID is not a domain.
@@ -324,6 +344,8 @@ def own_domain() -> Domain:
     if os.environ.get("ROS_DOMAIN_ID", ""):
         return Domain(domain_number(), None)
     for number in random.sample(OWN_DOMAINS, len(OWN_DOMAINS)):
+        if has_participants(number):
+            continue
         held = claim(f"domain/{number}")
         if held is not None:
             return Domain(number, held)

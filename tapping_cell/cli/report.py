@@ -122,7 +122,8 @@ def is_arrangement(path: Path) -> bool:
     if (path / ARRANGEMENT).exists() or (path / SUMMARY).exists():
         return (path / ARRANGEMENT).exists()
     bag = path / BAG if (path / BAG).is_dir() else path
-    return bag.exists() and holds_arrangement(bag)
+    holds_bag = bag.is_file() or any(bag.glob("*.mcap"))
+    return holds_bag and holds_arrangement(bag)
 
 
 def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:

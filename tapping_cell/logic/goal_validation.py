@@ -38,7 +38,7 @@ REFUSALS = {
     RefusalReason.TAP_LEAVES_VIEW: ErrorCode.TAP_LEAVES_VIEW,
     RefusalReason.GOALS_OVERLAP: ErrorCode.GOALS_OVERLAP,
     RefusalReason.NO_ARRANGEMENT: ErrorCode.NO_ARRANGEMENT,
-    RefusalReason.OBJECT_DOES_NOT_TURN: ErrorCode.OBJECT_DOES_NOT_TURN,
+    RefusalReason.TAP_WITHOUT_ROTATION: ErrorCode.TAP_WITHOUT_ROTATION,
 }
 """Error code of each refusal reason of the planning package."""
 

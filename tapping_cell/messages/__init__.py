@@ -310,7 +310,6 @@ class ErrorCode:
     NO_ARRANGEMENT: ClassVar[int] = 412
     NO_CONTACT_FOUND: ClassVar[int] = 406
     NO_TAP_FOUND: ClassVar[int] = 401
-    OBJECT_DOES_NOT_TURN: ClassVar[int] = 407
     OBJECT_MOVED: ClassVar[int] = 311
     OBJECT_NOT_AT_REST: ClassVar[int] = 305
     OBJECT_NOT_SEEN: ClassVar[int] = 301
@@ -347,6 +346,7 @@ class ErrorCode:
     TAP_NOT_AWAITED: ClassVar[int] = 414
     TAP_NOT_CONFIRMED: ClassVar[int] = 413
     TAP_WITHOUT_EFFECT: ClassVar[int] = 403
+    TAP_WITHOUT_ROTATION: ClassVar[int] = 407
     TOO_FEW_FRAMES: ClassVar[int] = 314
     TRAJECTORY_INVALID: ClassVar[int] = 121
 

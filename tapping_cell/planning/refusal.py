@@ -26,7 +26,7 @@ class RefusalReason(IntEnum):
     GOAL_OUTSIDE_WORKING_AREA = 15
     GOALS_OVERLAP = 16
     NO_ARRANGEMENT = 17
-    OBJECT_DOES_NOT_TURN = 18
+    TAP_WITHOUT_ROTATION = 18
 
 
 @dataclass(frozen=True, slots=True)

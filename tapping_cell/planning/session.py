@@ -295,7 +295,7 @@ class GoalSession(ABC):
         if gain > LEAST_ROTATION_GAIN:
             return None
         return Refusal(
-            RefusalReason.OBJECT_DOES_NOT_TURN,
+            RefusalReason.TAP_WITHOUT_ROTATION,
             f"taps turn the object by at most {100.0 * gain:.0f} % of what its file predicts "
             f"({100.0 * LEAST_ROTATION_GAIN:.0f} % is needed), so that its angle, "
             f"{abs(math.degrees(left[2])):.1f} degrees from the goal, cannot be corrected; clean "

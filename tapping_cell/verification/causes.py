@@ -143,7 +143,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     | {"clock step", "guard", SHORT_TIME_LIMIT},
     ErrorCode.TAP_WITHOUT_EFFECT: CAMERA | POWER,
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
-    ErrorCode.OBJECT_DOES_NOT_TURN: CAMERA | FOREIGN,
+    ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,
 }
 """For each error code of a goal, the kinds of faults of which one must have been injected."""
 CONDITIONS = frozenset(

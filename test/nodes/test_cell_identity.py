@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tapping_cell.cli import graph
 from tapping_cell.cli.graph import Graph, GraphError, domain_number, own_domain
 from tapping_cell.nodes.cell_identity import cell_key, claim
 
@@ -60,6 +62,25 @@ def test_own_domains_differ_and_a_chosen_one_is_kept(monkeypatch: pytest.MonkeyP
     assert one.number != other.number
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
     assert own_domain().number == 42
+
+
+@pytest.mark.parametrize("participant", [0, 3])
+def test_a_domain_with_nodes_is_not_chosen(
+    participant: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nodes that ``ros2 run`` started hold no reservation, but each has its discovery port."""
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    free = own_domain()
+    assert free.held is not None
+    free.held.close()
+    monkeypatch.setattr(graph, "OWN_DOMAINS", [free.number])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as node:
+        node.bind(("", 7400 + 250 * free.number + 10 + 2 * participant))
+        with pytest.raises(GraphError, match="in use"):
+            own_domain()
+    chosen = own_domain()
+    assert chosen.number == free.number and chosen.held is not None
+    chosen.held.close()
 
 
 @pytest.mark.parametrize("chosen", ["left", "-1", "233", "1.5"])

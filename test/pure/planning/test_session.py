@@ -260,8 +260,8 @@ def test_an_object_that_taps_cannot_turn_is_refused_and_any_other_comes_to_its_g
     if gain > 0.1:
         assert isinstance(end, Done), end
         return
-    assert isinstance(end, Refusal) and end.reason is RefusalReason.OBJECT_DOES_NOT_TURN
-    assert REFUSALS[end.reason] == ErrorCode.OBJECT_DOES_NOT_TURN
+    assert isinstance(end, Refusal) and end.reason is RefusalReason.TAP_WITHOUT_ROTATION
+    assert REFUSALS[end.reason] == ErrorCode.TAP_WITHOUT_ROTATION
     assert 3 <= session.taps <= 10
     assert "contact_friction" in end.sentence and "degrees from the goal" in end.sentence
     # Its position can still be corrected, if the goal has the angle that the object has.
