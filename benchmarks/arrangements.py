@@ -12,7 +12,6 @@ with another version of the planner are not used.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import sys
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.source_digest import source_digest
 from tapping_cell import mechanics, planning
 from tapping_cell.cli import evaluate
 from tapping_cell.planning.evaluation.arrangements import (
@@ -82,7 +82,7 @@ def groups() -> list[Group]:
 def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
     """Yield the report after each group, each with its share of ``count`` scenes."""
     rows: list[dict[str, Any]] = []
-    state, kept = _state_of_planner(), _stored_scenes()
+    state, kept = source_digest(mechanics, planning), _stored_scenes()
     for name, task, options, share in groups():
         parser = argparse.ArgumentParser()
         evaluate.add_arguments(parser)
@@ -100,15 +100,6 @@ def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
             print(f"{name}: {scene + 1} of {number} scenes, {done} done", file=sys.stderr)
         rows.append({"name": name, **summarise_arrangements(trials)})
         yield {"rows": list(rows)}
-
-
-def _state_of_planner() -> str:
-    """Return a hash of the source code that the result of a scene depends on."""
-    state = hashlib.sha256()
-    for package in (mechanics, planning):
-        for file in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
-            state.update(file.read_bytes())
-    return state.hexdigest()[:16]
 
 
 def _stored(trial: ArrangementTrial) -> dict[str, Any]:

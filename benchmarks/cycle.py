@@ -29,7 +29,7 @@ from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapCommand, 
 from tapping_cell.cli import session
 from tapping_cell.cli.graph import Graph, nodes_of, own_domain, with_own_ports
 from tapping_cell.configuration.cell import Cell, load_cell
-from tapping_cell.logic.arm_times import ArmTimes
+from tapping_cell.logic.arm_times import arm_times
 from tapping_cell.logic.poses import from_message
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
@@ -92,7 +92,7 @@ class Stopwatch:
 
     def __init__(self, cell: Cell) -> None:
         has_arm = cell.file.arm is not None
-        self._times = ArmTimes(cell) if has_arm else None
+        self._times = arm_times(cell)
         self._tip: tuple[float, ...] | None = None
         self.taps: list[Tap] = []
         self.goals: list[tuple[float, int]] = []

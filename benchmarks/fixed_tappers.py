@@ -8,12 +8,12 @@ The observations have noise of 0.05 mm and 0.05 degrees. Two groups of trials ar
   and are learnt while tapping.
 
 Each part of 250 trials is stored in the cache folder when it is finished, so that the same command
-continues after an interruption. A change of the planning package makes the stored parts obsolete.
+continues after an interruption. A change of mechanics or planning makes the stored parts
+obsolete.
 """
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 import math
@@ -26,7 +26,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tapping_cell import planning
+from benchmarks.source_digest import source_digest
+from tapping_cell import mechanics, planning
 from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
@@ -96,7 +97,8 @@ def _stored(part: Part) -> dict[str, list[Any]]:
     """Return the results of a part: from its file, or computed now and stored there."""
     evaluation = _evaluation(part)
     inputs = f"{part};{evaluation.space.key()};{evaluation.settings.key()};{evaluation.goal}"
-    inputs += f";{evaluation.start_angle};{evaluation.mount_error};{evaluation.seed};{_source()}"
+    inputs += f";{evaluation.start_angle};{evaluation.mount_error};{evaluation.seed}"
+    inputs += f";{source_digest(mechanics, planning)}"
     name = hashlib.sha256(inputs.encode()).hexdigest()[:32]
     file = cache_folder().parent / "fixed_tappers_benchmark" / f"{name}.json"
     if file.exists():
@@ -111,15 +113,6 @@ def _stored(part: Part) -> dict[str, list[Any]]:
     }
     _write(file, json.dumps(made))
     return made
-
-
-@functools.cache
-def _source() -> str:
-    """Return a digest of the planning package: its changes make the stored parts obsolete."""
-    digest = hashlib.sha256()
-    for file in sorted(Path(planning.__file__).parent.rglob("*.py")):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def _write(file: Path, text: str) -> None:

@@ -131,8 +131,9 @@ class Observed:
                 self.unsafe.append(
                     f"the object was struck {silent:.2f} s after the arm was in position"
                 )
+            latest = RELEASE_AFTER_SILENCE_S + (self._flight(at) if self.frozen else 0.0)
             for node, began, ended in self.frozen:
-                if began + RELEASE_AFTER_SILENCE_S + self._flight(at) < at < ended:
+                if began + latest < at < ended:
                     self.unsafe.append(
                         f"the object was struck {at - began:.2f} s after {node} was frozen"
                     )

@@ -348,7 +348,7 @@ def _fixed_cell(arguments: argparse.Namespace) -> Cell | None:
 def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     """Return the evaluation that the options describe, in SI units."""
     from tapping_cell.configuration.cell import load_cell
-    from tapping_cell.logic.arm_times import ArmTimes
+    from tapping_cell.logic.arm_times import arm_times
     from tapping_cell.planning import PlanningError
     from tapping_cell.planning.evaluation import Evaluation
 
@@ -357,6 +357,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     space = clock = None
     objective = arguments.objective
     cell = load_cell(arguments.cell, arguments.object)
+    times = None if arguments.table else arm_times(cell)
     if arguments.model != "abstract" or arguments.table:
         from tapping_cell.configuration.assembly import make_tap
         from tapping_cell.planning import PlannerSettings
@@ -407,7 +408,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         space=space,
         objective=objective or "taps",
         clock=clock,
-        mean_tap=math.nan if arguments.table else ArmTimes(cell).mean_tap,
+        mean_tap=math.nan if times is None else times.mean_tap,
     )
 
 

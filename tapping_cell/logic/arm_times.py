@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.motion import (
     MotionSettings,
     path_duration,
@@ -109,3 +110,14 @@ class ArmTimes:
         x, y, z, yaw = self._geometry.forward_many(joints)
         planar = self._cell.arm_base @ Pose(float(x), float(y), float(yaw))
         return np.array([planar.x, planar.y, z, planar.theta])
+
+
+def arm_times(cell: Cell) -> ArmTimes | None:
+    """Return the times of a cell's arm, None without an arm or if the configured arm cannot move to
+    a strike. The arm's own driver reports the cause of the latter, and no tap is commanded."""
+    if cell.file.arm is None:
+        return None
+    try:
+        return ArmTimes(cell)
+    except HardwareFault:
+        return None

@@ -7,9 +7,8 @@ from dataclasses import dataclass, fields, replace
 
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.logic import tap_commands
-from tapping_cell.logic.arm_times import ArmTimes
+from tapping_cell.logic.arm_times import arm_times
 from tapping_cell.logic.arrangement import AmongOthersTask, ArrangementTask, RequestedGoal
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Token
@@ -107,7 +106,7 @@ class GoalHandling:
         self._adapt = adapt
         self._probe = probe
         self._objective = objective or cell.file.goal.objective
-        self._times = _arm_times(cell)
+        self._times = arm_times(cell)
         self._keep_for = keep_for
         self._time_limit = time_limit
         self._in_background = solve_in_background
@@ -500,17 +499,6 @@ class GoalHandling:
                 self._planner, settings, background=self._in_background
             )
         return self._planners[key]
-
-
-def _arm_times(cell: Cell) -> ArmTimes | None:
-    """Return the times of a cell's arm, None without an arm or if the configured arm cannot move to
-    a strike. The arm's own driver reports the cause of the latter, and no tap is commanded."""
-    if cell.file.arm is None:
-        return None
-    try:
-        return ArmTimes(cell)
-    except HardwareFault:
-        return None
 
 
 def _tolerance_of(cell: Cell, position: float, angle: float) -> tuple[float, float] | Refused:

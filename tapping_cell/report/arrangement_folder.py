@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 from tapping_cell.report.arrangement_page import write_page
 from tapping_cell.report.arrangement_reader import read_arranged_run
 from tapping_cell.report.arrangement_run import SUMMARY, ArrangementRun, to_content
-from tapping_cell.report.run_folder import BAG
+from tapping_cell.report.run_folder import BAG, replace_text
 
 
 def write_arrangement_folder(
@@ -34,9 +33,7 @@ def write_arrangement_folder(
         "seconds": round(run.seconds, 1),
         "run": to_content(run),
     }
-    fresh = folder / f".{SUMMARY}"
-    fresh.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(fresh, folder / SUMMARY)
+    replace_text(folder / SUMMARY, json.dumps(content, indent=2, allow_nan=False) + "\n")
     if page:
         write_page(run, folder, pictures)
     return run

@@ -244,7 +244,7 @@ def write_illustrated_run(folder: Path, illustrated: IllustratedRun, pictures: b
     """
     run = illustrated.run
     text = json.dumps(summary(run), indent=2, allow_nan=False)
-    _replace(folder / SUMMARY, text + "\n")
+    replace_text(folder / SUMMARY, text + "\n")
     rows = folder / f".{TAPS}"
     with rows.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, fieldnames=list(tap_columns(_BLANK_TAP)))
@@ -257,10 +257,10 @@ def write_illustrated_run(folder: Path, illustrated: IllustratedRun, pictures: b
         from tapping_cell.report.run_page import page
 
         draw_cell(run, folder / CELL)
-        _replace(folder / PAGE, page(illustrated))
+        replace_text(folder / PAGE, page(illustrated))
 
 
-def _replace(path: Path, text: str) -> None:
+def replace_text(path: Path, text: str) -> None:
     """Write a file atomically."""
     fresh = path.with_name(f".{path.name}")
     fresh.write_text(text, encoding="utf-8")
