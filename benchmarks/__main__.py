@@ -46,6 +46,7 @@ LONG_SECTIONS = (
     "outline",
     "page-stop",
     "precision",
+    "precision-graph",
     "precision-limit",
     "two-computers",
     "unknown-objects",
@@ -87,11 +88,11 @@ def make_parser() -> argparse.ArgumentParser:
         type=int,
         metavar="N",
         help="number of scenes (arrangements, outline), images (opencv-versions), scenes or frames "
-        "(vision*), experiments "
-        "(calibration, lack-of-fit), demos per truth file (demos), callbacks (composition), "
-        "goals (cycle, fixed-cycle, two-computers, unknown-worlds), losses (disarm), freezes"
-        " of a node (lost-nodes), goals per mutant (mutants), trials (fixed-tappers, precision, "
-        "unknown-objects), or seconds (node, idle) (default: set by each section)",
+        "(vision*), experiments (calibration, lack-of-fit), demos per truth file (demos), demos "
+        "(precision-graph), callbacks (composition), goals (cycle, fixed-cycle, two-computers, "
+        "unknown-worlds), losses (disarm), freezes of a node (lost-nodes), goals per mutant "
+        "(mutants), trials (fixed-tappers, precision, unknown-objects), or seconds (node, idle) "
+        "(default: set by each section)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

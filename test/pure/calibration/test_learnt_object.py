@@ -45,11 +45,11 @@ def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, fl
     tap = replace(content.tap(STRIKER), smallest_distance=0.0)
     asked = np.empty((0, 3))
     while len(asked) < count:
-        distance, heading = random.uniform(0.004, 0.03), random.uniform(-3, 3)
-        turn = random.uniform(-0.9, 0.9) * tap.cone_slope * distance
-        one = np.array([[distance * math.cos(heading), distance * math.sin(heading), turn]])
-        if tap.reachable(one)[0]:
-            asked = np.concatenate([asked, one])
+        # One call for many taps: each call integrates a polygon's slides anew.
+        distance, heading = random.uniform(0.004, 0.03, 64), random.uniform(-3, 3, 64)
+        turn = random.uniform(-0.9, 0.9, 64) * tap.cone_slope * distance
+        some = np.column_stack([distance * np.cos(heading), distance * np.sin(heading), turn])
+        asked = np.concatenate([asked, some[tap.reachable(some)]])[:count]
     truth = TruthFile(
         (0.0, 0.0, 0.0),
         support=SupportTruth(friction / content.friction, factor / content.torque_factor),

@@ -10,7 +10,7 @@ from tapping_cell.verification.campaign import run_trial
 from tapping_cell.verification.mutants import MUTANTS, Mutant, mutated, parts_of
 from tapping_cell.verification.scheduler import Fiber, HangError, Killed, Scheduler
 
-RUNS = 15
+RUNS = 30
 GOALS = 10
 
 
