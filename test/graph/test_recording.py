@@ -51,7 +51,7 @@ def goal(*words: str) -> tuple[int, str]:
 
 
 def recorded(folder: Path, number: int) -> list[Run]:
-    """The runs in order of time, once there are so many with a summary."""
+    """Wait until ``number`` runs have a summary, and return them in chronological order."""
     deadline = time.monotonic() + 60
     while True:
         found = []

@@ -101,7 +101,7 @@ class HeldMarker:
 
 @pytest.fixture(autouse=True)
 def own_signals() -> Iterator[None]:
-    """A verb that runs in this process takes Ctrl-C for itself."""
+    """Restore the signal handlers, because a verb that runs in this process replaces them."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield
     for number, handler in before.items():

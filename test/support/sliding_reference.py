@@ -54,7 +54,7 @@ def ring_force_and_torque(eps: float) -> tuple[float, float]:
 
 
 def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float):
-    """mu g x, mu g R theta and mu g t at rest, of positive speeds, to about 1e-10 relative.
+    """Return mu g x, mu g R theta and mu g t of a whole slide, to a relative 1e-10.
 
     ``torque_ratio`` is kappa m R^2 / I. State: phi = atan2(rim speed, speed) and the three
     results; the variable is L = ln(r0 / r), and r goes to 1e-8 of its start. The products x / v0

@@ -487,10 +487,10 @@ def test_a_tapper_that_was_frozen_in_a_shot_tells_unknown_once_and_is_ready_agai
     assert cell.shots() == [100, 101]
 
 
-def test_a_restarted_tapper_does_not_tell_a_number_that_its_board_has_used_as_not_fired(
+def test_a_restarted_tapper_does_not_report_an_id_that_its_board_has_used_as_not_fired(
     cell: Cell,
 ) -> None:
-    """It may have been fired in the life before."""
+    """The tap may have been fired before the restart."""
     cell.fire(100)
     cell.process.kill()
     cell.states.clear()
