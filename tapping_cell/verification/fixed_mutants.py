@@ -79,7 +79,7 @@ FIXED_MUTANTS: tuple[Mutant, ...] = (
         fixed=True,
     ),
     Mutant(
-        "takes the return of a striker for granted",
+        "assumes that a striker has returned",
         TAPPER,
         "            self._machine.move(Event.RELEASED, S.RETURNING)\n"
         '            self._run("return", tapper_jobs.wait_for_return)\n',

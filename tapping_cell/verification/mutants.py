@@ -74,14 +74,14 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("foreign outcome", "foreign withdrawal", "received by one"),
     ),
     Mutant(
-        "tells an unknown outcome as not fired",
+        "reports an unknown outcome as not fired",
         "tapping_cell.logic.tapper",
         "FireOutcome.UNKNOWN: TapperState.UNKNOWN",
         "FireOutcome.UNKNOWN: TapperState.NOT_FIRED",
         kinds=("cable at a shot", "line at a shot"),
     ),
     Mutant(
-        "tells every shot as fired",
+        "reports every shot as fired",
         "tapping_cell.logic.tapper",
         "FireOutcome.NOT_FIRED: TapperState.NOT_FIRED",
         "FireOutcome.NOT_FIRED: TapperState.FIRED",
@@ -95,7 +95,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("repeated command",),
     ),
     Mutant(
-        "takes a second tap while one is served",
+        "accepts a second tap during a tap",
         "tapping_cell.logic.tapper",
         "        if self.state is not S.SAFE:\n            serving =",
         "        if False:\n            serving =",
@@ -110,7 +110,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("object moved",),
     ),
     Mutant(
-        "looks at the object's position only",
+        "checks the object's position only",
         "tapping_cell.logic.tapper_peers",
         "if moved <= limits.moved and turned <= limits.turned:",
         "if moved <= limits.moved:",
@@ -125,7 +125,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("kill", "freeze", "camera"),
     ),
     Mutant(
-        "does not miss the object",
+        "fires although the object is no longer visible",
         "tapping_cell.logic.tapper_peers",
         "if seen is None or unseen > limits.unseen:",
         "if seen is None:",
@@ -133,7 +133,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("camera",),
     ),
     Mutant(
-        "fires whatever the last check says",
+        "ignores the last check before FIRE",
         "tapping_cell.logic.tapper_jobs",
         "refusal = context.ask(lambda now: check(release_by, now))\n"
         "        return refusal is None and not context.abandoned()",
@@ -144,7 +144,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("freeze at a write", "freeze at a shot"),
     ),
     Mutant(
-        "does not stop the wire",
+        "does not send a stop on the serial line",
         "tapping_cell.logic.device",
         "                # The stop is sent before anything else.\n"
         "                self._effects.append(StopWire())\n",
@@ -153,7 +153,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("emergency stop",),
     ),
     Mutant(
-        "forgets a stop over a restart",
+        "forgets a stop at a restart",
         "tapping_cell.logic.device",
         "            self._stops.recall(event.kept_stop)\n",
         "",
@@ -185,7 +185,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("emergency stop",),
     ),
     Mutant(
-        "a job that was overtaken changes the state",
+        "an outdated job changes the state",
         "tapping_cell.logic.device",
         "        elif event.job == self._job:\n            self._job = None\n",
         "        elif True:\n            self._job = None\n",
@@ -208,7 +208,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("foreign hold",),
     ),
     Mutant(
-        "moves in the flight of the striker",
+        "moves during the flight of the striker",
         "tapping_cell.logic.tapper",
         "self._release_arm(permit.RELEASED_S + struck.flight)",
         "self._release_arm(permit.RELEASED_S)",
@@ -230,7 +230,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "            self._machine._state = S.SAFE\n",
         "S7",
         Mutant(
-            "takes a read in while a job is under way",
+            "processes a status read during a job",
             "tapping_cell.logic.device",
             "            if self._job is None and not self._stops.stopped:\n",
             "            if not self._stops.stopped:\n",
@@ -253,13 +253,13 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("duplicates",),
     ),
     Mutant(
-        "does not know what its board has used",
+        "ignores the ids that its board has used",
         "tapping_cell.logic.tapper",
         "max(self._last_tap_id, self._used)",
         "self._last_tap_id",
         "",
         Mutant(
-            "tells a spent number as not fired",
+            "reports a used id as not fired",
             "tapping_cell.logic.tapper",
             "        spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT\n",
             "        spent = False\n",
@@ -282,7 +282,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("foreign withdrawal", "cancel", "received by one"),
     ),
     Mutant(
-        "lets anybody end the arm's promise",
+        "lets any requester end the arm's promise",
         "tapping_cell.logic.arm",
         "if request.key and requester == self._promised_to and is_shorter:",
         "if is_shorter:",
@@ -290,7 +290,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("foreign outcome",),
     ),
     Mutant(
-        "a second promise takes the first one over",
+        "a second promise replaces the first one",
         "tapping_cell.logic.arm",
         "        if now.steady < self._promise_end and requester != self._promised_to:\n",
         "        if False:\n",
@@ -312,7 +312,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("foreign withdrawal", "received by one", "cancel"),
     ),
     Mutant(
-        "believes anybody that the striker is discharged",
+        "believes any publisher that the striker is discharged",
         "tapping_cell.logic.arm",
         "        if ours and message.state in CHARGED:\n",
         "        if ours and message.state not in CHARGED:\n"
@@ -321,7 +321,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("foreign flood",),
     ),
     Mutant(
-        "takes a trajectory while a tap is pending",
+        "accepts a trajectory while a tap is pending",
         "tapping_cell.logic.arm",
         "        if not self._active or self.state is not S.IDLE:\n"
         "            code = ErrorCode.ARM_BUSY",
@@ -337,28 +337,28 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("kill", "restart", "deactivate"),
     ),
     Mutant(
-        "believes an arm that was not homed",
+        "trusts an arm that was not homed",
         "tapping_cell.logic.arm",
         "        elif self._homed():\n            self._machine.move(event, S.IDLE)",
         "        elif True:\n            self._machine.move(event, S.IDLE)",
         kinds=("loss of power", "motors off", "kill"),
     ),
     Mutant(
-        "takes a tap while it is busy",
+        "accepts a tap while it is busy",
         "tapping_cell.logic.arm",
         "        if self.state is not S.IDLE:\n            return ErrorCode.ARM_BUSY",
         "        if False:\n            return ErrorCode.ARM_BUSY",
         kinds=("foreign command",),
     ),
     Mutant(
-        "never gives a goal up",
+        "never aborts a goal",
         "tapping_cell.logic.planner",
         "        if now.steady > task.expires:",
         "        if False:",
         kinds=("camera", "guard"),
     ),
     Mutant(
-        "waits for ever for the arm",
+        "waits for the arm without a limit",
         "tapping_cell.logic.planner",
         "        elif self._late(now):\n            self._fail(code, sentence",
         "        elif False:\n            self._fail(code, sentence",
