@@ -151,6 +151,8 @@ def test_connections_that_stay_open_leave_room_for_a_stop() -> None:
             held.append(line)
             await asyncio.sleep(0)
         assert (await site.post({"do": "stop"})).code == 200
+        held[0].settimeout(30.0)
+        assert held[0].recv(1) == b"", "the oldest connection is closed"
         held_open = len(site.server._streams) + len(site.server._admitted)
         assert held_open <= stop_server.MOST_CONNECTIONS
         for line in held:
