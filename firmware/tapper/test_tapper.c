@@ -278,6 +278,14 @@ static void test_stop_and_clear(void)
     host_button(0);
     pass(2);
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
+    /* Nor does a press after an earlier stop, which began before this one. */
+    host_button(1);
+    pass(300);
+    host_receive((const uint8_t *)"!", 1, now);
+    pass(600);
+    host_button(0);
+    pass(2);
+    CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
     /* A press clears only one stop. */
     press_button(510);
     host_receive((const uint8_t *)"!", 1, now);
@@ -348,6 +356,15 @@ static void test_shot_numbers(void)
     press_button(5200);
     CHECK(host_kept() == 1);
     CHECK(strstr(ask("CLEAR"), ",OK,"));
+    /* Nor by a press during which the board is stopped. */
+    keep(600);
+    host_button(1);
+    pass(100);
+    host_receive((const uint8_t *)"!", 1, now);
+    pass(5200);
+    host_button(0);
+    pass(2);
+    CHECK(host_kept() == 1);
     /* A button that is stuck when the board starts has no effect. */
     host_button(1);
     pass(10);

@@ -311,11 +311,14 @@ class CrashCell:
         future = self._reset.call_async(ResetWorld.Request(object_pose=to_message(START)))
         if not self.wait(future.done, 60.0):
             raise TimeoutError("sim_world does not answer reset_world")
+        # The true pose may arrive later than the camera's message, and its change is no strike.
         self.wait(
             lambda: (
                 self.client.object_state is not None
                 and self.client.object_state.at_rest
                 and self.client.object_pose().distance_to(START) < 0.001
+                and self.seen.lain is not None
+                and self.seen.lain.distance_to(START) < STILL
             ),
             30.0,
         )

@@ -41,6 +41,8 @@ from tapping_cell.vision import CameraModel, ReferenceMap, marker_ids
 FourNumbers = tuple[float, float, float, float]
 ARM_TAPPER = "tapper"
 """Name of the tapper that the arm carries."""
+LONGEST_FLIGHT_S = 2.0
+"""Maximum time of flight of a striker, in s. The arm must stand still during the flight."""
 
 Constraint = Literal["linear_bearings", "free"]
 JointName = Literal["shoulder", "elbow", "quill", "tool"]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tapping_cell.configuration.assembly import make_planner_settings, make_strike_space
-from tapping_cell.configuration.cell import Cell, load_further_objects
+from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell, load_further_objects
 from tapping_cell.configuration.chain_reach import chain_reach
 from tapping_cell.configuration.fixed_conflicts import fixed_conflicts
 from tapping_cell.configuration.schema import ConfigurationError
@@ -19,8 +19,6 @@ from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planne
 
 LEAST_WORKABLE = 0.5
 """Share of the usable area that the arm can serve below which a warning is reported."""
-LONGEST_FLIGHT_S = 2.0
-"""Maximum time of flight of a striker, in s. The arm must stand still during the flight."""
 NOISE_MARGIN = 3.0
 """Number of standard deviations of the measured pose that should fit into the tolerance."""
 

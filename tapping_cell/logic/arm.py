@@ -587,8 +587,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
         self._longest_hold = permit.longest_hold(event.cell)
-        # This node may have promised to stand still before it was restarted.
-        self._promise_end = max(self._promise_end, now.steady + self._longest_hold)
+        # This node may have promised to stand still before it was restarted, for a strike of the
+        # cell file that it had then.
+        self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
 
     def _closed(self) -> None:
         self._tap_id = 0

@@ -131,6 +131,8 @@ class StopLevels:
     gone: tuple[str, ...]
     """Nodes whose publisher does not exist any more, but did when a stop was received after the
     last ``KeepStop(None)``."""
+    silent: tuple[str, ...] = ()
+    """Nodes whose publisher does not repeat its level, if there are several publishers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
 """Part of the promised time for the requests to arm and board, the firing window and the pulse."""
@@ -13,6 +13,8 @@ RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
 """Factor by which friction and errors of the curve may make the flight longer than predicted."""
+LONGEST_HOLD_S = BEFORE_FLIGHT_S + SLOWNESS * LONGEST_FLIGHT_S
+"""Maximum duration that a tapper of any cell may request."""
 
 
 def flight(stroke: float, speed: float) -> float:
@@ -27,7 +29,8 @@ def hold(time_of_flight: float) -> float:
 
 def longest_hold(cell: Cell) -> float:
     """Return the longest duration that a tapper of the cell requests (for its slowest strike)."""
-    return max(
+    longest = max(
         hold(flight(tapper.stroke, tapper.curve().slowest))
         for tapper in cell.tapper_sections.values()
     )
+    return min(longest, LONGEST_HOLD_S)

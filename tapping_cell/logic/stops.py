@@ -3,11 +3,14 @@
 True on ``emergency_stop`` stops immediately and latches. False only clears the asserted level; the
 stop stays latched until a person resets it with ``clear_fault``. A message does not identify its
 publisher, so a reset queries every publisher again and is refused if one still asserts the stop. A
-publisher that has vanished cannot be queried: a person must inspect the cell and confirm by
-requesting the reset a second time.
+publisher that has vanished, or that does not repeat its level, cannot be queried: a person must
+inspect the cell and confirm by requesting the reset a second time. A new stop voids the
+confirmation.
 """
 
 from __future__ import annotations
+
+import math
 
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.effects import Content, StopLevels
@@ -27,7 +30,7 @@ class StopLatch:
         self._asserted = False
         self._received = 0
         self._asked = 0
-        self._confirm_until = -1.0
+        self._confirm_until = -math.inf
 
     @property
     def stopped(self) -> bool:
@@ -66,13 +69,13 @@ class StopLatch:
         changed = level != self._asserted
         self._asserted = level
         if level:
-            self._received += 1
+            self._begin_stop()
             changed = self._add(TOPIC) or changed
         return changed and self.stopped
 
     def press(self, source: str = SERVICE) -> bool:
         """Latch a stop that has no level, such as a service call; return whether it is new."""
-        self._received += 1
+        self._begin_stop()
         return self._add(source)
 
     def begin_reset(self) -> None:
@@ -94,18 +97,37 @@ class StopLatch:
                 f"the emergency stop is still held; publishers of emergency_stop: {names}."
                 " Release it there, then call clear_fault again"
             )
-        if (self._asserted or levels.gone) and now.steady > self._confirm_until:
+        doubt = self._doubt(levels)
+        if doubt and now.steady > self._confirm_until:
             self._confirm_until = now.steady + CONFIRM_WITHIN_S
-            names = ", ".join(levels.gone) or "name unknown"
             return (
-                f"the publisher that asserted the emergency stop ({names}) disappeared "
-                "without releasing it. Go to the cell and make sure that nobody is in "
-                f"danger; then call clear_fault again within {CONFIRM_WITHIN_S:.0f} s"
+                f"{doubt}. Go to the cell and make sure that nobody is in danger; then call"
+                f" clear_fault again within {CONFIRM_WITHIN_S:.0f} s"
             )
         self._sources.clear()
         self._asserted = False
-        self._confirm_until = -1.0
+        self._confirm_until = -math.inf
         return ""
+
+    def _doubt(self, levels: StopLevels) -> str:
+        """Return why the publishers' levels do not show that the stop is released, or ""."""
+        if levels.silent:
+            return (
+                f"the emergency stop of {', '.join(levels.silent)} is not known, because this"
+                " publisher does not repeat its level (volatile durability)"
+            )
+        if self._asserted or levels.gone:
+            names = ", ".join(levels.gone) or "name unknown"
+            return (
+                f"the publisher that asserted the emergency stop ({names}) disappeared"
+                " without releasing it"
+            )
+        return ""
+
+    def _begin_stop(self) -> None:
+        """Note a stop, which a reset under way and an earlier confirmation do not include."""
+        self._received += 1
+        self._confirm_until = -math.inf
 
     def _add(self, source: str) -> bool:
         if source in self._sources:

@@ -118,10 +118,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.fatal = ""
         self._last_complaint = ""
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Two subscriptions are needed: a transient local subscription does not match volatile
-        # publishers, and a volatile subscription misses a stop that was published before this node
-        # started.
-        for profile in (LATCHED, COMMAND):
+        # Several subscriptions are needed: a transient local subscription does not match volatile
+        # publishers, a volatile subscription misses a stop that was published before this node
+        # started, and a reliable one does not match best-effort publishers.
+        for profile in (LATCHED, COMMAND, BEST_EFFORT_COMMAND):
             self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, profile)
         self.create_timer(1.0, self._publish_diagnostics)
         self._connections = ConnectionCheck(self)

@@ -31,6 +31,13 @@ class KeptContent:
             os.fsync(file.fileno())
         part.replace(self._path)
 
+    def require_writable(self) -> None:
+        """Raise OSError if content could not be kept."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        part = self._path.with_suffix(".part")
+        part.write_text("{}", encoding="utf-8")
+        part.unlink()
+
     def touch(self) -> None:
         """Reset the age of the file if it exists. Raises OSError."""
         if self._path.exists():

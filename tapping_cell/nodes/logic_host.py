@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from rclpy.qos import DurabilityPolicy
 from rclpy.task import Future
 from std_msgs.msg import Bool
 
@@ -114,9 +115,10 @@ class LogicHost(Generic[Machine]):
 
     def receive(self, topic: str, message: Any) -> None:
         """Pass a message to the state machine."""
-        if topic == stops.TOPIC and message.data:
-            self._stop_publishers |= self._present_publishers()
         self._dispatch(lambda now: self._logic.on_message(topic, message, now))
+        if topic == stops.TOPIC and message.data:
+            # Querying the graph takes time, so the stop is dispatched first.
+            self._stop_publishers |= self._present_publishers()
 
     def request(
         self,
@@ -215,7 +217,7 @@ class LogicHost(Generic[Machine]):
                 self.stop_file.keep(effect.content)
         except OSError as error:
             what = "stop" if isinstance(effect, fx.KeepStop) else "goal"
-            self._node.get_logger().warning(f"a restart of the node would lose the {what}: {error}")
+            self._node.get_logger().error(f"a restart of the node would lose the {what}: {error}")
 
     def later(self, action: Callable[[], None]) -> None:
         """Run an action in the executor's thread after its current callback."""
@@ -261,18 +263,25 @@ class LogicHost(Generic[Machine]):
             timer.cancel()
             self._node.destroy_timer(timer)
             self._node.destroy_subscription(subscription)
-            present = self._present_publishers()
-            gone = sorted({n for g, n in self._stop_publishers.items() if g not in present})
-            names = tuple(sorted(set(present.values())))
-            self._answered(token, fx.StopLevels(any(levels), names, tuple(gone)))
+            present, stopped = self._present_publishers(), self._stop_publishers
+            gone = {name for gid, name in stopped.items() if gid not in present}
+            # The last message of a single publisher is its level. Of several, each must repeat its
+            # own.
+            several = len(present.keys() | stopped.keys()) > 1
+            silent = set(self._present_publishers(volatile_only=True).values()) if several else ()
+            names = (tuple(sorted(each)) for each in ({*present.values()}, gone, silent))
+            self._answered(token, fx.StopLevels(any(levels), *names))
 
         timer = self._node.create_timer(LEVELS_WAIT_S, settle)
 
-    def _present_publishers(self) -> dict[bytes, str]:
-        """Return the node names of the publishers of ``emergency_stop``, by endpoint identifier."""
+    def _present_publishers(self, volatile_only: bool = False) -> dict[bytes, str]:
+        """Return the node names of the publishers of ``emergency_stop``, by endpoint identifier.
+
+        ``volatile_only``: only those that do not resend their level to a new subscription."""
         return {
             bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             for info in self._node.get_publishers_info_by_topic(stops.TOPIC)
+            if not volatile_only or info.qos_profile.durability is DurabilityPolicy.VOLATILE
         }
 
     # Jobs

@@ -3,8 +3,8 @@
 ``python -m tapping_cell faults --crashes`` kills every node at every phase of a tap; ``faults
 --goals`` does so, and freezes them, in virtual time.
 
-``TAPPING_CELL_FREEZES=100:7`` freezes planner and camera node 100 times each, at moments drawn from
-the seed 7 (``test/nodes/test_frozen_tapper.py`` does so with tapper and arm).
+``TAPPING_CELL_FREEZES=100:7 pytest --timeout 0`` freezes planner and camera node 100 times each, at
+moments drawn from the seed 7 (``test/nodes/test_frozen_tapper.py`` does so with tapper and arm).
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from builtin_interfaces.msg import Time
+from tapping_cell_msgs.msg import TapCommand
 
-from tapping_cell.cli.crash_trials import PHASES, CrashCell
+from tapping_cell.cli.crash_trials import PHASES, CrashCell, Observed
 
 FREEZES, SEED = map(int, os.environ.get("TAPPING_CELL_FREEZES", "4:5").split(":"))
 
@@ -66,3 +68,21 @@ def test_nothing_is_struck_on_the_word_of_a_frozen_planner_or_camera(
         assert not crash.unsafe, crash
     print(f"{frozen} freezes of {node} (seed {SEED}): {goals} goals, {strikes} strikes")
     assert strikes
+
+
+@pytest.mark.parametrize(
+    ("struck", "frozen_until", "unsafe"),
+    [(9.5, 11.0, False), (10.1, 11.0, True), (10.1, 10.0, False)],
+    ids=["before the limits end", "while frozen", "thawed"],
+)
+def test_a_strike_on_the_word_of_a_frozen_node_is_noticed(
+    struck: float, frozen_until: float, unsafe: bool
+) -> None:
+    """The trials above can fail: this is how they judge a strike."""
+    tap = TapCommand(request=TapCommand.TAP, striker_speed=0.3)
+    tap.header.stamp = Time(sec=9)
+    seen = Observed(commands=[tap], struck=[struck])
+    seen.settled.append(struck - 0.1)
+    seen.frozen.append(("tap_planner", 9.0, frozen_until))
+    seen.judge_strikes()
+    assert bool(seen.unsafe) is unsafe

@@ -89,6 +89,7 @@ CASES: list[tuple[Callable[[Node], Any], str]] = [
     (lambda probe: probe.create_publisher(PoseStamped, "goal_pose", RELIABLE), ""),
     (lambda probe: probe.create_publisher(Bool, "emergency_stop", RELIABLE), ""),
     (lambda probe: probe.create_publisher(Bool, "emergency_stop", LATCHED), ""),
+    (lambda probe: probe.create_publisher(Bool, "emergency_stop", BEST_EFFORT), ""),
     (
         lambda probe: probe.create_subscription(
             PlanState, "plan_state", lambda _: None, BEST_EFFORT

@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from harness import Bench, bench
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -25,6 +26,7 @@ from tapping_cell_msgs.msg import ArmState, ErrorCode, StopState, TapCommand
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
+from tapping_cell.nodes import cell_identity
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.conversions import from_message, to_message
 from tapping_cell.nodes.drivers.scara_arm import ScaraArm
@@ -227,6 +229,77 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
     assert cell.last.state == ArmState.STOPPED
     assert cell.call("clear_fault").success
     cell.wait_state(ArmState.NOT_HOMED)
+
+
+def test_a_source_that_does_not_repeat_its_level_asks_for_a_confirmation(cell: Cell) -> None:
+    """S4: the release of one source is not that of another, whose level nobody can query."""
+    panel = Node("panel")
+    held = panel.create_publisher(Bool, "emergency_stop", COMMAND)
+    cell.bench.wait(lambda: held.get_subscription_count() >= 1, "the panel is known")
+    held.publish(Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    cell.stop.publish(Bool(data=False))
+
+    def released() -> bool:
+        return (cell.arm.host.stop_file.recall() or {}).get("asserted") is False
+
+    cell.bench.wait(released, "the other source's release is received")
+    first = cell.call("clear_fault")
+    assert not first.success and "/panel is not known" in first.message
+    assert cell.last.state == ArmState.STOPPED
+    assert cell.call("clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+    panel.destroy_node()
+
+
+@pytest.mark.parametrize("reliability", ["RELIABLE", "BEST_EFFORT"])
+@pytest.mark.parametrize("durability", ["TRANSIENT_LOCAL", "VOLATILE"])
+def test_a_stop_is_received_from_a_publisher_of_any_profile(
+    cell: Cell, reliability: str, durability: str
+) -> None:
+    profile = QoSProfile(
+        depth=1,
+        reliability=ReliabilityPolicy[reliability],
+        durability=DurabilityPolicy[durability],
+    )
+    panel = Node("panel")
+    publisher = panel.create_publisher(Bool, "emergency_stop", profile)
+    cell.bench.wait(lambda: publisher.get_subscription_count() >= 1, "the arm listens to it")
+    publisher.publish(Bool(data=True))
+    cell.wait_state(ArmState.STOPPED)
+    panel.destroy_node()
+
+
+def test_a_stop_is_sent_before_anything_is_asked_of_the_graph(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopped, ask = list[bool](), cell.arm.get_publishers_info_by_topic
+
+    def watch(topic: str) -> Any:
+        stopped.append(cell.arm.stopped)
+        return ask(topic)
+
+    monkeypatch.setattr(cell.arm, "get_publishers_info_by_topic", watch)
+    cell.stop.publish(Bool(data=True))
+    cell.bench.wait(lambda: stopped, "the publishers are asked for")
+    assert stopped[0]
+
+
+def test_an_arm_whose_stop_could_not_be_stored_does_not_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """S5: its restart would forget the stop."""
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(cell_identity, "STATE", tmp_path / "file")
+    with arm_cell(tmp_path) as cell:
+        received = cell.bench.listen(DiagnosticArray, "/diagnostics")
+        cell.bench.wait(
+            lambda: any("could not be stored" in s.message for m in received for s in m.status),
+            "the reason is reported",
+        )
+        assert not cell.arm.configured and not cell.moving()
+        (tmp_path / "file").unlink()
+        cell.wait_state(ArmState.IDLE)
 
 
 def test_the_stops_that_hold_are_told_to_late_joiners(cell: Cell) -> None:

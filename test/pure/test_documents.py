@@ -37,3 +37,21 @@ def test_every_room_stands_in_the_architecture_page() -> None:
         if folder.is_dir() and (folder / "__init__.py").exists()
     }
     assert subpackages == set(re.findall(r"^\| `(\w+/)` \|", text, re.MULTILINE))
+
+
+def test_every_test_that_the_safety_page_names_exists() -> None:
+    page = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    sources = "".join(
+        file.read_text(encoding="utf-8") for file in (ROOT / "test").rglob("test_*.py")
+    )
+    named = set(re.findall(r"`(test_\w+)`", page))
+    assert len(named) > 40
+    assert {name for name in named if f"def {name}(" not in sources} == set()
+    files = set(re.findall(r"`((?:test|firmware)/[\w/]+\.(?:py|c))`", page))
+    assert {name for name in files if not (ROOT / name).exists()} == set()
+
+
+def test_every_finding_of_the_first_review_has_a_test() -> None:
+    page = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| S(\d+) .*`test", page, re.MULTILINE)
+    assert [int(number) for number in rows] == list(range(1, 13))

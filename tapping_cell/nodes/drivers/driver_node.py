@@ -73,9 +73,16 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         machine.
 
         Raises:
-            NotReady: the device is absent or its response is not understood; the life cycle
-                retries.
+            NotReady: a stop could not be stored, the device is absent or its response is not
+                understood; the life cycle retries.
         """
+        try:
+            self.host.stop_file.require_writable()
+        except OSError as error:
+            raise NotReady(
+                f"a stop could not be stored for a restart ({error}); make the folder writable and"
+                " free some space on its disk"
+            ) from error
         try:
             answer = driver.connect(timeout=self.logic.patience)
             connected = read(answer)

@@ -2,8 +2,10 @@
 
 A request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or ``{"do": "check",
 ...}``, and the response is ``{"held": ...}``. A stop needs no existing connection. When too many
-connections are open, the oldest is closed for the newest, so that nobody can occupy all of them. A
-check and every refused request are answered slowly, which limits the request rate of a connection.
+connections are open, the oldest is closed for the newest, so that nobody can occupy all of them.
+Connections of pages, which have sent an admitted request, are closed last, so that a page keeps its
+connection while somebody opens others as fast as possible. A check and every refused request are
+answered slowly, which limits the request rate of a connection.
 """
 
 from __future__ import annotations
@@ -76,11 +78,15 @@ class StopLevel:
 class StopHandler(RequestHandler):
     """Handle one stop, or one check that a stop would be received."""
 
-    def initialize(self, level: StopLevel, guard: Guard, page_port: int) -> None:
-        """Store the objects that every request needs."""
+    def initialize(
+        self, level: StopLevel, guard: Guard, page_port: int, admit: Callable[[Any], None]
+    ) -> None:
+        """Store the objects that every request needs. ``admit`` is called with the connection of an
+        admitted request."""
         self._level = level
         self._guard = guard
         self._page_port = page_port
+        self._admit = admit
 
     def set_default_headers(self) -> None:
         """Set headers against caching, content sniffing and framing."""
@@ -106,7 +112,9 @@ class StopHandler(RequestHandler):
             return
         if not self._guard.admits(token):
             await self._refuse(401, "the token is wrong or missing")
-        elif asked == "stop":
+            return
+        self._admit(self.request.connection)
+        if asked == "stop":
             self._level.stop(self.request.remote_ip or "?")
             self.write({"held": True})
         elif asked == "check":
@@ -134,27 +142,40 @@ class StopServer(HTTPServer):
         """Initialise without connections."""
         super().initialize(*arguments, **options)
         self._streams: list[IOStream] = []
+        self._admitted: list[IOStream] = []
 
     @classmethod
     def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
         """Return a server for ``level`` that accepts pages that are served at ``page_port`` and
         that ``guard`` admits."""
-        handlers: list[Any] = [
-            ("/", StopHandler, {"level": level, "guard": guard, "page_port": page_port})
-        ]
-        application = Application(handlers, log_function=lambda _: None)
-        return cls(
+        requirements = {"level": level, "guard": guard, "page_port": page_port}
+        application = Application(log_function=lambda _: None)
+        made = cls(
             application,
             max_header_size=4096,
             max_body_size=LONGEST_BODY,
             idle_connection_timeout=20.0,
             body_timeout=2.0,
         )
+        handler = ("/", StopHandler, {**requirements, "admit": made.admit})
+        application.add_handlers(".*", [handler])
+        return made
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
         """Accept a new connection."""
-        self._streams = [each for each in self._streams if not each.closed()]
-        while len(self._streams) >= MOST_CONNECTIONS:
-            self._streams.pop(0).close()
+        self._forget_closed()
+        while len(self._streams) + len(self._admitted) >= MOST_CONNECTIONS:
+            (self._streams or self._admitted).pop(0).close()
         self._streams.append(stream)
         super().handle_stream(stream, address)
+
+    def admit(self, connection: Any) -> None:
+        """Close the connection of a page, which has sent an admitted request, after others."""
+        stream = connection.stream
+        if stream in self._streams:
+            self._streams.remove(stream)
+            self._admitted.append(stream)
+
+    def _forget_closed(self) -> None:
+        self._streams = [each for each in self._streams if not each.closed()]
+        self._admitted = [each for each in self._admitted if not each.closed()]

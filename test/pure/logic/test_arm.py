@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 from hypothesis import given
@@ -12,9 +13,10 @@ from test_permit import CELL, TAP, Pair, at, jobs, messages
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic import arm as arms
+from tapping_cell.logic import permit
 from tapping_cell.logic.arm_jobs import Reading
 from tapping_cell.logic.effects import Effect, JobEnded, RunJob
-from tapping_cell.logic.host import Activated, Deactivated
+from tapping_cell.logic.host import Activated, Configured, Deactivated
 from tapping_cell.messages import (
     ArmState,
     Bool,
@@ -193,3 +195,18 @@ def test_who_always_says_charged_holds_the_arm_for_a_limited_time() -> None:
         report(pair, TapperState.CHARGED, steady)
         steady += 0.05
         assert steady < START + 1.1 + arms.LONGEST_WAIT_S
+
+
+def test_a_restarted_arm_keeps_the_promise_of_one_with_another_cell_file() -> None:
+    """The file may have been changed between; the striker under way is that of the old one."""
+    tapper = replace(CELL.file.tapper, stroke=0.1 * CELL.file.tapper.stroke)
+    quick = replace(CELL, file=replace(CELL.file, tapper=tapper))
+    assert permit.longest_hold(quick) < permit.longest_hold(CELL)
+    arm = arms.ArmLogic(arms.ArmOptions())
+    here = Reading(False, Joints(*CELL.file.arm.park), False, START)
+    arm.on_lifecycle(Configured(quick, here), at(START))
+    arm.on_lifecycle(Activated(), at(START))
+    made = arm.on_request("~/home", Trigger.Request(), 1, at(START))
+    (job,) = (e.job for e in made if isinstance(e, RunJob))
+    assert isinstance(job.run, partial)
+    assert job.run.keywords["not_before"] >= START + permit.longest_hold(CELL)

@@ -26,9 +26,12 @@ from tapping_cell.messages import (
     HoldStill,
     JointTrajectory,
     JointTrajectoryPoint,
+    Point,
+    PoseStamped,
     TapCommand,
     TapperState,
 )
+from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.truth import ArmTruth
@@ -206,6 +209,21 @@ def test_a_withdrawal_of_no_tap_moves_nothing(cell: Cell) -> None:
     )
 
 
+def test_only_the_withdrawal_of_the_last_tap_parks_an_idle_arm(cell: Cell) -> None:
+    """S6: a second withdrawal says that the arm still hides the object, but not that of any tap."""
+    camera = Point(x=0.0, y=0.0, z=0.7)
+    cell.publish("camera/pose", PoseStamped(pose=PoseMessage(position=camera)))
+    cell.command(100)
+    cell.wait_state(ArmState.IN_POSITION)
+    cell.withdraw(100)
+    cell.wait_state(ArmState.IDLE)
+    for tap_id in (0, 99, 101):
+        cell.withdraw(tap_id)
+    assert not cell.moves(0.5)
+    cell.withdraw(100)
+    assert cell.moves(0.5)
+
+
 def test_an_inactive_arm_is_still(cell: Cell) -> None:
     cell.process.lifecycle(Deactivated())
     cell.wait_state(ArmState.FAULT)
@@ -317,8 +335,11 @@ def test_foreign_clients_on_the_bus_do_not_disturb_a_tap(cell: Cell) -> None:
     cell.withdraw(999)
     cell.ask("~/home")
     cell.ask("~/clear_fault")
-    cell.publish("joint_trajectory", JointTrajectory(joint_names=JOINT_NAMES))
+    foreign = a_trajectory(np.array([0.3, 1.0, -0.01, 0.5]), 2.0)
+    cell.publish("joint_trajectory", foreign)
     cell.wait_state(ArmState.IN_POSITION)
+    cell.publish("joint_trajectory", foreign)
+    assert not cell.moves(0.5)
     assert cell.last.tap_id == 100 and cell.last.error_code == 0
     assert from_message(cell.last.tip_pose).distance_to(STRIKE) < 0.0005
     cell.withdraw(100)

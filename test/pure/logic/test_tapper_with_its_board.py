@@ -137,6 +137,9 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     cell.command(100)
     cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == [100]
+    # It is refused before the board, which would refuse it as well, is asked to charge.
+    assert cell.outcome(100) == TapperState.FIRED
+    assert {s.state for s in cell.states[-5:]} == {TapperState.SAFE}
 
 
 @pytest.mark.parametrize(

@@ -151,8 +151,42 @@ def test_connections_that_stay_open_leave_room_for_a_stop() -> None:
             held.append(line)
             await asyncio.sleep(0)
         assert (await site.post({"do": "stop"})).code == 200
-        assert len(site.server._streams) <= stop_server.MOST_CONNECTIONS
+        held[0].settimeout(30.0)
+        assert held[0].recv(1) == b"", "the oldest connection is closed"
+        held_open = len(site.server._streams) + len(site.server._admitted)
+        assert held_open <= stop_server.MOST_CONNECTIONS
         for line in held:
             line.close()
 
     assert play(scenario).published == [True]
+
+
+def test_a_flood_of_connections_does_not_close_that_of_a_page() -> None:
+    async def scenario(site: Site) -> None:
+        body = json.dumps({"do": "check"}).encode()
+        request = (
+            f"POST / HTTP/1.1\r\nHost: 127.0.0.1:{site.port}\r\n"
+            f"Origin: http://127.0.0.1:{PAGE_PORT}\r\nContent-Length: %d\r\n\r\n"
+        ).encode()
+        reader, writer = await asyncio.open_connection("127.0.0.1", site.port)
+
+        async def ask(content: bytes) -> bytes:
+            writer.write(request % len(content) + content)
+            head = await reader.readuntil(b"\r\n\r\n")
+            length = int(head.split(b"Content-Length: ")[1].split(b"\r\n")[0])
+            return await reader.readexactly(length)
+
+        assert json.loads(await ask(body)) == {"held": False}
+        flood = []
+        for _ in range(2 * stop_server.MOST_CONNECTIONS):
+            line = socket.create_connection(("127.0.0.1", site.port))
+            line.sendall(request % 15)
+            flood.append(line)
+            await asyncio.sleep(0)
+        assert json.loads(await ask(b'{"do": "stop"}')) == {"held": True}
+        assert site.published == [True]
+        for line in flood:
+            line.close()
+        writer.close()
+
+    play(scenario)

@@ -1,0 +1,72 @@
+"""The invariants about motions of the arm notice what they forbid: its controller is made to move
+behind the back of every node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from tapping_cell.verification.trial import Trial
+
+JOG = b"$J=G91 X0.5 F500\n"
+
+
+@pytest.fixture
+def trial() -> Trial:
+    made = Trial(seed=21, faults=False)
+    made.bring_up()
+    made.scheduler.run(made.scheduler.now + 2.0)
+    return made
+
+
+def violated_by_a_motion(trial: Trial) -> set[str]:
+    """Names of the invariants that a motion of the arm, which no node commands, violates."""
+    trial.scheduler.run(trial.scheduler.now + 1.0)
+    assert trial.checker.violations == []
+    trial.physical.arm_board.receive(JOG, trial.scheduler.now)
+    trial.physical.arm_line.schedule()
+    moved = trial.scheduler.now + 1.0
+    trial.scheduler.run(moved, lambda: trial.physical.moving(trial.scheduler.now))
+    assert trial.physical.moving(trial.scheduler.now)
+    trial.scheduler.run(moved)
+    return {violation.name for violation in trial.checker.violations}
+
+
+def kill(trial: Trial) -> None:
+    trial.kill("scara_arm", 60.0)
+
+
+def shut_down(trial: Trial) -> None:
+    trial.shut_down("scara_arm", 60.0)
+
+
+def stop(trial: Trial) -> None:
+    trial.call_stop("scara_arm")
+
+
+def press(trial: Trial) -> None:
+    trial.press_emergency_stop(60.0)
+
+
+@pytest.mark.parametrize("event", [kill, shut_down, stop, press])
+def test_a_motion_after_a_crash_or_a_stop_is_noticed(
+    trial: Trial, event: Callable[[Trial], None]
+) -> None:
+    event(trial)
+    assert "moved by itself" in violated_by_a_motion(trial)
+
+
+def test_a_motion_that_nobody_asked_for_is_noticed(trial: Trial) -> None:
+    assert violated_by_a_motion(trial) == {"moved unasked"}
+
+
+@pytest.mark.parametrize("event", [kill, stop])
+def test_a_motion_that_a_person_asked_for_is_none_of_them(
+    trial: Trial, event: Callable[[Trial], None]
+) -> None:
+    event(trial)
+    trial.scheduler.run(trial.scheduler.now + 61.0)
+    trial.recover()
+    assert trial.checker.motion_allowed
+    assert trial.checker.violations == []
