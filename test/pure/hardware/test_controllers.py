@@ -231,24 +231,53 @@ def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
 
 
 def test_an_arm_that_still_moves_is_not_homed_where_a_person_cannot_have_put_its_tool() -> None:
-    """A move that goes on after an unplug ends far from the mark of the axis without a switch."""
+    """A move of another program ends far from the mark of the axis without a switch."""
     cell = ControllerCell("grbl-mega-5x")
     driver = cell.ready()
-    cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
-    with pytest.raises(HardwareFault):
-        driver.move_to(FAR, 0.1)
-    cell.wait(0.5)
-    driver.connect()
-    assert cell.emulator.moving(cell.clock.now)
+    cell.emulator.receive(b"G1X80Y30F1000\n", cell.clock.now)
     with pytest.raises(HardwareFault, match="axis A, which has no home switch") as caught:
         driver.home(HomingStrategy.FIRMWARE)
     assert caught.value.reason is FaultReason.HOMING_FAILED and not driver.homed
     cell.wait(60.0)
-    driver.clear_fault()
-    cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)  # type: ignore[union-attr]
-    driver.home(HomingStrategy.FIRMWARE)
+    cell.home_again()
     driver.move_to((0.1, 1.4, -0.01, 0.7))
     assert np.allclose(cell.truth(), (0.1, 1.4, -0.01, 0.7), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", GRBL_NAMES)
+def test_a_controller_that_still_moves_after_an_unplug_is_connected_when_it_stands(
+    name: str,
+) -> None:
+    """Grbl answers ``$I`` and ``$$`` only at rest, as grblHAL's simulator showed."""
+    cell = ControllerCell(name)
+    driver = cell.ready()
+    cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
+    with pytest.raises(HardwareFault):
+        driver.move_to(FAR, 0.1)
+    cell.wait(0.4)
+    with pytest.raises(HardwareFault, match="still moving after .* wait until it stops") as caught:
+        driver.connect(1.0)
+    assert caught.value.reason is FaultReason.TIMEOUT and not driver.connected
+    driver.connect(30.0)
+    assert not cell.emulator.moving(cell.clock.now) and not driver.homed
+
+
+@pytest.mark.parametrize("state", ["Sleep", "Hold"])
+def test_a_controller_that_is_held_is_refused_with_its_state(state: str) -> None:
+    cell = ControllerCell("grbl")
+    driver = cell.ready()
+    cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
+    with pytest.raises(HardwareFault):
+        driver.move_to(FAR, 0.1)
+    cell.emulator.receive(b"!" if state == "Hold" else b"", cell.clock.now)
+    if state == "Sleep":
+        assert isinstance(cell.emulator, GrblEmulator)
+        cell.emulator.enter_sleep(cell.clock.now)
+    cell.wait(1.0)
+    words = "is (in a feed hold|asleep).*reset"
+    with pytest.raises(HardwareFault, match=words) as caught:
+        driver.connect(2.0)
+    assert caught.value.reason is FaultReason.REJECTED
 
 
 def test_a_report_that_lost_an_axis_is_a_bad_line_also_after_a_fault_was_cleared() -> None:
