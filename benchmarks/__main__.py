@@ -29,6 +29,7 @@ SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
 # Long sections, which run only if they are named.
 LONG_SECTIONS = (
+    "arm-controllers",
     "arrangements",
     "calibration",
     "composition",
@@ -90,9 +91,10 @@ def make_parser() -> argparse.ArgumentParser:
         help="number of scenes (arrangements, outline), images (opencv-versions), scenes or frames "
         "(vision*), experiments (calibration, lack-of-fit), demos per truth file (demos), demos "
         "(precision-graph), callbacks (composition), goals (cycle, fixed-cycle, two-computers, "
-        "unknown-worlds), losses (disarm), freezes of a node (lost-nodes), goals per mutant "
-        "(mutants), trials (fixed-tappers, precision, unknown-objects), or seconds (node, idle) "
-        "(default: set by each section)",
+        "unknown-worlds), losses (disarm), moves of a controller "
+        "(arm-controllers), freezes of a node (lost-nodes), goals per mutant (mutants), trials "
+        "(fixed-tappers, precision, unknown-objects), or seconds (node, idle) (default: set by "
+        "each section)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(

@@ -136,6 +136,7 @@ class GrblDialect:
         banner = self._drain() or self._await_first_status(deadline)
         if banner is not None:
             self._await_first_status(deadline)
+        self._await_answerable(deadline)
         version = self._identify(deadline, banner)
         self._transport.write(grbl.FULL_FEED)
         findings = self._compared(deadline)
@@ -452,6 +453,30 @@ class GrblDialect:
                         " rate and the dialect parameter",
                     ) from fault
                 self.counters.retries += 1
+
+    def _await_answerable(self, deadline: float) -> None:
+        """Wait for the end of a motion; raise if the controller is in a state without answers.
+
+        Firmwares of this family refuse ``$I`` and ``$$`` (error 8) except at rest or in alarm. A
+        controller finishes its moves after its cable was unplugged.
+        """
+        began = self._transport.now()
+        patience = max(deadline, began + REPLY_TIMEOUT)
+        while _moving(status := self._ask_status(patience)):
+            if self._transport.now() + REPLY_TIMEOUT >= patience:
+                raise HardwareFault(
+                    FaultReason.TIMEOUT,
+                    f"the arm is still moving after {self._transport.now() - began:.1f} s: wait"
+                    " until it stops, then connect again",
+                )
+            self._pump(POLL_PERIODS[1])
+        if status.state in LOCKED and status.state != "Alarm":
+            raise HardwareFault(
+                FaultReason.REJECTED,
+                f"the arm's controller is {LOCKED[status.state]} and reports no settings: make"
+                " the cell safe, end this state or press the controller's reset button, then"
+                " connect again",
+            )
 
     def _await_banner(self, until: float) -> bool:
         """Wait for the greeting after a reset; return whether it was received."""

@@ -244,6 +244,16 @@ class FaultLayer:
         """Restart the board."""
         self.emulator.power_cycle(now)
 
+    def hang_up(self, now: float, duration: float) -> None:
+        """Unplug the cable for ``duration`` s; bytes on the line are lost."""
+        self._deliver(now)
+        self._to_device.clear()
+        self._to_host.clear()
+        self._back_at = now + duration
+        self.absences += 1
+        if self.on_plug:
+            self.on_plug(False)
+
     def next_on_line(self) -> float | None:
         """Return the time of the next event, except bytes that only wait to be read by the host."""
         due = _earlier(self.emulator.next_event(), self._to_device.next_time())
@@ -291,15 +301,6 @@ class FaultLayer:
                     self._deliver(now)
                     self.emulator.power_cycle(now)
                 elif fault.kind is FaultKind.HANG_UP:
-                    self._hang_up(now, fault.duration)
+                    self.hang_up(now, fault.duration)
             if self._back_at is None:
                 channel.feed(byte, now, fault)
-
-    def _hang_up(self, now: float, duration: float) -> None:
-        self._deliver(now)
-        self._to_device.clear()
-        self._to_host.clear()
-        self._back_at = now + duration
-        self.absences += 1
-        if self.on_plug:
-            self.on_plug(False)

@@ -355,6 +355,9 @@ class GrblEmulator:
     def _system(self, text: str, now: float) -> None:
         idle = self._shown_state(now) in ("Idle", "Alarm", "Check")
         send = self._output.put
+        if text in ("$$", "$I", "$#") and not idle:
+            # Real firmware answers only status queries and $G while it moves.
+            raise Refused(8)
         if text == "$$":
             for number, value in sorted(self._listed().items()):
                 real = number >= 100 or number in (11, 12, 24, 25, 27)

@@ -111,6 +111,11 @@ class MarlinEmulator:
         """Return whether the axes move at ``time``."""
         return self._track.moving(time)
 
+    @property
+    def holds(self) -> bool:
+        """Whether the motors have torque."""
+        return self._torque.on
+
     def enter_sleep(self, now: float) -> None:
         """Cut the motors and end any move, as ``M84`` from another sender does."""
         self.advance(now)

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.grbl_dialect import GrblDialect, GrblSettings
-from tapping_cell.hardware.marlin_dialect import MarlinDialect
-from tapping_cell.hardware.scara import Joints, ScaraGeometry
-from tapping_cell.simulation.fault_layer import Direction, FaultKind, FaultLayer, LineFault
+from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
-from tapping_cell.simulation.grbl_variants import GRBL_3_AXES, VARIANTS
+from tapping_cell.simulation.grbl_variants import GRBL_3_AXES
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
-from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
+from tapping_cell.verification.controller_cell import (
+    GRBL_NAMES,
+    HOME,
+    NAMES,
+    START,
+    ControllerCell,
+)
 
-HOME = (0.0, math.pi / 2, 0.0, 0.0)
-START = (0.3, 1.2, -0.030, 0.0)
-GRBL_NAMES = tuple(VARIANTS)
-NAMES = (*GRBL_NAMES, "marlin")
 REPORTED_NAME = {
     "grbl": "Grbl",
     "grbl-mega-5x": "grbl-Mega-5X",
@@ -34,79 +30,12 @@ REPORTED_NAME = {
     "fluidnc4": "FluidNC",
     "marlin": "Marlin",
 }
-
-
-class Cell:
-    """One emulated controller with its arm, and the driver, in a time of their own."""
-
-    def __init__(
-        self,
-        name: str,
-        settings: dict[int, float] | None = None,
-        change: Callable[[GrblMachine], GrblMachine] = lambda machine: machine,
-        arm: ArmSettings | None = None,
-    ) -> None:
-        self.clock = VirtualClock()
-        self.clock.limit = 1e4
-        self.emulator: GrblEmulator | MarlinEmulator
-        if name == "marlin":
-            self.emulator = MarlinEmulator(MarlinMachine(start_joints=START, home_joints=HOME))
-        else:
-            machine = GrblMachine(
-                start_joints=START,
-                home_joints=HOME,
-                settings=default_settings() | (settings or {}),
-                variant=VARIANTS[name],
-            )
-            self.emulator = GrblEmulator(change(machine))
-        self.line = FaultLayer(self.emulator)
-        transport = VirtualTransport(self.line, self.clock, "port")
-        self.transport = transport
-        # The shipped grbl-Mega-5X homes X, Y and Z alone.
-        without = (3,) if name == "grbl-mega-5x" else ()
-        self.dialect: GrblDialect | MarlinDialect = (
-            MarlinDialect(transport, draw_number=lambda below: below // 2)
-            if name == "marlin"
-            else GrblDialect(transport, GrblSettings(without_switch=without, needs_homing=True))
-        )
-        self.driver = ArmDriver(
-            transport, self.dialect, ScaraGeometry(), arm or ArmSettings(home_joints=HOME)
-        )
-
-    def ready(self) -> ArmDriver:
-        self.driver.connect()
-        if self.driver.read().alarm:
-            self.driver.clear_fault()
-        self.driver.home(HomingStrategy.FIRMWARE)
-        return self.driver
-
-    def truth(self) -> Joints:
-        return Joints(*self.emulator.joints(self.clock.now))
-
-    def wait(self, duration: float) -> None:
-        self.transport.sleep(duration)
-
-    def during_the_next_move(self, after: float, act: Callable[[], object]) -> None:
-        """Do something when so many seconds of the cell's time have passed."""
-        at = self.clock.now + after
-        step = self.clock.step
-
-        def stepped(until: float, reading: FaultLayer | None = None) -> None:
-            nonlocal at
-            step(min(until, max(at, self.clock.now)), reading)
-            if self.clock.now >= at:
-                at = math.inf
-                act()
-
-        self.clock.step = stepped  # type: ignore[method-assign]
-
-
 FAR = (1.5, 0.5, -0.1, 1.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_controller_is_recognised_homed_and_moved(name: str) -> None:
-    cell = Cell(name)
+    cell = ControllerCell(name)
     driver = cell.ready()
     assert driver.firmware is not None and driver.firmware.name == REPORTED_NAME[name]
     rng = np.random.default_rng(3)
@@ -120,7 +49,7 @@ def test_every_controller_is_recognised_homed_and_moved(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_stop_in_mid_move_is_told_as_a_stop_and_ends_with_homing(name: str) -> None:
-    cell = Cell(name)
+    cell = ControllerCell(name)
     driver = cell.ready()
     cell.during_the_next_move(0.4, driver.stop)
     with pytest.raises(HardwareFault) as caught:
@@ -146,9 +75,9 @@ def test_a_stop_in_mid_move_is_told_as_a_stop_and_ends_with_homing(name: str) ->
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_unplug_in_mid_move_drops_the_target(name: str) -> None:
-    cell = Cell(name)
+    cell = ControllerCell(name)
     driver = cell.ready()
-    cell.during_the_next_move(0.4, lambda: cell.line._hang_up(cell.clock.now, 0.3))
+    cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
     with pytest.raises(HardwareFault) as caught:
         driver.move_to(FAR, 0.3)
     assert caught.value.reason is FaultReason.DISCONNECTED
@@ -162,7 +91,7 @@ def test_an_unplug_in_mid_move_drops_the_target(name: str) -> None:
 @pytest.mark.parametrize("name", GRBL_NAMES)
 def test_an_alarm_in_mid_move_stays_the_cause_when_the_board_restarts_after_it(name: str) -> None:
     """C6: real firmware greets after its alarm, which read as "restarted"."""
-    cell = Cell(name)
+    cell = ControllerCell(name)
     driver = cell.ready()
     emulator = cell.emulator
     assert isinstance(emulator, GrblEmulator)
@@ -185,7 +114,7 @@ def test_an_alarm_in_mid_move_stays_the_cause_when_the_board_restarts_after_it(n
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_restart_is_noticed_and_homing_demanded(name: str) -> None:
-    cell = Cell(name)
+    cell = ControllerCell(name)
     driver = cell.ready()
     cell.emulator.power_cycle(cell.clock.now)
     with pytest.raises(HardwareFault) as caught:
@@ -204,7 +133,7 @@ def released(name: str) -> dict[int, float] | None:
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
 def test_a_controller_that_lets_its_motors_go_is_refused_with_the_remedy(name: str) -> None:
-    cell = Cell(name, released(name))
+    cell = ControllerCell(name, released(name))
     emulator = cell.emulator
     assert isinstance(emulator, GrblEmulator)
     if name.startswith("fluidnc"):
@@ -231,7 +160,7 @@ def test_an_arm_without_torque_sinks_and_its_controller_does_not_notice() -> Non
 
 
 def test_marlin_holds_its_arm_for_as_long_as_it_stands() -> None:
-    cell = Cell("marlin")
+    cell = ControllerCell("marlin")
     driver = cell.ready()
     driver.move_to(FAR)
     cell.wait(1000.0)
@@ -243,7 +172,7 @@ def test_marlin_holds_its_arm_for_as_long_as_it_stands() -> None:
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
 def test_a_controller_that_went_to_sleep_is_not_believed(name: str) -> None:
-    cell = Cell(name)
+    cell = ControllerCell(name)
     driver = cell.ready()
     cell.emulator.receive(b"$SLP\n", cell.clock.now)
     with pytest.raises(HardwareFault, match="asleep: its motors may have been") as caught:
@@ -256,14 +185,14 @@ def test_a_controller_that_went_to_sleep_is_not_believed(name: str) -> None:
 
 
 def test_three_axes_are_refused_in_those_words() -> None:
-    cell = Cell("grbl", change=lambda machine: replace(machine, variant=GRBL_3_AXES))
+    cell = ControllerCell("grbl", change=lambda machine: replace(machine, variant=GRBL_3_AXES))
     with pytest.raises(HardwareFault, match=r"has 3 axes \(XYZ\), but 4 are needed") as caught:
         cell.driver.connect()
     assert caught.value.reason is FaultReason.UNKNOWN_FIRMWARE
 
 
 def test_an_axis_without_a_switch_must_be_named() -> None:
-    cell = Cell("grblhal", {46: 0.0})
+    cell = ControllerCell("grblhal", {46: 0.0})
     with pytest.raises(HardwareFault, match=r"leaves out axis A .*axes_without_switch"):
         cell.driver.connect()
 
@@ -271,7 +200,7 @@ def test_an_axis_without_a_switch_must_be_named() -> None:
 @pytest.mark.parametrize("lost", [b"[FIRMWARE:grblHAL]", b"[AXS:4:XYZA]"])
 def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> None:
     """Without the first, grblHAL looks like grbl-Mega-5X; without both, like Grbl."""
-    cell = Cell("grblhal", {22: 9.0})
+    cell = ControllerCell("grblhal", {22: 9.0})
     original = cell.emulator.take_output
     spoilt: list[bytes] = []
 
@@ -288,13 +217,13 @@ def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> Non
 
 
 def test_a_forced_origin_is_where_homing_ends() -> None:
-    cell = Cell("grblhal", {22: 9.0})
+    cell = ControllerCell("grblhal", {22: 9.0})
     cell.ready().move_to(FAR, 1.0)
     assert np.allclose(cell.truth(), FAR, atol=1e-3)
 
 
 def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
-    cell = Cell("grbl-mega-5x")
+    cell = ControllerCell("grbl-mega-5x")
     driver = cell.ready()
     assert driver.read_joints().tool == 0.0
     driver.move_to((0.1, 1.4, -0.01, 0.7))
@@ -302,28 +231,57 @@ def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
 
 
 def test_an_arm_that_still_moves_is_not_homed_where_a_person_cannot_have_put_its_tool() -> None:
-    """A move that goes on after an unplug ends far from the mark of the axis without a switch."""
-    cell = Cell("grbl-mega-5x")
+    """A move of another program ends far from the mark of the axis without a switch."""
+    cell = ControllerCell("grbl-mega-5x")
     driver = cell.ready()
-    cell.during_the_next_move(0.4, lambda: cell.line._hang_up(cell.clock.now, 0.3))
-    with pytest.raises(HardwareFault):
-        driver.move_to(FAR, 0.1)
-    cell.wait(0.5)
-    driver.connect()
-    assert cell.emulator.moving(cell.clock.now)
+    cell.emulator.receive(b"G1X80Y30F1000\n", cell.clock.now)
     with pytest.raises(HardwareFault, match="axis A, which has no home switch") as caught:
         driver.home(HomingStrategy.FIRMWARE)
     assert caught.value.reason is FaultReason.HOMING_FAILED and not driver.homed
     cell.wait(60.0)
-    driver.clear_fault()
-    cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)  # type: ignore[union-attr]
-    driver.home(HomingStrategy.FIRMWARE)
+    cell.home_again()
     driver.move_to((0.1, 1.4, -0.01, 0.7))
     assert np.allclose(cell.truth(), (0.1, 1.4, -0.01, 0.7), atol=1e-3)
 
 
+@pytest.mark.parametrize("name", GRBL_NAMES)
+def test_a_controller_that_still_moves_after_an_unplug_is_connected_when_it_stands(
+    name: str,
+) -> None:
+    """Grbl answers ``$I`` and ``$$`` only at rest, as grblHAL's simulator showed."""
+    cell = ControllerCell(name)
+    driver = cell.ready()
+    cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
+    with pytest.raises(HardwareFault):
+        driver.move_to(FAR, 0.1)
+    cell.wait(0.4)
+    with pytest.raises(HardwareFault, match="still moving after .* wait until it stops") as caught:
+        driver.connect(1.0)
+    assert caught.value.reason is FaultReason.TIMEOUT and not driver.connected
+    driver.connect(30.0)
+    assert not cell.emulator.moving(cell.clock.now) and not driver.homed
+
+
+@pytest.mark.parametrize("state", ["Sleep", "Hold"])
+def test_a_controller_that_is_held_is_refused_with_its_state(state: str) -> None:
+    cell = ControllerCell("grbl")
+    driver = cell.ready()
+    cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
+    with pytest.raises(HardwareFault):
+        driver.move_to(FAR, 0.1)
+    cell.emulator.receive(b"!" if state == "Hold" else b"", cell.clock.now)
+    if state == "Sleep":
+        assert isinstance(cell.emulator, GrblEmulator)
+        cell.emulator.enter_sleep(cell.clock.now)
+    cell.wait(1.0)
+    words = "is (in a feed hold|asleep).*reset"
+    with pytest.raises(HardwareFault, match=words) as caught:
+        driver.connect(2.0)
+    assert caught.value.reason is FaultReason.REJECTED
+
+
 def test_a_report_that_lost_an_axis_is_a_bad_line_also_after_a_fault_was_cleared() -> None:
-    cell = Cell("grblhal")
+    cell = ControllerCell("grblhal")
     driver = cell.ready()
     driver.clear_fault()
     driver.stop()
@@ -350,7 +308,7 @@ def test_a_report_that_lost_an_axis_is_a_bad_line_also_after_a_fault_was_cleared
 
 
 def test_reports_of_the_work_position_are_refused_at_connect() -> None:
-    cell = Cell("grbl", {10: 0.0})
+    cell = ControllerCell("grbl", {10: 0.0})
     with pytest.raises(HardwareFault, match=r"\$10 is 0, must be odd.*send \$10=1"):
         cell.driver.connect()
     assert cell.clock.now < 5.0
@@ -360,7 +318,7 @@ def test_reports_of_the_work_position_are_refused_at_connect() -> None:
 def test_a_late_answer_is_never_credited_to_another_line(delay: float) -> None:
     """C5: the `ok` of a move came after 0.5 s and was taken for that of the next line."""
     for place in range(0, 12):
-        cell = Cell("grbl")
+        cell = ControllerCell("grbl")
         driver = cell.ready()
         at = cell.line.count(Direction.TO_HOST) + 40 + place
         cell.line.add(LineFault(FaultKind.DELAY, Direction.TO_HOST, at, duration=delay))
@@ -374,7 +332,7 @@ def test_a_late_answer_is_never_credited_to_another_line(delay: float) -> None:
 
 
 def test_a_slowed_move_is_stopped_and_told_with_its_override() -> None:
-    cell = Cell("grbl")
+    cell = ControllerCell("grbl")
     driver = cell.ready()
     driver.read()
     cell.emulator.receive(b"\x92" * 9, cell.clock.now)
@@ -387,14 +345,14 @@ def test_a_slowed_move_is_stopped_and_told_with_its_override() -> None:
 
 
 def test_an_override_is_put_back_at_connect() -> None:
-    cell = Cell("grbl")
+    cell = ControllerCell("grbl")
     cell.emulator.receive(b"\x92" * 9, 0.0)
     cell.ready().move_to(FAR, 1.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_homing_that_does_not_end_is_stopped_and_named(name: str) -> None:
-    cell = Cell(name, arm=ArmSettings(home_joints=HOME, homing_timeout=1.0))
+    cell = ControllerCell(name, arm=ArmSettings(home_joints=HOME, homing_timeout=1.0))
     cell.driver.connect()
     if cell.driver.read().alarm:
         cell.driver.clear_fault()
@@ -412,7 +370,7 @@ def test_homing_that_does_not_end_is_stopped_and_named(name: str) -> None:
 
 
 def test_a_halted_marlin_goes_on_saying_so() -> None:
-    cell = Cell("marlin")
+    cell = ControllerCell("marlin")
     driver = cell.ready()
     cell.emulator.receive(b"\nM112\n", cell.clock.now)
     with pytest.raises(HardwareFault, match="halted"):

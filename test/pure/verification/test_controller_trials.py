@@ -1,0 +1,32 @@
+"""The trials of the benchmark arm-controllers: one of each kind, and that they can fail."""
+
+from __future__ import annotations
+
+import pytest
+
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.verification.controller_cell import NAMES, ControllerCell
+from tapping_cell.verification.controller_trials import FAULTS, run_faults, run_moves
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_one_trial_of_each_kind_is_right_on_every_controller(kind: str) -> None:
+    for name in FAULTS[kind].controllers:
+        outcome = run_faults(name, kind, 1, seed=2)
+        assert outcome.tried == 1 and outcome.wrong == [], name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_arm_that_is_not_where_it_reports_is_counted_as_wrong(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run_moves(name, 3, seed=2).wrong == []
+    truth = ControllerCell.truth
+
+    def sunk(cell: ControllerCell) -> Joints:
+        joints = truth(cell)
+        return joints._replace(quill=joints.quill - 0.01)
+
+    monkeypatch.setattr(ControllerCell, "truth", sunk)
+    assert all("but the arm is at" in sentence for sentence in run_moves(name, 3, seed=2).wrong)
+    assert len(run_moves(name, 3, seed=2).wrong) == 3
