@@ -50,10 +50,13 @@ def arm_terminals() -> dict[int, str]:
     return found
 
 
-def test_two_cells_of_one_account_reach_their_own_goals(tmp_path: Path) -> None:
-    """In two domains. Two namespaces of one domain are apart by the names that their devices get
-    (``test_cell_identity``) and by the topics that a cell has (``test_recording``)."""
-    domains, names = (own_domain_beside(), own_domain_beside()), ("", "")
+@pytest.mark.parametrize("names", [("", ""), ("left", "right")], ids=["domains", "namespaces"])
+def test_two_cells_of_one_account_reach_their_own_goals(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    """In two domains, and in two namespaces of one domain."""
+    domain = own_domain_beside()
+    domains = (domain, domain if names[0] else own_domain_beside())
     goals = (("40", "30", "20"), ("-30", "20", "-10"))
     before = set(arm_terminals())
     with (

@@ -43,7 +43,7 @@ from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.logic.planner import FINAL_STATES
 from tapping_cell.nodes.camera import images
-from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, LATCHED, CellNode, run
+from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
 from tapping_cell.nodes.recorder.message_reader import MessageReader
 from tapping_cell.nodes.recorder.polled_topics import PolledTopics
@@ -109,13 +109,14 @@ plan_state of the same report, so when that is read, arrangement_state has arriv
 STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
-    "goal_pose": PoseStamped,
     "joint_states": JointState,
     "joint_trajectory": JointTrajectory,
     "tap_command": TapCommand,
     "true_contacts": ObjectContact,
 }
-"""Topics that are not latched."""
+"""Topics that are not latched. goal_pose is absent: ``ros2 topic pub --once`` publishes as soon as
+one subscription is connected and ends, so the planner must be the only node that subscribes.
+plan_state and goal_report contain the goal."""
 FRAMES: dict[str, type] = {
     "camera/camera_info": CameraInfo,
     "ground_truth": PoseStamped,
@@ -233,9 +234,7 @@ class RunRecorder(CellNode[Parameters]):
             self._polled.add(kind, name, _STATE)
         for name, kind in STREAMS.items():
             self._register(name, kind, Quality())
-            # Best effort matches every publisher of goals.
-            profile = BEST_EFFORT_COMMAND if name == "goal_pose" else _STREAM
-            self._polled.add(kind, name, profile)
+            self._polled.add(kind, name, _STREAM)
         for name, kind in FRAMES.items():
             self._register(name, kind, Quality(reliable=kind is not CameraInfo))
             self._polled.add(kind, name, images.PICTURES if kind is CameraInfo else _STREAM)
