@@ -65,7 +65,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(
     ):
         clients = [
             subprocess.Popen(
-                (*CELL, "goal", *goal, "--namespace", name, "--wait", "90", "--json"),
+                (*CELL, "goal", *goal, "--namespace", name, "--wait", "180", "--json"),
                 env=environment,
                 cwd=tmp_path,
                 stdout=subprocess.PIPE,
@@ -73,7 +73,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(
             )
             for goal, name, environment in zip(goals, names, (first, second), strict=True)
         ]
-        answers = [json.loads(client.communicate(timeout=170)[0]) for client in clients]
+        answers = [json.loads(client.communicate(timeout=280)[0]) for client in clients]
         terminals = {
             terminal for process, terminal in arm_terminals().items() if process not in before
         }
