@@ -35,6 +35,9 @@ PLACES = {
     "desk": ("tap_planner", "run_recorder"),
 }
 CLOCKS_S = {"vision": 0.3, "drivers": 0.1, "desk": 0.0}
+"""Offsets of the clocks within the limit."""
+REFUSED_S = {"vision": 2.0, "drivers": 0.0, "desk": 0.0}
+"""Offsets of the clocks beyond the limit, with which a goal is refused before its first tap."""
 PATIENCE_S = 120.0
 SETTLE_S = 3.0
 
@@ -54,6 +57,8 @@ def measure(count: int) -> dict[str, Any]:
             )
     with tempfile.TemporaryDirectory() as folder, cell(Path(folder), own) as desk:
         report["goals"] = goals(desk, own, count)
+    with tempfile.TemporaryDirectory() as folder, cell(Path(folder), own, REFUSED_S) as desk:
+        (report["refused"],) = goals(desk, own, 1)
     return report
 
 
@@ -75,6 +80,11 @@ def lines(report: dict[str, Any]) -> list[str]:
             f"  {end['taps']} taps, {end['seconds']:.0f} s, truly {end['true_mm']:.2f} mm off "
             f"{end['error_msg']}"
         )
+    end = report["refused"]
+    made.append(
+        f"goal with the camera's clock {REFUSED_S['vision']:.1f} s ahead: {end['taps']} taps, "
+        f"code {end['error_code']}: {end['error_msg']}"
+    )
     return made
 
 

@@ -314,6 +314,7 @@ class ErrorCode:
     OBJECT_NOT_AT_REST: ClassVar[int] = 305
     OBJECT_NOT_SEEN: ClassVar[int] = 301
     OBJECT_OFF_TABLE: ClassVar[int] = 312
+    OTHER_VERSION: ClassVar[int] = 911
     PLANNER_BUSY: ClassVar[int] = 409
     PLANNER_UNKNOWN: ClassVar[int] = 404
     PROBE_NEEDED: ClassVar[int] = 405

@@ -50,10 +50,13 @@ def arm_terminals() -> dict[int, str]:
     return found
 
 
-def test_two_cells_of_one_account_reach_their_own_goals(tmp_path: Path) -> None:
-    """In two domains. Two namespaces of one domain are apart by the names that their devices get
-    (``test_cell_identity``) and by the topics that a cell has (``test_recording``)."""
-    domains, names = (own_domain_beside(), own_domain_beside()), ("", "")
+@pytest.mark.parametrize("names", [("", ""), ("left", "right")], ids=["domains", "namespaces"])
+def test_two_cells_of_one_account_reach_their_own_goals(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    """In two domains, and in two namespaces of one domain."""
+    domain = own_domain_beside()
+    domains = (domain, domain if names[0] else own_domain_beside())
     goals = (("40", "30", "20"), ("-30", "20", "-10"))
     before = set(arm_terminals())
     with (
@@ -62,7 +65,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(tmp_path: Path) -> None:
     ):
         clients = [
             subprocess.Popen(
-                (*CELL, "goal", *goal, "--namespace", name, "--wait", "90", "--json"),
+                (*CELL, "goal", *goal, "--namespace", name, "--wait", "180", "--json"),
                 env=environment,
                 cwd=tmp_path,
                 stdout=subprocess.PIPE,
@@ -70,7 +73,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(tmp_path: Path) -> None:
             )
             for goal, name, environment in zip(goals, names, (first, second), strict=True)
         ]
-        answers = [json.loads(client.communicate(timeout=170)[0]) for client in clients]
+        answers = [json.loads(client.communicate(timeout=280)[0]) for client in clients]
         terminals = {
             terminal for process, terminal in arm_terminals().items() if process not in before
         }

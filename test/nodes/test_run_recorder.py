@@ -17,6 +17,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from harness import Bench, bench
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage
 from std_msgs.msg import Header, String
 from tapping_cell_msgs.msg import (
@@ -392,3 +393,26 @@ def test_a_recorder_that_cannot_write_says_so_and_goes_on(
         assert sentence.startswith(f"({ErrorCode.RECORDING_FAILED})") and words in sentence
         assert fake.runs == []
     assert [p.name for p in (tmp_path / "runs").glob("*")] in ([], ["old"])
+
+
+@pytest.mark.parametrize("topic", ["plans", "reports", "arrangements"])
+def test_messages_of_another_version_are_reported_and_do_not_end_the_recorder(
+    topic: str, tmp_path: Path
+) -> None:
+    """The middleware delivers messages of one type name whatever their definition."""
+    with cell(tmp_path) as fake:
+        fake.arrangements = fake.node.create_publisher(
+            ArrangementState, "arrangement_state", LATCHED
+        )
+        fake.bench.wait(lambda: fake.arrangements.get_subscription_count() == 1, "a third topic")
+        publisher = getattr(fake, topic)
+        # A definition with fewer fields, such as that of an older version.
+        publisher.publish(serialize_message(Header(frame_id="table")))
+        fake.bench.wait(lambda: fake.health()[0] == DiagnosticStatus.WARN, "it says so")
+        sentence = fake.health()[1]
+        assert sentence.startswith(f"({ErrorCode.OTHER_VERSION})")
+        assert publisher.topic_name in sentence and "\n" not in sentence
+        goal = fake.goal()
+        fake.follow(goal)
+        (run,) = fake.recorded(1)
+        assert run.reached and len(run.taps) == 1

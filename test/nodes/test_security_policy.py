@@ -238,3 +238,9 @@ def test_the_permissions_that_sros2_makes_forbid_what_the_policy_does_not_grant(
         ("enable_write_access_control", "true"),
     ):
         assert {entry.text for entry in governance.iter(key)} == {value}
+
+
+def test_only_the_planner_subscribes_to_goals() -> None:
+    """``ros2 topic pub --once`` publishes as soon as one subscription is connected, then ends."""
+    subscribers = {name for name, rules in granted().items() if "/goal_pose" in rules["subscribe"]}
+    assert subscribers == {"tap_planner"}

@@ -21,7 +21,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 from std_msgs.msg import Bool, String
 from tapping_cell_msgs.msg import (
@@ -43,8 +43,9 @@ from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.logic.planner import FINAL_STATES
 from tapping_cell.nodes.camera import images
-from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, LATCHED, CellNode, run
+from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
+from tapping_cell.nodes.recorder.message_reader import MessageReader
 from tapping_cell.nodes.recorder.polled_topics import PolledTopics
 from tapping_cell.nodes.recorder.recording import (
     MEGABYTE,
@@ -108,13 +109,14 @@ plan_state of the same report, so when that is read, arrangement_state has arriv
 STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
-    "goal_pose": PoseStamped,
     "joint_states": JointState,
     "joint_trajectory": JointTrajectory,
     "tap_command": TapCommand,
     "true_contacts": ObjectContact,
 }
-"""Topics that are not latched."""
+"""Topics that are not latched. goal_pose is absent: ``ros2 topic pub --once`` publishes as soon as
+one subscription is connected and ends, so the planner must be the only node that subscribes.
+plan_state and goal_report contain the goal."""
 FRAMES: dict[str, type] = {
     "camera/camera_info": CameraInfo,
     "ground_truth": PoseStamped,
@@ -212,6 +214,7 @@ class RunRecorder(CellNode[Parameters]):
         self._refusal: tuple[int, str, float] = (0, "", 0.0)
         self._picture_at = 0
         self._planner_received = 0.0
+        self._reader = MessageReader(self.get_logger().warning)
         self._polled = PolledTopics(self)
         self._folder, self._name = self.settings.folder, self.settings.name
         self._picture_rate = self.settings.picture_rate
@@ -220,14 +223,18 @@ class RunRecorder(CellNode[Parameters]):
         self._types = MessageTypes()
         self._last_run = self.create_publisher(String, "last_run", LATCHED)
         self._topics: dict[str, RecordedTopic] = {}
+        self._kinds: dict[str, type] = {}
+        self._processed: dict[str, Callable[[Any], None]] = {
+            "plan_state": self._on_plan_state,
+            "goal_report": self._on_goal_report,
+            "arrangement_state": self._on_arrangement_state,
+        }
         for name, kind in STATES.items():
             self._register(name, kind, Quality(1, latched=True))
             self._polled.add(kind, name, _STATE)
         for name, kind in STREAMS.items():
             self._register(name, kind, Quality())
-            # Best effort matches every publisher of goals.
-            profile = BEST_EFFORT_COMMAND if name == "goal_pose" else _STREAM
-            self._polled.add(kind, name, profile)
+            self._polled.add(kind, name, _STREAM)
         for name, kind in FRAMES.items():
             self._register(name, kind, Quality(reliable=kind is not CameraInfo))
             self._polled.add(kind, name, images.PICTURES if kind is CameraInfo else _STREAM)
@@ -237,6 +244,7 @@ class RunRecorder(CellNode[Parameters]):
         self._topics[self._notes_topic] = RecordedTopic(
             "std_msgs/msg/String", Quality(1, latched=True)
         )
+        self._kinds[self._notes_topic] = String
         self.create_timer(POLL_PERIOD_S, self._tick)
 
     def _recorded_name(self, name: str) -> str:
@@ -248,6 +256,7 @@ class RunRecorder(CellNode[Parameters]):
         package = kind.__module__.partition(".")[0]
         topic = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
         self._topics[self._recorded_name(name)] = topic
+        self._kinds[self._recorded_name(name)] = kind
 
     # Life cycle
 
@@ -311,6 +320,9 @@ class RunRecorder(CellNode[Parameters]):
             return DiagnosticStatus.ERROR, f"a defect: {self._worker.error!r}", values
         if self._error:
             return DiagnosticStatus.ERROR, self._error, values
+        if warning := self._reader.warning:
+            values["error code"] = ErrorCode.OTHER_VERSION
+            return DiagnosticStatus.WARN, warning, values
         return DiagnosticStatus.OK, "ok", values
 
     # Reception: the executor's thread
@@ -331,13 +343,17 @@ class RunRecorder(CellNode[Parameters]):
         for stamp, name, data in (*arrangements, *sorted(others, key=lambda entry: entry[0])):
             if name == PICTURES and not self._is_picture_due(stamp):
                 continue
-            self._note(name, ReceivedMessage(self._recorded_name(name), stamp, data))
-            if name == "plan_state":
-                self._on_plan_state(deserialize_message(data, PlanState))
-            elif name == "goal_report":
-                self._on_goal_report(deserialize_message(data, GoalReport))
-            elif name == "arrangement_state":
-                self._on_arrangement_state(deserialize_message(data, ArrangementState))
+            received = ReceivedMessage(self._recorded_name(name), stamp, data)
+            process = self._processed.get(name)
+            if process is None:
+                self._note(name, received)
+            elif (message := self._read(received)) is not None:
+                self._note(name, received)
+                process(message)
+
+    def _read(self, message: ReceivedMessage) -> Any | None:
+        """Return the deserialised message; None if it is of another version."""
+        return self._reader.read(message.topic, self._kinds[message.topic], message.data)
 
     def _is_picture_due(self, stamp: int) -> bool:
         rate = self._picture_rate
@@ -511,7 +527,7 @@ class RunRecorder(CellNode[Parameters]):
         if recording is None:
             return
         try:
-            recording.write(messages)
+            recording.write([one for one in messages if self._read(one) is not None])
             check_disk_space(recording.folder, MEGABYTE * self.settings.least_free / 2)
         except (OSError, CannotRecord) as error:
             self._recording = None
