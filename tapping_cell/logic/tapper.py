@@ -318,6 +318,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             if tap is not None and command.tap_id == tap.tap_id:
                 self._give_up((ErrorCode.NONE, ""))
             return
+        if command.request == TapCommand.CLEAR_VIEW:
+            return  # for the arm only
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)
