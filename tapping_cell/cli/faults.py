@@ -170,6 +170,16 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1.0 <= arguments.mean_faults <= 50.0:
         print_error("--mean-faults must be from 1 to 50")
         return 2
+    ways = {
+        "--taps": arguments.taps is not None,
+        "--goals": arguments.goals is not None,
+        "--crashes": arguments.crashes,
+        "--soak": arguments.soak is not None,
+    }
+    given = [name for name, is_given in ways.items() if is_given]
+    if len(given) > 1:
+        print_error(f"{' and '.join(given)} exclude each other; give one of them")
+        return 2
     if arguments.soak is not None and not 0 < arguments.soak <= 1000:
         print_error("--soak must be above 0 and at most 1000 hours")
         return 2

@@ -70,8 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
     arranged: list[Path] = []
     skipped = 0
     several = len(arguments.runs) > 1
-    quiet = not console.is_terminal or not several
-    for path in track(arguments.runs, "reading runs", console=console, disable=quiet):
+    shown = console.is_terminal and several
+    paths = track(arguments.runs, "reading runs", console=console) if shown else arguments.runs
+    for path in paths:
         if several and no_run(path):
             skipped += 1
             console.print(f"{path} is not a run: skipped", highlight=False, markup=False)

@@ -19,6 +19,12 @@ QUICKEST_IMAGE_S = 0.05
 messages, s. This delay cannot be distinguished from a difference of the clocks, so the estimated
 capture time of an image can be too late by up to this bound."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
+DOING = {
+    ArmState.HOMING: "homing",
+    ArmState.MOVING: "moving",
+    ArmState.IN_POSITION: "at a strike pose",
+    ArmState.WITHDRAWING: "withdrawing",
+}
 NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
 
 
@@ -182,7 +188,8 @@ class CellMonitor:
         if arm.set_up and not arm.enabled:
             return enabling.RELEASED
         if arm.state != ArmState.IDLE:
-            return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or "the arm is busy"
+            doing = DOING.get(arm.state, "busy")
+            return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or f"the arm is {doing}"
         return None
 
     def fault(self) -> CodedError | None:

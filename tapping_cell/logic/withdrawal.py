@@ -106,7 +106,7 @@ def uncovering(
     raised = raise_step(geometry, current, motion).joints
     tried = np.concatenate([[motion.park], _candidates(geometry, raised)])
     places = _hidden_places(cell, geometry, camera, current)
-    hidden = np.sum(~_sees(cell, geometry, camera, tried, places), axis=1)
+    hidden = len(places) - np.sum(_sees(cell, geometry, camera, tried, places), axis=1)
     hidden = hidden + np.where(_sees_markers(cell, geometry, camera, tried), 0, len(places) + 1)
     least = hidden == hidden.min()
     if least[0]:
@@ -123,8 +123,8 @@ def _hidden_places(
     half = 0.5 * np.array([cell.file.table.length, cell.file.table.width])
     x, y = (np.arange(-side, side + 0.5 * GRID_M, GRID_M) for side in half)
     grid = np.stack(np.meshgrid(x, y, [cell.object.height], indexing="ij"), axis=-1).reshape(-1, 3)
-    hidden = ~_sees(cell, geometry, camera, np.array([joints]), grid)[0]
-    return np.asarray(grid[hidden])
+    seen = _sees(cell, geometry, camera, np.array([joints]), grid)[0]
+    return np.asarray(grid[np.logical_not(seen)])
 
 
 def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:
