@@ -281,10 +281,9 @@ def _crashes(arguments: argparse.Namespace) -> int:
     nodes, phases = arguments.node or SIMULATED, arguments.phase or crash_trials.PHASES
     strange = (set(nodes) - set(SIMULATED)) | (set(phases) - set(crash_trials.PHASES))
     if strange:
-        print(
+        print_error(
             f"unknown: {', '.join(sorted(strange))}; the nodes are {', '.join(SIMULATED)}, and the "
-            f"phases are {', '.join(crash_trials.PHASES)}",
-            file=sys.stderr,
+            f"phases are {', '.join(crash_trials.PHASES)}"
         )
         return 2
 

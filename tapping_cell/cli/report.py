@@ -85,6 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
         except (BagError, RunError, OSError) as error:
             print_error(str(error))
     if not reports and not arranged:
+        if skipped == len(arguments.runs):
+            print_error("none of these is a run folder; give folders such as those in runs")
         return 2
     rows = [row_of(run) for run, _ in reports]
     written = [*arranged, *(folder / PAGE for _, folder in reports[:1])]

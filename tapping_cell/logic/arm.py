@@ -185,7 +185,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     stop_error = (
         ErrorCode.ARM_STOPPED,
-        "the arm was stopped; make the cell safe, call clear_fault, then home",
+        "the arm was stopped; make the cell safe, clear the stop, then home the arm",
     )
 
     def __init__(self, options: ArmOptions) -> None:
@@ -634,7 +634,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._machine.move(event, S.NOT_HOMED)
             self._error = (
                 ErrorCode.ARM_NOT_HOMED,
-                "the arm is not homed; make sure that its path is free, then call the service home",
+                "the arm is not homed; make sure that its path is free, then home the arm",
             )
 
     def _homed(self) -> bool:

@@ -149,7 +149,7 @@ OUTCOMES = {
 LATCHED = (
     ErrorCode.TAPPER_STOPPED,
     "the tapper's stop is latched; make the cell safe, press the clear button at the cell, then"
-    " call clear_fault",
+    " clear the stop",
 )
 
 
