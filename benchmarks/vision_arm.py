@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
-from benchmarks.vision_robustness import ARM_CASES, lines_of_cases, measure_cases
+from benchmarks.vision_robustness import ARM_CASES, lines_of_cases, reports_of_cases
 
 DEFAULT_COUNT = 10_000
 
 
-def measure(count: int) -> dict[str, Any]:
+def partial_reports(count: int) -> Iterator[dict[str, Any]]:
     """Let the arm reach over object and reference markers for at least ``count`` frames."""
-    return measure_cases(ARM_CASES, count)
+    yield from reports_of_cases(ARM_CASES, count)
 
 
 def lines(report: dict[str, Any]) -> list[str]:

@@ -281,6 +281,12 @@ def measure(count: int) -> dict[str, Any]:
 
 def measure_cases(cases: dict[str, Case], count: int) -> dict[str, Any]:
     """Run these cases in random order with changing cameras for at least ``count`` frames."""
+    *_, report = reports_of_cases(cases, count)
+    return report
+
+
+def reports_of_cases(cases: dict[str, Case], count: int) -> Iterator[dict[str, Any]]:
+    """Run the cases as :func:`measure_cases` does, and yield the report after each camera."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     tallies = {name: Tally() for name in cases}
@@ -312,6 +318,10 @@ def measure_cases(cases: dict[str, Case], count: int) -> dict[str, Any]:
             tally.unrecognised += int(not recognised)
             total += tally.frames - before
         number += 1
+        yield _report(tallies, total)
+
+
+def _report(tallies: dict[str, Tally], total: int) -> dict[str, Any]:
     return {
         "frames": total,
         "wrong": sum(tally.wrong for tally in tallies.values()),

@@ -23,6 +23,7 @@ import json
 import math
 import tempfile
 import time
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -32,7 +33,7 @@ from tapping_cell_msgs.msg import ErrorCode
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.demo_arrangement import arrange
 from tapping_cell.cli.demo_scene import GOALS, MOST_OBJECTS, write_scene
-from tapping_cell.cli.errors import print_error, print_refusal
+from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
     Graph,
@@ -40,6 +41,12 @@ from tapping_cell.cli.graph import (
     nodes_of,
     own_domain,
     with_own_ports,
+)
+from tapping_cell.cli.start_checks import (
+    check_simulation_files,
+    off_table,
+    refuse_unused,
+    require_folder,
 )
 from tapping_cell.cli.up import add_truth_arguments, node_parameters
 from tapping_cell.configuration.cell import load_cell
@@ -118,6 +125,13 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         cell = load_cell(arguments.cell, object_path=arguments.object)
         require_planner(arguments.planner or cell.file.goal.planner)
+        check_simulation_files(arguments)
+        if arguments.goals != GOALS[0] and arguments.objects is None:
+            refuse_unused(arguments, "only with --objects", "goals")
+        require_folder(arguments.out, "--out")
+        if arguments.goal and (reason := off_table(cell, *_metres(arguments.goal))):
+            print_error(reason, ErrorCode.GOAL_OFF_TABLE)
+            return ExitStatus.REFUSED
         domain = own_domain()
         folder = _run_folder(arguments.out)
         if arguments.objects is not None:
@@ -182,6 +196,11 @@ def _run_folder(out: Path | None) -> Path:
     return folder.resolve()
 
 
+def _metres(goal: Sequence[float]) -> tuple[float, float]:
+    """Return x and y in m of a goal in mm, mm and degrees."""
+    return goal[0] / 1000, goal[1] / 1000
+
+
 def _position(
     arguments: argparse.Namespace, graph: Graph, client: GoalClient, console: Console
 ) -> Path:
@@ -191,8 +210,7 @@ def _position(
     assert observed is not None
     start = from_message(observed.pose.pose)
     if arguments.goal:
-        x, y, theta = arguments.goal
-        goal = Pose(x / 1000, y / 1000, math.radians(theta))
+        goal = Pose(*_metres(arguments.goal), math.radians(arguments.goal[2]))
     else:
         dx, dy, dtheta = arguments.move or (10.0, 0.0, 10.0)
         turned = float(wrap_angle(start.theta + math.radians(dtheta)))

@@ -233,7 +233,7 @@ def _check_board(name: str, given_port: str, baud: int) -> list[Row]:
             "stop",
             stop,
             not reply.stop_latched,
-            "press the clear button, then call clear_fault" if reply.stop_latched else "",
+            "press the clear button, then clear the stop" if reply.stop_latched else "",
         ),
     ]
 

@@ -41,6 +41,7 @@ from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_refusal
 from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
 from tapping_cell.cli.evaluate_scatter import add_scatter_arguments, scatter_of
+from tapping_cell.cli.start_checks import refuse_unused, require_folder
 
 if TYPE_CHECKING:
     from tapping_cell.cli.sweep import Point
@@ -58,13 +59,14 @@ DEFAULT_TASKS = (40.0, 20.0)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     numbers: Callable[..., Any] = parser.add_argument
-    parser.add_argument(
+    methods = parser.add_mutually_exclusive_group()
+    methods.add_argument(
         "--planner",
         default="optimal",
         metavar="P",
         help="planning method (default: optimal)",
     )
-    parser.add_argument("--all", action="store_true", help="compare all planning methods")
+    methods.add_argument("--all", action="store_true", help="compare all planning methods")
     numbers(
         "--trials", type=int, default=2000, metavar="N", help="number of trials (default: 2000)"
     )
@@ -309,6 +311,9 @@ def run(arguments: argparse.Namespace) -> int:
     from tapping_cell.planning import PlanningError
 
     try:
+        require_folder(arguments.report, "--report")
+        if not arguments.table:
+            refuse_unused(arguments, "only with --table", "probe")
         fixed = _fixed_cell(arguments)
         if arguments.sweep and (fixed is not None or arguments.arrange is not None):
             raise PlanningError("--sweep is for one object and an arm; leave --arrange out")

@@ -170,6 +170,16 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1.0 <= arguments.mean_faults <= 50.0:
         print_error("--mean-faults must be from 1 to 50")
         return 2
+    ways = {
+        "--taps": arguments.taps is not None,
+        "--goals": arguments.goals is not None,
+        "--crashes": arguments.crashes,
+        "--soak": arguments.soak is not None,
+    }
+    given = [name for name, is_given in ways.items() if is_given]
+    if len(given) > 1:
+        print_error(f"{' and '.join(given)} exclude each other; give one of them")
+        return 2
     if arguments.soak is not None and not 0 < arguments.soak <= 1000:
         print_error("--soak must be above 0 and at most 1000 hours")
         return 2
@@ -271,10 +281,9 @@ def _crashes(arguments: argparse.Namespace) -> int:
     nodes, phases = arguments.node or SIMULATED, arguments.phase or crash_trials.PHASES
     strange = (set(nodes) - set(SIMULATED)) | (set(phases) - set(crash_trials.PHASES))
     if strange:
-        print(
+        print_error(
             f"unknown: {', '.join(sorted(strange))}; the nodes are {', '.join(SIMULATED)}, and the "
-            f"phases are {', '.join(crash_trials.PHASES)}",
-            file=sys.stderr,
+            f"phases are {', '.join(crash_trials.PHASES)}"
         )
         return 2
 

@@ -93,6 +93,12 @@ class Ended:
     @property
     def sentence(self) -> str:
         """Description of the end."""
+        if self.status == -signal.SIGKILL:
+            # The node could not write why, so its last lines are about something else.
+            return (
+                f"the node {self.name} ended by the signal SIGKILL, sent from outside or by the"
+                " kernel for lack of memory"
+            )
         how = f"with status {self.status}"
         if self.status < 0:
             how = f"by the signal {signal.Signals(-self.status).name}"

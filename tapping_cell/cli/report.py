@@ -70,8 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
     arranged: list[Path] = []
     skipped = 0
     several = len(arguments.runs) > 1
-    quiet = not console.is_terminal or not several
-    for path in track(arguments.runs, "reading runs", console=console, disable=quiet):
+    shown = console.is_terminal and several
+    paths = track(arguments.runs, "reading runs", console=console) if shown else arguments.runs
+    for path in paths:
         if several and no_run(path):
             skipped += 1
             console.print(f"{path} is not a run: skipped", highlight=False, markup=False)
@@ -84,6 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
         except (BagError, RunError, OSError) as error:
             print_error(str(error))
     if not reports and not arranged:
+        if skipped == len(arguments.runs):
+            print_error("none of these is a run folder; give folders such as those in runs")
         return 2
     rows = [row_of(run) for run, _ in reports]
     written = [*arranged, *(folder / PAGE for _, folder in reports[:1])]

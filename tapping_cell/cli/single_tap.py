@@ -51,6 +51,7 @@ from tapping_cell.cli.graph import (
     GraphError,
 )
 from tapping_cell.cli.measuring_graph import add_graph_arguments, measuring_graph
+from tapping_cell.cli.start_checks import check_simulation_files
 from tapping_cell.cli.tap_feasibility import TapFeasibility
 from tapping_cell.cli.tap_maker import READY_PATIENCE_S, SeriesStopped
 from tapping_cell.cli.tap_series import TapSeries
@@ -151,6 +152,9 @@ def run(arguments: argparse.Namespace) -> int:
     session.end_on_signals()
     try:
         _check_ranges(arguments)
+        check_simulation_files(arguments)
+        if arguments.namespace and not arguments.attach:
+            raise ConfigurationError("--namespace is used only with --attach; leave it out")
         cell = load_cell(arguments.cell, object_path=arguments.object)
         if arguments.hardware:
             refuse_simulated_ports(cell)

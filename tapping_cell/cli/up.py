@@ -23,6 +23,7 @@ from rich.live import Live
 from rich.markup import escape
 
 from tapping_cell.cli import argument_types, start_up
+from tapping_cell.cli.check_config import check_parameters
 from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
@@ -33,6 +34,12 @@ from tapping_cell.cli.graph import (
     with_own_ports,
 )
 from tapping_cell.cli.session import end_on_signals
+from tapping_cell.cli.start_checks import (
+    check_simulation_files,
+    refuse_unused,
+    require_address,
+    require_folder,
+)
 from tapping_cell.cli.supervision import Supervisor
 from tapping_cell.configuration.cell import (
     Cell,
@@ -41,11 +48,10 @@ from tapping_cell.configuration.cell import (
     refuse_own_drivers,
     refuse_simulated_ports,
 )
-from tapping_cell.configuration.schema import ConfigurationError, load, read_yaml
+from tapping_cell.configuration.schema import ConfigurationError, read_yaml
 from tapping_cell.nodes.cell_identity import cell_key
 from tapping_cell.nodes.clients.cell_client import CellClient
 from tapping_cell.planning import UnknownPlannerError, require_planner
-from tapping_cell.simulation.truth import TruthFile
 
 STOP_PORT_OFFSET = 1000
 """Difference between the port of STOP and the port of the page."""
@@ -132,14 +138,23 @@ def run(arguments: argparse.Namespace) -> int:
         cell = load_cell(arguments.cell, object_path=arguments.object)
         require_planner(arguments.planner or cell.file.goal.planner)
         if arguments.params is not None:
-            read_yaml(arguments.params)
-        if arguments.truth is not None:
-            load(TruthFile, arguments.truth)
+            wrong = check_parameters(read_yaml(arguments.params), arguments.params)
+            if wrong:
+                raise ConfigurationError(wrong[0])
+        check_simulation_files(arguments)
         if arguments.hardware:
+            refuse_unused(arguments, "only in simulation", "truth", "truth_object", "seed")
             refuse_simulated_ports(cell)
             require_devices(cell, arguments)
         else:
+            refuse_unused(arguments, "only with --hardware", "camera")
             refuse_own_drivers(cell)
+        if arguments.no_record:
+            refuse_unused(arguments, "only without --no-record", "runs")
+        require_folder(arguments.runs, "--runs")
+        require_folder(arguments.logs, "--logs")
+        if arguments.page:
+            require_address(arguments.page, "--page")
         key = cell_key(domain_number(), arguments.namespace)
     except (ConfigurationError, UnknownPlannerError, GraphError) as error:
         return print_refusal(error)
@@ -297,7 +312,7 @@ def page_place(text: str) -> tuple[str, int]:
         argparse.ArgumentTypeError: the text has neither form.
     """
     found = re.fullmatch(r"(?:(\[[0-9a-fA-F:.]+\]|[^:\[\]]+):)?(\d{1,5})", text)
-    if found is None or int(found[2]) > 65535:
+    if found is None or not 0 < int(found[2]) <= 65535:
         raise argparse.ArgumentTypeError(
             f"'{text}' is neither PORT nor ADDRESS:PORT; give one such as 8010 or 0.0.0.0:8010"
         )

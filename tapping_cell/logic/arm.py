@@ -8,7 +8,7 @@ for a while. docs/safety.md shows why no shot is then fired while the arm moves.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
@@ -39,7 +39,7 @@ from tapping_cell.logic.host import Configured
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine, table
-from tapping_cell.logic.withdrawal import Scene, withdrawal
+from tapping_cell.logic.withdrawal import Scene, uncovering, withdrawal
 from tapping_cell.messages import (
     ArmState,
     ErrorCode,
@@ -102,6 +102,7 @@ class Event(Enum):
     FREE = "promise over"
     WITHDRAWN = "withdrawn"
     PARK = "withdraw again"
+    CLEAR_VIEW = "clear view"
     TRAJECTORY = "trajectory"
     FOLLOWED = "followed"
     FAILED = "failed"
@@ -126,6 +127,7 @@ TABLE = table(
         ((S.LEAVING,), Event.FREE, (S.WITHDRAWING,)),
         ((S.WITHDRAWING,), Event.WITHDRAWN, (S.IDLE,)),
         ((S.IDLE, S.WITHDRAWING), Event.PARK, (S.WITHDRAWING,)),
+        ((S.IDLE,), Event.CLEAR_VIEW, (S.WITHDRAWING,)),
         ((S.IDLE,), Event.TRAJECTORY, (S.FOLLOWING,)),
         ((S.FOLLOWING,), Event.FOLLOWED, (S.IDLE,)),
         (UNSTOPPED, Event.FAILED, (S.FAULT, S.NOT_HOMED, S.DISCONNECTED)),
@@ -183,7 +185,7 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     stop_error = (
         ErrorCode.ARM_STOPPED,
-        "the arm was stopped; make the cell safe, call clear_fault, then home",
+        "the arm was stopped; make the cell safe, clear the stop, then home the arm",
     )
 
     def __init__(self, options: ArmOptions) -> None:
@@ -255,6 +257,9 @@ class ArmLogic(DeviceLogic[State, Event]):
             code, sentence = refusal
             self._refuse(code, f"tap {command.tap_id} refused: {sentence}")
             return
+        if command.request == TapCommand.CLEAR_VIEW:
+            self._clear_view(command, now)
+            return
         self._machine.move(Event.TAP, S.PLACING)
         self._tap_id = self._last_tap_id = command.tap_id
         self._expiry = to_nanoseconds(command.expiry)
@@ -301,8 +306,20 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._scene = None
         self._run_withdrawal(now)
 
+    def _clear_view(self, command: TapCommand, now: Now) -> None:
+        """Move to a place from which the camera sees what the arm hides now."""
+        self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
+        self._last_tap_id = command.tap_id
+        self._error = (ErrorCode.NONE, "")
+        self._clear_of_camera = self._to_park = False
+        self._scene = None
+        self._run_plan(partial(uncovering, self._cell, self._camera, motion=self._motion()), now)
+
     def _run_withdrawal(self, now: Now) -> None:
-        plan = partial(_plan_withdrawal, self._cell, self._scene, self._motion())
+        self._run_plan(partial(withdrawal, self._cell, self._scene, motion=self._motion()), now)
+
+    def _run_plan(self, plan: Callable[[Joints], Sequence[Waypoint]], now: Now) -> None:
+        """Move along the path that ``plan`` computes from the joints of the arm at rest."""
         not_before = self._free_at(now)
         self._run("withdraw", partial(arm_jobs.withdraw, plan=plan, not_before=not_before))
 
@@ -618,7 +635,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._machine.move(event, S.NOT_HOMED)
             self._error = (
                 ErrorCode.ARM_NOT_HOMED,
-                "the arm is not homed; make sure that its path is free, then call the service home",
+                "the arm is not homed; make sure that its path is free, then home the arm",
             )
 
     def _homed(self) -> bool:
@@ -756,12 +773,6 @@ class ArmLogic(DeviceLogic[State, Event]):
         state = self.state
         read = self._read_stamp if state is S.PLACING else None
         return WIRE[state], self._tap_id, self._is_key_held(now), self._error, read
-
-
-def _plan_withdrawal(
-    cell: Cell, scene: Scene | None, motion: MotionSettings, here: Joints
-) -> tuple[Waypoint, ...]:
-    return withdrawal(cell, scene, here, motion)
 
 
 INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate it")

@@ -19,6 +19,12 @@ QUICKEST_IMAGE_S = 0.05
 messages, s. This delay cannot be distinguished from a difference of the clocks, so the estimated
 capture time of an image can be too late by up to this bound."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
+DOING = {
+    ArmState.HOMING: "homing",
+    ArmState.MOVING: "moving",
+    ArmState.IN_POSITION: "at a strike pose",
+    ArmState.WITHDRAWING: "withdrawing",
+}
 NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"}
 
 
@@ -182,7 +188,8 @@ class CellMonitor:
         if arm.set_up and not arm.enabled:
             return enabling.RELEASED
         if arm.state != ArmState.IDLE:
-            return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or "the arm is busy"
+            doing = DOING.get(arm.state, "busy")
+            return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or f"the arm is {doing}"
         return None
 
     def fault(self) -> CodedError | None:
@@ -261,8 +268,9 @@ class CellMonitor:
         """Like :meth:`seen_away_from`, for any object in ``object_states``."""
         return _away(self._states.get(name), pose, distance, angle)
 
-    def blind(self, waited: float, frames: int, now: Now) -> CodedError:
-        """Return why no usable observation was made within ``waited`` s."""
+    def blind(self, waited: float, frames: int, now: Now, moved_aside: bool = False) -> CodedError:
+        """Return why no usable observation was made within ``waited`` s. ``moved_aside``: the arm
+        has already moved off what it hid."""
         seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"
         if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
@@ -275,12 +283,12 @@ class CellMonitor:
         if seen.error_code:
             text = f"{name}: {seen.error_msg}" if self._watched else str(seen.error_msg)
             if seen.error_code == ErrorCode.OBJECT_NOT_SEEN and not seen.visible:
-                text += self._hidden_place()
+                text += self._hidden_place(moved_aside)
             return int(seen.error_code), text
         if not seen.visible:
             return (
                 ErrorCode.OBJECT_NOT_SEEN,
-                f"{name} is not seen; uncover the marker{self._hidden_place()}",
+                f"{name} is not seen; uncover the marker{self._hidden_place(moved_aside)}",
             )
         age = now.steady - self.observed_at(now)
         if age > self._silence_limit:
@@ -302,7 +310,7 @@ class CellMonitor:
             "then send the goal again",
         )
 
-    def _hidden_place(self) -> str:
+    def _hidden_place(self, moved_aside: bool) -> str:
         """Return, as the end of a sentence, which part of the table the arm hides; empty without an
         arm."""
         if not self.has_arm or self.arm is None:
@@ -312,8 +320,9 @@ class CellMonitor:
         tip = self.tip
         if tip is None:
             return "; if the arm covers it, home the arm"
+        moved = ", and was moved once more because the object was not seen," if moved_aside else ""
         return (
-            "; the arm has withdrawn and hides only what lies under it (its tool is at"
+            f"; the arm has withdrawn{moved} and hides only what lies under it (its tool is at"
             f" x {1000 * tip[0]:.0f} mm, y {1000 * tip[1]:.0f} mm): if the object lies there, move"
             " it to a visible place, then send the goal again"
         )

@@ -38,6 +38,7 @@ from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import REFUSALS, Refused
 from tapping_cell.logic.host import Activated, Configured, Deactivated, LifecycleEvent
 from tapping_cell.logic.learnt import to_message as learnt_message
+from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
 from tapping_cell.logic.task import LEAST_EFFECT, Shot, SingleTapTask, Task
@@ -78,9 +79,9 @@ WITHDRAWN_BY_ANOTHER = (
 )
 """Error of a tap that was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
-"""If the object is not seen for this time after the withdrawal, the arm may hide it, and parks."""
+"""If the object is not seen for this time after the withdrawal, the arm may hide it, and moves."""
 PARKING_S = 0.5
-"""Time within which an arm that was commanded to park reports that it moves."""
+"""Time within which an arm that was commanded to move aside reports that it moves."""
 REPORT_PERIOD_S = 0.5
 """Time between two reports while nothing changes. While a tap is under way the planner reports at
 every tick, because the tapper discharges the striker when this heartbeat ends."""
@@ -231,6 +232,7 @@ class PlannerLogic:
         self._last_tap_id = 0
         self._withdrawn_tap_id = 0
         self._parked_tap_id = 0
+        self._view_cleared = False
         self._parking_until = -math.inf
         self._reported_at = -math.inf
         self._resumed: Request | None = None
@@ -458,6 +460,7 @@ class PlannerLogic:
             self._end_tap(now)
             self._finish(S.CANCELED, ErrorCode.GOAL_REPLACED, "a newer goal replaced this one", now)
         self._task = task
+        self._view_cleared = False
         self._monitor.watch(task.object_id if isinstance(task, ArrangementTask) else "")
         self._keep_goal(task, now)
         self._log(LogLevel.INFO, task.description())
@@ -556,12 +559,13 @@ class PlannerLogic:
                 # The camera's node may be restarting, so the deadline for a ready cell applies.
                 self._wait_again(now)
             elif self._hidden_by_arm(now):
-                self._park(now)
+                self._move_arm_aside(now)
                 self._parking_until = now.steady + PARKING_S
                 deadline = self._settings.withdraw_deadline
                 self._enter(Event.HIDDEN, S.SETTLING, now, deadline)
             elif self._late(now):
-                self._fail(*self._monitor.blind(self._settings.observe_deadline, needed, now), now)
+                deadline = self._settings.observe_deadline
+                self._fail(*self._monitor.blind(deadline, needed, now, self._view_cleared), now)
             return
         if not task.ready:
             # Only the goal's time limit ends this wait.
@@ -665,16 +669,10 @@ class PlannerLogic:
         return None
 
     def _plan(self, task: Task, strike: Strike, before: Pose, now: Now) -> None:
-        """Command or propose one tap, under an id that was never used before."""
-        # Ids are whole seconds of the clock, so they increase across restarts of every node and
-        # fit the tapper's 32 bits until 2106. If a clock was set back, the last id that arm and
-        # tapper have served is the lower bound.
-        self._last_tap_id = max(
-            self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
-        )
+        """Command or propose one tap."""
         covariance = task.session.predicted_covariance(strike, before)
         shot = Shot(
-            self._last_tap_id,
+            self._next_tap_id(now),
             task.object_id,
             len(task.records) + 1,
             strike,
@@ -691,6 +689,18 @@ class PlannerLogic:
         self._proposed, self._answer_by = shot, now.ros + round(patience * NANOSECONDS)
         self._log(LogLevel.INFO, f"tap {shot.number} waits for confirmation (id {shot.tap_id})")
         self._enter(Event.TAP_PROPOSED, S.CONFIRMING, now, patience)
+
+    def _next_tap_id(self, now: Now) -> int:
+        """Return an id that was never used before.
+
+        Ids are whole seconds of the clock, so they increase across restarts of every node and fit
+        the tapper's 32 bits until 2106. If a clock was set back, the last id that arm and tapper
+        have served is the lower bound.
+        """
+        self._last_tap_id = max(
+            self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
+        )
+        return self._last_tap_id
 
     def _confirmation_holds(self, shot: Shot, now: Now) -> bool:
         """Return whether a person has confirmed this tap in an earlier plan that was not fired."""
@@ -709,6 +719,7 @@ class PlannerLogic:
     def _command(self, shot: Shot, now: Now) -> None:
         """Publish the command of one tap."""
         self._shot, self._proposed = shot, None
+        self._view_cleared = False
         self._struck_at = math.inf
         allowance = self._settings.place_deadline + self._settings.fire_deadline
         expiry = now.ros + round(allowance * NANOSECONDS)
@@ -850,6 +861,9 @@ class PlannerLogic:
             if self._confirmed is not None and not late:
                 why = f"the confirmed tap was not fired ({sentence})"
                 self._confirmed = replace(self._confirmed, withdrawn=why)
+            if self._has_arm and code == ErrorCode.OBJECT_NOT_SEEN:
+                # The arm itself may hide the object on its way to this strike pose.
+                task.session.skip(shot.strike)
             settings = self._settings
             if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
                 self._fail(code, sentence, now)
@@ -937,11 +951,27 @@ class PlannerLogic:
         self._effects.append(Publish("tap_command", command))
 
     def _hidden_by_arm(self, now: Now) -> bool:
-        """Return whether the object is not seen although it should be, so that the arm parks."""
-        if not self._has_arm or self._withdrawn_tap_id in (0, self._parked_tap_id):
+        """Return whether the object is not seen although it should be, so that the arm moves
+        aside."""
+        if not self._has_arm or self._view_cleared:
             return False
         elapsed = now.steady - self._observe_after
         return min(elapsed, self._monitor.unseen_for(now)) > HIDDEN_S
+
+    def _move_arm_aside(self, now: Now) -> None:
+        """Move the arm off the object that it may hide: first to its park pose, then once more to a
+        pose from which the camera sees what the arm hides at its present place."""
+        if self._withdrawn_tap_id not in (0, self._parked_tap_id):
+            self._park(now)
+            return
+        self._view_cleared = True
+        self._log(LogLevel.WARNING, "the object is not seen; moving the arm in case it hides it")
+        command = TapCommand(request=TapCommand.CLEAR_VIEW, tap_id=self._next_tap_id(now))
+        command.header.stamp = to_stamp(now.ros)
+        command.header.frame_id = "table"
+        # A late command must not move the arm after the planner has stopped to wait for it.
+        command.expiry = to_stamp(now.ros + round((PARKING_S + SKEW_LIMIT_S) * NANOSECONDS))
+        self._effects.append(Publish("tap_command", command))
 
     def _park(self, now: Now) -> None:
         """Move the arm on to its park pose, by publishing the withdrawal a second time."""

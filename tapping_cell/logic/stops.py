@@ -47,8 +47,8 @@ class StopLatch:
         if not self._sources:
             return ""
         if self._asserted:
-            return "release the emergency stop, make the cell safe, then call clear_fault"
-        return "make the cell safe, then call clear_fault"
+            return "release the emergency stop, make the cell safe, then clear the stop"
+        return "make the cell safe, then clear the stop"
 
     def content(self) -> Content:
         """Return the content to be stored for a restart."""
@@ -85,9 +85,7 @@ class StopLatch:
     def try_reset(self, levels: StopLevels | None, now: Now) -> str:
         """Reset if the publishers' levels allow it; return why not, or "" if it was reset."""
         if levels is None:
-            return (
-                "the publishers of emergency_stop could not be determined; call clear_fault again"
-            )
+            return "the publishers of emergency_stop could not be determined; clear the stop again"
         if self._received != self._asked:
             return "a stop occurred during clear_fault; " + self.advice()
         if levels.asserted:
@@ -95,14 +93,14 @@ class StopLatch:
             names = ", ".join(levels.publishers) or "an unknown publisher"
             return (
                 f"the emergency stop is still held; publishers of emergency_stop: {names}."
-                " Release it there, then call clear_fault again"
+                " Release it there, then clear the stop again"
             )
         doubt = self._doubt(levels)
         if doubt and now.steady > self._confirm_until:
             self._confirm_until = now.steady + CONFIRM_WITHIN_S
             return (
-                f"{doubt}. Go to the cell and make sure that nobody is in danger; then call"
-                f" clear_fault again within {CONFIRM_WITHIN_S:.0f} s"
+                f"{doubt}. Go to the cell and make sure that nobody is in danger; then clear"
+                f" the stop again within {CONFIRM_WITHIN_S:.0f} s"
             )
         self._sources.clear()
         self._asserted = False

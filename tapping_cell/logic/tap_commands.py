@@ -28,14 +28,14 @@ def largest_id(last_tap_id: int, now: Now) -> int:
 
 
 def refusal(command: TapCommand, now: Now, last_tap_id: int) -> CodedError | None:
-    """Return why a TAP must be refused, or None if it is valid.
+    """Return why a TAP or CLEAR_VIEW must be refused, or None if it is valid.
 
     ``last_tap_id``: greatest id executed so far. A stamp of zero means that none was given.
     """
-    if command.request != TapCommand.TAP:
+    if command.request not in (TapCommand.TAP, TapCommand.CLEAR_VIEW):
         return (
             ErrorCode.COMMAND_INVALID,
-            f"its request {command.request} is neither TAP nor WITHDRAW",
+            f"its request {command.request} is neither TAP, WITHDRAW nor CLEAR_VIEW",
         )
     if command.header.frame_id != "table":
         sentence = f"its frame is '{command.header.frame_id}', but must be 'table'"

@@ -149,7 +149,7 @@ OUTCOMES = {
 LATCHED = (
     ErrorCode.TAPPER_STOPPED,
     "the tapper's stop is latched; make the cell safe, press the clear button at the cell, then"
-    " call clear_fault",
+    " clear the stop",
 )
 
 
@@ -318,6 +318,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             if tap is not None and command.tap_id == tap.tap_id:
                 self._give_up((ErrorCode.NONE, ""))
             return
+        if command.request == TapCommand.CLEAR_VIEW:
+            return  # for the arm only
         refusal = self._refusal(command, now)
         if refusal is not None:
             self._refuse(command, refusal, now)

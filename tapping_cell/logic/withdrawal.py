@@ -1,9 +1,12 @@
-"""Withdrawal of the arm after a tap, only until the camera has a free view.
+"""Poses of the arm from which the camera sees the object.
 
-Seen from the camera's lens, arm and tool cover parts of the table. The object, at every place that
-it may have reached, and enough reference markers must lie outside these parts. Among the poses at
-travel height with such a view, the arm selects the one with the least total time of the withdrawal
-and the move to the next tap.
+Seen from the camera's lens, arm and tool cover parts of the table. After a tap the arm withdraws
+only until the object, at every place that it may have reached, and enough reference markers lie
+outside these parts. Among the poses at travel height with such a view, it selects the one with the
+least total time of the withdrawal and the move to the next tap.
+
+If the object is not seen at all, it may have been put under the arm. The arm then moves to a pose
+from which the camera sees as much as possible of what the arm hid before.
 """
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ STEPS = np.linspace(-1.0, 1.0, 13)
 """Candidate changes of the shoulder and elbow joints, rad."""
 TURNS = (-1.2, 0.0, 1.2)
 """Candidate changes of the tool joint, rad."""
+GRID_M = 0.02
+"""Distance between the places at which an unseen object is assumed to be."""
 HEADINGS = np.arange(8) * (2.0 * math.pi / 8)
 """Possible headings of the next tap, rad."""
 
@@ -81,6 +86,47 @@ def withdrawal(
     return clear_view_path(geometry, current, Joints(*best.tolist()), motion)
 
 
+def uncovering(
+    cell: Cell,
+    camera: tuple[float, float, float] | None,
+    current: Joints,
+    motion: MotionSettings,
+) -> tuple[Waypoint, ...]:
+    """Return waypoints to the pose that hides the least of what the arm hides now.
+
+    Several poses may hide equally little; the arm then selects the quickest. The park pose is used
+    if no other hides less, if the lens position ``camera`` in ``table`` is not known, or if the arm
+    is not a SCARA.
+    """
+    geometry = cell.arm.geometry()
+    parked = withdraw_path(geometry, current, motion)
+    own = cell.arm.ros2_control
+    if camera is None or (own is not None and own.chain is not None):
+        return parked
+    raised = raise_step(geometry, current, motion).joints
+    tried = np.concatenate([[motion.park], _candidates(geometry, raised)])
+    places = _hidden_places(cell, geometry, camera, current)
+    hidden = len(places) - np.sum(_sees(cell, geometry, camera, tried, places), axis=1)
+    hidden = hidden + np.where(_sees_markers(cell, geometry, camera, tried), 0, len(places) + 1)
+    least = hidden == hidden.min()
+    if least[0]:
+        return parked
+    times = move_durations(geometry, raised, tried[least], motion.travel_speed)
+    best = tried[least][int(np.argmin(times))]
+    return clear_view_path(geometry, current, Joints(*best.tolist()), motion)
+
+
+def _hidden_places(
+    cell: Cell, geometry: ScaraGeometry, camera: tuple[float, float, float], joints: Joints
+) -> Array:
+    """Return the places (N, 3) on the table at which the arm hides the object or a part of it."""
+    half = 0.5 * np.array([cell.file.table.length, cell.file.table.width])
+    x, y = (np.arange(-side, side + 0.5 * GRID_M, GRID_M) for side in half)
+    grid = np.stack(np.meshgrid(x, y, [cell.object.height], indexing="ij"), axis=-1).reshape(-1, 3)
+    seen = _sees(cell, geometry, camera, np.array([joints]), grid)[0]
+    return np.asarray(grid[np.logical_not(seen)])
+
+
 def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:
     """Return joints (N, 4) around the raised pose, within their limits and with the elbow on the
     same side. The raised pose itself is the first row."""
@@ -97,25 +143,45 @@ def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:
 
 def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -> Array:
     """Return which of the joints (N, 4) leave object and enough markers visible, (N,) bool."""
-    bars = arm_bars(geometry, cell.arm.shape(cell.file.tapper), joints)
-    start, end = (_in_table(cell.arm_base, places) for places in (bars.start, bars.end))
-    radius = bars.radius + VIEW_MARGIN_M
-    height = cell.object.height
     along = np.linspace(0.0, OVERSHOOT, PLACES)
     before = np.array([scene.before.x, scene.before.y])
     way = np.array([scene.predicted.x, scene.predicted.y]) - before
-    places = before + along[:, None] * way
-    of_object = np.column_stack([places, np.full(PLACES, height)])
-    clearance = view_clearance(scene.camera, start, end, radius, of_object)
-    seen = np.all(clearance > cell.object.body().bounding_radius, axis=1)
+    places = np.column_stack([before + along[:, None] * way, np.full(PLACES, cell.object.height)])
+    free = np.all(_sees(cell, geometry, scene.camera, joints, places), axis=1)
+    free[free] = _sees_markers(cell, geometry, scene.camera, joints[free])
+    return np.asarray(free)
+
+
+def _sees(
+    cell: Cell,
+    geometry: ScaraGeometry,
+    camera: tuple[float, float, float],
+    joints: Array,
+    places: Array,
+) -> Array:
+    """Return, (N, M) bool, whether the arm with joints (N, 4) hides no part of the object at the
+    places (M, 3)."""
+    clearance = view_clearance(camera, *_bars(cell, geometry, joints), places)
+    return np.asarray(clearance > cell.object.body().bounding_radius)
+
+
+def _sees_markers(
+    cell: Cell, geometry: ScaraGeometry, camera: tuple[float, float, float], joints: Array
+) -> Array:
+    """Return which of the joints (N, 4) leave enough reference markers visible, (N,) bool."""
     markers = cell.references.markers
     of_markers = np.array([[marker.x, marker.y, 0.0] for marker in markers])
     half_diagonals = np.array([marker.size / math.sqrt(2.0) for marker in markers])
-    free = np.flatnonzero(seen)
-    clearance = view_clearance(scene.camera, start[free], end[free], radius, of_markers)
+    clearance = view_clearance(camera, *_bars(cell, geometry, joints), of_markers)
     hidden = np.sum(clearance <= half_diagonals, axis=1)
-    seen[free] = hidden <= min(MARKERS_HIDDEN, len(markers) // 2)
-    return np.asarray(seen)
+    return np.asarray(hidden <= min(MARKERS_HIDDEN, len(markers) // 2))
+
+
+def _bars(cell: Cell, geometry: ScaraGeometry, joints: Array) -> tuple[Array, Array, Array]:
+    """Return the arm's bars with margin in ``table``: starts and ends (N, K, 3), radii (K,)."""
+    bars = arm_bars(geometry, cell.arm.shape(cell.file.tapper), joints)
+    start, end = (_in_table(cell.arm_base, places) for places in (bars.start, bars.end))
+    return start, end, bars.radius + VIEW_MARGIN_M
 
 
 def _to_next(

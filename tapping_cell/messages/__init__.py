@@ -573,6 +573,7 @@ class TapCommand:
     """Mirror of ``tapping_cell_msgs/msg/TapCommand``."""
 
     ROS_TYPE: ClassVar[str] = "tapping_cell_msgs/msg/TapCommand"
+    CLEAR_VIEW: ClassVar[int] = 2
     TAP: ClassVar[int] = 0
     WITHDRAW: ClassVar[int] = 1
 

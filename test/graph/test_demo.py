@@ -197,8 +197,8 @@ def test_killing_the_demo_itself_leaves_no_node(folder: Path) -> None:
         time.sleep(0.1)
 
 
-def test_a_goal_off_the_table_is_refused_in_words(folder: Path) -> None:
-    process = start(folder, "--goal", "900", "0", "0")
+def test_a_goal_over_the_edge_of_the_table_is_refused_in_words(folder: Path) -> None:
+    process = start(folder, "--goal", "290", "0", "0")
     output, _ = process.communicate(timeout=200)
     assert process.returncode == 1
     content = json.loads((folder / "summary.json").read_text())

@@ -225,4 +225,4 @@ def test_the_emergency_stop_ends_the_goal_and_latches_every_actor(cell: Cell) ->
     )
     finished = cell.run_action(Pose(0.0, 0.0, 0.0))
     assert finished.error_code == ErrorCode.ARM_STOPPED
-    assert "clear_fault" in finished.error_msg
+    assert "clear the stop" in finished.error_msg

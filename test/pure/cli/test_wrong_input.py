@@ -65,6 +65,62 @@ WRONG: list[tuple[str, str]] = [
     ("fit /nowhere/records", "/nowhere/records"),
     ("faults --taps 0", "at least 1"),
     ("sensitivity --distance nan", "'nan' is not a finite number"),
+    # Options that exclude each other or have no effect.
+    ("demo --move 10 0 10 --goal 0 0 0", "not allowed with argument --move"),
+    ("demo --objects 3 --move 1 0 0", "not allowed with argument --objects"),
+    ("demo --goals swap", "only with --objects"),
+    ("up --camera /dev/video3", "only with --hardware"),
+    ("up --hardware --truth FILES/empty.yaml", "must be a mapping"),
+    ("up --hardware --seed 3", "only in simulation"),
+    ("up --no-record --runs elsewhere", "only without --no-record"),
+    ("evaluate --sweep friction=0.1:0.4:7", "--report"),
+    ("faults --taps 10 --goals 3", "--goals"),
+    # Values that no cell can serve.
+    ("demo --goal 5000 0 0", "outside the usable area"),
+    ("demo --goal 0 -221 0", "(103)"),
+    ("demo --objects 9", "choose from 1, 2"),
+    ("demo --seed 99999999999", "limits 0 to 2147483647"),
+    ("goal 1e400 0 0", "'1e400' is not a finite number"),
+    ("goal 10mm 0 0", "'10mm' is not a finite number"),
+    ("goal 1,5 0 0", "'1,5' is not a finite number"),
+    ("goal 1 2 3 --tolerance 0 nan", "'nan' is not a finite number"),
+    ("up --wait 1e9", "limits 1 to 3600"),
+    ("up --page localhost:0", "neither PORT nor ADDRESS:PORT"),
+    ("up --page 0.0.0.0:http", "neither PORT nor ADDRESS:PORT"),
+    ("up --page 192.0.2.7:8010", "no server can listen at 192.0.2.7"),
+    ("evaluate --box nan", "'nan' is not a finite number"),
+    ("commission --again breakfast", "choose from"),
+    ("faults --dialect klipper", "choose from"),
+    # Files of a wrong kind or content.
+    ("demo --cell FILES/binary.yaml", "is not UTF-8 text"),
+    ("demo --cell FILES/latin.yaml", "is not UTF-8 text"),
+    ("demo --cell FILES/huge.yaml", "the limit is 1 MB"),
+    ("demo --cell FILES/deep.yaml", "nested too deeply"),
+    ("demo --cell FILES/list.yaml", "must be a mapping"),
+    ("demo --cell FILES/tab.yaml", "line 2"),
+    ("demo --cell FILES", "Is a directory"),
+    ("demo --cell FILES/metres.yaml", "key 'table.length' is 600"),
+    ("demo --cell FILES/nan.yaml", "key 'arm.travel_speed' is nan"),
+    ("demo --cell FILES/words.yaml", "key 'arm.park' is 'over there'"),
+    ("demo --cell FILES/twice.yaml", "the key 'baud' appears twice"),
+    ("demo --cell FILES/misspelt.yaml", "unknown key 'arm.homming'"),
+    ("demo --object FILES/empty.yaml", "must be a mapping"),
+    ("demo --truth FILES/list.yaml", "must be a mapping"),
+    ("demo --truth-object FILES/empty.yaml", "must be a mapping"),
+    ("demo --out FILES/empty.yaml/run", "is a file, not a folder"),
+    ("up --runs FILES/empty.yaml", "is a file, not a folder"),
+    ("up --logs FILES/empty.yaml/logs", "is a file, not a folder"),
+    ("up --params FILES/list.yaml", "is not a ROS parameter file"),
+    ("new-object FILES/text.png --name a --height 12 --output o.yaml", "read as an image"),
+    ("new-object FILES/text.png --name a --height -3 --output o.yaml", "limits 0.5 to 500"),
+    ("report FILES", "FILES"),
+    ("evaluate --all --planner exact", "not allowed with argument --all"),
+    ("evaluate --probe", "only with --table"),
+    ("evaluate --all --trials 10 --report FILES/empty.yaml", "is a file, not a folder"),
+    ("single-tap --namespace left", "only with --attach"),
+    ("single-tap --truth FILES/list.yaml", "must be a mapping"),
+    ("single-tap --incidences 90", "within +-60 deg"),
+    ("faults --crashes --node nobody", "unknown: nobody"),
 ]
 
 
@@ -84,11 +140,40 @@ def hardware_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "cell.yaml"
 
 
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of files that no verb can use."""
+    folder = tmp_path_factory.mktemp("FILES", numbered=False)
+    for name, content in (
+        ("empty.yaml", b""),
+        ("binary.yaml", bytes(range(256)) * 8),
+        ("latin.yaml", "name: Zelle für Käse".encode("latin-1")),
+        ("huge.yaml", b"a: [" + b"1, " * 1_000_000 + b"1]"),
+        ("deep.yaml", b"[" * 100_000),
+        ("list.yaml", b"- 1\n- 2\n"),
+        ("tab.yaml", b"name: cell\n\tarm: 3\n"),
+        ("text.png", b"this is no image"),
+    ):
+        (folder / name).write_bytes(content)
+    cell = (shared_folder() / "cell.yaml").read_text(encoding="utf-8")
+    for name, before, after in (
+        ("metres.yaml", "length: 0.60", "length: 600"),
+        ("nan.yaml", "travel_speed: 0.8", "travel_speed: .nan"),
+        ("words.yaml", "park: [1.2, 1.2, -0.020, 0.0]", "park: over there"),
+        ("twice.yaml", "  homing: firmware", "  baud: 9600"),
+        ("misspelt.yaml", "  homing: firmware", "  homming: firmware"),
+    ):
+        assert before in cell
+        (folder / name).write_text(cell.replace(before, after, 1), encoding="utf-8")
+    return folder
+
+
 @pytest.mark.parametrize(("line", "words"), WRONG, ids=[f"{a} ({b})" for a, b in WRONG])
 def test_wrong_input_is_refused_in_one_sentence(
     line: str,
     words: str,
     hardware_cell: Path,
+    files: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -96,7 +181,8 @@ def test_wrong_input_is_refused_in_one_sentence(
     monkeypatch.chdir(tmp_path)
     began = time.process_time()
     try:
-        status = main(line.replace("HARDWARE", str(hardware_cell)).split())
+        line = line.replace("HARDWARE", str(hardware_cell)).replace("FILES", str(files))
+        status = main(line.split())
     except SystemExit as ended:
         status = int(ended.code or 0)
     took = time.process_time() - began

@@ -69,6 +69,12 @@ class Cell(VirtualNode):
     def withdraw(self, tap_id: int) -> None:
         self.publish("tap_command", TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id))
 
+    def clear_view(self, tap_id: int, valid_for: float = 20.0) -> None:
+        message = TapCommand(request=TapCommand.CLEAR_VIEW, tap_id=tap_id)
+        message.header.frame_id = "table"
+        message.expiry = self.stamp(valid_for)
+        self.publish("tap_command", message)
+
     def moving(self) -> bool:
         """Whether the emulated arm moves now."""
         return self.device.moving(self.now())
@@ -224,10 +230,38 @@ def test_only_the_withdrawal_of_the_last_tap_parks_an_idle_arm(cell: Cell) -> No
     assert cell.moves(0.5)
 
 
+def test_the_view_is_cleared_once_for_each_id_and_in_time_only(cell: Cell) -> None:
+    over_the_table = [0.4, 1.3, 0.0, 0.2]
+    cell.publish("joint_trajectory", a_trajectory(np.array(over_the_table), 2.0))
+    cell.wait_state(ArmState.MOVING)
+    cell.wait_state(ArmState.IDLE)
+    for tap_id, valid_for, code in (
+        (0, 20.0, ErrorCode.COMMAND_INVALID),
+        (5, -0.1, ErrorCode.ARM_COMMAND_EXPIRED),
+    ):
+        cell.clear_view(tap_id, valid_for)
+        assert not cell.moves(0.5) and cell.last.error_code == code
+    cell.clear_view(5)
+    cell.wait_state(ArmState.WITHDRAWING)
+    cell.wait_state(ArmState.IDLE)
+    assert cell.last.clear_of_camera and cell.last.tap_id == 0 and not cell.last.error_code
+    assert not np.allclose(cell.joints[-1].position, over_the_table, atol=0.05)
+    cell.clear_view(5)
+    assert not cell.moves(0.5) and cell.last.error_code == ErrorCode.COMMAND_REPEATED
+
+
+def test_an_arm_that_is_not_homed_does_not_clear_the_view() -> None:
+    cell = Cell(home=False)
+    cell.wait_state(ArmState.NOT_HOMED)
+    cell.clear_view(5)
+    assert not cell.moves(0.5) and cell.last.state == ArmState.NOT_HOMED
+
+
 def test_an_inactive_arm_is_still(cell: Cell) -> None:
     cell.process.lifecycle(Deactivated())
     cell.wait_state(ArmState.FAULT)
     cell.withdraw(0)
+    cell.clear_view(5)
     assert not cell.call("~/home").success
     assert not cell.moves(0.5)
 

@@ -125,7 +125,7 @@ class Actors(VirtualNode):
                 fired = self.tapper_answers != TapperState.NOT_FIRED
                 if fired and self.moves_when_fired:
                     self.pose = from_message(command.predicted_pose)
-        elif self.arm_withdraws:
+        elif command.request == TapCommand.WITHDRAW and self.arm_withdraws:
             self.arm_state = ArmState.IDLE
 
     def _publish(self) -> None:
@@ -391,6 +391,18 @@ def test_an_object_under_the_arm_is_told_with_the_arms_place_and_the_remedy(
     assert "its tool is at x 150 mm, y -80 mm" in end.error_msg
     assert "if the object lies there, move it to a visible place" in end.error_msg
     assert actors.taps() == []
+
+
+def test_an_arm_that_may_hide_the_object_is_asked_once_to_make_way(actors: Actors) -> None:
+    actors.visible = False
+    actors.run(0.6)
+    actors.send()
+    actors.wait(lambda: actors.commands, "a command")
+    actors.visible = True
+    assert actors.end().state == PlanState.REACHED
+    asked = [c for c in actors.commands if c.request == TapCommand.CLEAR_VIEW]
+    assert len(asked) == 1 and asked[0] is actors.commands[0]
+    assert 0 < asked[0].tap_id < min(tap.tap_id for tap in actors.taps())
 
 
 def test_an_object_moved_before_the_tap_is_looked_at_again(actors: Actors) -> None:
