@@ -36,8 +36,12 @@ PLACES = {
 }
 CLOCKS_S = {"vision": 0.3, "drivers": 0.1, "desk": 0.0}
 """Offsets of the clocks within the limit."""
-REFUSED_S = {"vision": 2.0, "drivers": 0.0, "desk": 0.0}
-"""Offsets of the clocks beyond the limit, with which a goal is refused before its first tap."""
+REFUSED_S = {
+    "vision": {"vision": 2.0, "drivers": 0.0, "desk": 0.0},
+    "drivers": {"vision": 0.0, "drivers": 2.0, "desk": 0.0},
+}
+"""Offsets of the clocks beyond the limit, with which a goal is refused before its first tap, by the
+computer whose clock is ahead."""
 PATIENCE_S = 120.0
 SETTLE_S = 3.0
 
@@ -57,8 +61,10 @@ def measure(count: int) -> dict[str, Any]:
             )
     with tempfile.TemporaryDirectory() as folder, cell(Path(folder), own) as desk:
         report["goals"] = goals(desk, own, count)
-    with tempfile.TemporaryDirectory() as folder, cell(Path(folder), own, REFUSED_S) as desk:
-        (report["refused"],) = goals(desk, own, 1)
+    report["refused"] = {}
+    for name, clocks in REFUSED_S.items():
+        with tempfile.TemporaryDirectory() as folder, cell(Path(folder), own, clocks) as desk:
+            (report["refused"][name],) = goals(desk, own, 1)
     return report
 
 
@@ -80,11 +86,11 @@ def lines(report: dict[str, Any]) -> list[str]:
             f"  {end['taps']} taps, {end['seconds']:.0f} s, truly {end['true_mm']:.2f} mm off "
             f"{end['error_msg']}"
         )
-    end = report["refused"]
-    made.append(
-        f"goal with the camera's clock {REFUSED_S['vision']:.1f} s ahead: {end['taps']} taps, "
+    made += [
+        f"goal with the clock of '{name}' {REFUSED_S[name][name]:.1f} s ahead: {end['taps']} taps, "
         f"code {end['error_code']}: {end['error_msg']}"
-    )
+        for name, end in report["refused"].items()
+    ]
     return made
 
 

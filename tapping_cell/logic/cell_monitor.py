@@ -43,7 +43,8 @@ class CellMonitor:
         self.arm: ArmState | None = None
         self.tapper: TapperState | None = None
         self._arm_expected: bool | None = None
-        self.camera_clock = PeerClock()
+        self._clocks = {name: PeerClock() for name in NAMES}
+        self.camera_clock = self._clocks["object"]
         self._received = {name: -math.inf for name in NAMES}
         self._seen_at: dict[str, float] = {}
 
@@ -99,11 +100,13 @@ class CellMonitor:
         """Process ``arm_state``."""
         self.arm = message
         self._received["arm"] = now.steady
+        self._clocks["arm"].receive(message.header.stamp, now)
 
     def on_tapper(self, message: TapperState, now: Now) -> None:
         """Process ``tapper_state``."""
         self.tapper = message
         self._received["tapper"] = now.steady
+        self._clocks["tapper"].receive(message.header.stamp, now)
 
     def silent(self, name: str, now: Now) -> bool:
         """Return whether the message timeout of ``object``, ``arm`` or ``tapper`` has passed."""
@@ -173,13 +176,18 @@ class CellMonitor:
             return ErrorCode.TAPPER_INTERLOCK_OPEN, "the tapper's interlock is open; close it"
         if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
-        skew = self.camera_clock.skew(now)
-        if abs(skew) > SKEW_LIMIT_S:
-            return (
-                ErrorCode.CLOCKS_DIFFER,
-                f"the local clock differs by {skew:+.2f} s from that of the camera's computer"
-                f" (limit {SKEW_LIMIT_S:.2f} s); synchronise the computers' clocks",
-            )
+        return self._skew(now)
+
+    def _skew(self, now: Now) -> CodedError | None:
+        for name, clock in self._clocks.items():
+            skew = clock.skew(now)
+            if abs(skew) > SKEW_LIMIT_S:
+                return (
+                    ErrorCode.CLOCKS_DIFFER,
+                    f"the local clock differs by {skew:+.2f} s from that of the computer of"
+                    f" {NAMES[name]} (limit {SKEW_LIMIT_S:.2f} s); synchronise the computers'"
+                    " clocks",
+                )
         return None
 
     def _arm_missing(self, arm: ArmState | None, now: Now) -> CodedError | None:

@@ -370,6 +370,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             return reason
         if self._set_up and not self._enabling.held(now):
             return enabling.RELEASED
+        if (reason := self._peers.clocks_differ(now)) is not None:
+            return reason
         if tap_commands.expired(command, now):
             return ErrorCode.TAPPER_COMMAND_EXPIRED, tap_commands.overdue(command, now)
         speed, curve = command.striker_speed, self._curves[tapper]
@@ -396,7 +398,12 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     def _charge_when_ready(self, now: Now) -> None:
         tap = self._tap
-        if self.state is not S.WAITING or tap is None or self.check_charging(now) is not None:
+        if self.state is not S.WAITING or tap is None:
+            return
+        if (differ := self._peers.clocks_differ(now)) is not None:
+            self._give_up(differ)  # waiting does not end this difference
+            return
+        if self.check_charging(now) is not None:
             return
         self._machine.move(Event.ARM_READY, S.CHARGING)
         self._run(

@@ -194,7 +194,7 @@ class TapperPeers:
     def _check_others(self, planned: Pose, now: Now) -> CodedError | None:
         return (
             self.given_up()
-            or self._skew(now)
+            or self.clocks_differ(now)
             or self._missing()
             or self._silence(now)
             or self._disturbance(planned, now)
@@ -228,7 +228,8 @@ class TapperPeers:
             return code, f"the arm is in position for another tap with the id {tap_id}"
         return None
 
-    def _skew(self, now: Now) -> CodedError | None:
+    def clocks_differ(self, now: Now) -> CodedError | None:
+        """Return why the clocks of the cell's computers differ too much for a tap, or None."""
         for name, clock in self._clocks.items():
             skew = clock.skew(now)
             if abs(skew) > SKEW_LIMIT_S:

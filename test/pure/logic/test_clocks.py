@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tapping_cell.logic.cell_monitor import QUICKEST_IMAGE_S, CellMonitor
+from tapping_cell.logic.cell_monitor import NAMES, QUICKEST_IMAGE_S, CellMonitor
 from tapping_cell.logic.clock import NANOSECONDS, Now, to_stamp
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.tapper_peers import PeerLimits, TapperPeers
@@ -24,7 +25,9 @@ def at(steady: float) -> Now:
     return Now(steady, round((EPOCH + steady) * NANOSECONDS))
 
 
-def stamp_of(message: ArmState | ObjectState | PlanState, taken: float, ahead: float) -> None:
+def stamp_of(
+    message: ArmState | ObjectState | PlanState | TapperState, taken: float, ahead: float
+) -> None:
     """Stamp a message at a true time by a clock that is ahead of this computer's."""
     message.header.stamp = to_stamp(round((EPOCH + taken + ahead) * NANOSECONDS))
 
@@ -69,6 +72,23 @@ def test_clocks_beyond_it_are_refused_with_the_numbers(
     shown = re.search(r"([-+]\d+\.\d\d) s", missing[1])
     assert shown is not None and float(shown[1]) == pytest.approx(-sign * ahead + least, abs=0.011)
     assert f"limit {SKEW_LIMIT_S:.2f} s" in missing[1] and "synchronise" in missing[1]
+
+
+@given(st.floats(0.65, 3600.0), st.sampled_from([-1.0, 1.0]), st.sampled_from(["arm", "tapper"]))
+def test_the_planner_names_the_driver_whose_clock_is_off(
+    ahead: float, sign: float, who: str
+) -> None:
+    monitor, now = monitor_with(0.0, [0.0] * 30)
+    state: ArmState | TapperState = ArmState(state=ArmState.IDLE, clear_of_camera=True)
+    receive: Callable[..., None] = monitor.on_arm
+    if who == "tapper":
+        state = TapperState(state=TapperState.SAFE, interlock_closed=True)
+        receive = monitor.on_tapper
+    stamp_of(state, now, sign * ahead)
+    receive(state, at(now))
+    missing = monitor.missing(at(now))
+    assert missing is not None and missing[0] == ErrorCode.CLOCKS_DIFFER
+    assert NAMES[who] in missing[1] and f"{-sign * ahead:+.2f} s" in missing[1]
 
 
 @given(

@@ -143,22 +143,22 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize(
-    "arm",
+    ("arm", "code"),
     [
-        {"tap_id": 99},
-        {"tap_id": 100, "state": ArmState.MOVING},
-        {"tap_id": 100, "state": ArmState.FAULT},
-        {"tap_id": 100, "age": 2.0},
-        {"tap_id": 100, "age": -2.0},
+        ({"tap_id": 99}, ErrorCode.TAPPER_COMMAND_EXPIRED),
+        ({"tap_id": 100, "state": ArmState.MOVING}, ErrorCode.TAPPER_COMMAND_EXPIRED),
+        ({"tap_id": 100, "state": ArmState.FAULT}, ErrorCode.TAPPER_COMMAND_EXPIRED),
+        ({"tap_id": 100, "age": 2.0}, ErrorCode.CLOCKS_DIFFER),
+        ({"tap_id": 100, "age": -2.0}, ErrorCode.CLOCKS_DIFFER),
     ],
     ids=["another tap", "moving", "faulted", "stale", "from the future"],
 )
-def test_it_does_not_fire_on_doubt(cell: Cell, arm: dict[str, object]) -> None:
+def test_it_does_not_fire_on_doubt(cell: Cell, arm: dict[str, object], code: int) -> None:
     cell.command(100, valid=1.0)
     cell.keep_publishing(1.2, **arm)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
     assert cell.shots() == []
-    assert cell.last.error_code == ErrorCode.TAPPER_COMMAND_EXPIRED
+    assert cell.last.error_code == code
 
 
 def test_a_withdrawn_tap_is_not_fired_later(cell: Cell) -> None:
@@ -180,6 +180,23 @@ def test_an_expired_command_is_refused(cell: Cell) -> None:
     cell.command(100, valid=-1.0)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
     assert cell.last.error_code == ErrorCode.TAPPER_COMMAND_EXPIRED
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_tap_ends_at_once_if_the_clocks_differ(cell: Cell, known: bool) -> None:
+    """Waiting would end with the planner's time limit, and with no cause.
+
+    ``known``: the difference is known when the command arrives, or is noticed while it waits.
+    """
+    if known:
+        cell.publish_arm(100, age=2.0)
+    cell.command(100)
+    cell.run(0.1)
+    cell.publish_arm(100, age=2.0)
+    cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
+    assert cell.last.error_code == ErrorCode.CLOCKS_DIFFER
+    assert "+2.0" in cell.last.error_msg and "limit 0.50 s" in cell.last.error_msg
+    assert cell.last.state == TapperState.SAFE and cell.shots() == []
 
 
 def test_a_speed_beyond_the_curve_is_refused_with_its_range(cell: Cell) -> None:
