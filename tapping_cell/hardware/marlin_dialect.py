@@ -50,6 +50,8 @@ PREPARATION = ("G21", "G90", "M220 S100", "M84 S0", "M17")
 motors, motors on."""
 RECOVERIES = 8
 """Maximum number of attempts to resend a line before the connection counts as lost."""
+KEPT_LINES = 4
+"""Number of sent lines that can be repeated if the board requests them."""
 IDENTIFICATIONS = 6
 """Maximum number of ``M115`` queries until two consecutive answers agree."""
 
@@ -261,8 +263,8 @@ class MarlinDialect:
         self._frames.clear()
         self._number += 1
         number = self._number
-        self._sent[number] = marlin.numbered(number, code)
-        self._sent.pop(number - 4, None)
+        kept = {sent: line for sent, line in self._sent.items() if sent > number - KEPT_LINES}
+        self._sent = {**kept, number: marlin.numbered(number, code)}
         self._transport.write(self._sent[number])
         frames: list[marlin.Frame] = []
         longest = patience = SILENCE if code in LONG_CODES else SHORT_SILENCE

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,12 +12,14 @@ from wrong_baud import WrongBaud, sampled
 from tapping_cell.configuration.arm_assembly import make_arm_driver
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.marlin_dialect import MarlinDialect
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.logic.error_codes import of_arm, of_tapper
 from tapping_cell.messages import ErrorCode
 from tapping_cell.simulation.device_emulator import DeviceEmulator
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, FaultLayer, LineFault
+from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 from tapping_cell.simulation.virtual_line import VirtualClock, VirtualTransport
@@ -134,3 +138,47 @@ def test_a_few_damaged_lines_are_survived_and_a_lost_line_is_a_timeout(dialect: 
     with pytest.raises(HardwareFault) as caught:
         driver.read()
     assert of_arm(caught.value) == ErrorCode.ARM_TIMEOUT
+
+
+class UnreliableMarlin(MarlinEmulator):
+    """A board whose replies to the next line are lost, or whose next reply requests a line."""
+
+    def __init__(self) -> None:
+        super().__init__(MarlinMachine())
+        self.number = 0
+        """Number of the last line that was received."""
+        self.lost: int | None = None
+        """Number of the line whose replies are lost."""
+        self.requests: int | None = None
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Execute the line; or request another one instead."""
+        numbers = re.findall(rb"N(\d+)", data)
+        self.number = int(numbers[-1]) if numbers else self.number
+        super().receive(data, now)
+
+    def take_output(self, now: float) -> bytes:
+        """Return the replies, or what the test makes of them."""
+        output = super().take_output(now)
+        if self.number == self.lost:
+            return b""
+        if output and self.requests is not None:
+            output, self.requests = b"Resend: %d\nok\n" % self.requests, None
+        return output
+
+
+@given(st.integers(0, 9))
+def test_a_marlin_that_requests_any_earlier_line_is_answered(age: int) -> None:
+    """One wrong digit of a Resend names a line that was sent some time ago."""
+    board = UnreliableMarlin()
+    line = Line(board)
+    dialect = MarlinDialect(line.transport)
+    line.transport.open(1.0)
+    dialect.connect(60.0)
+    for _ in range(4):
+        dialect.read(60.0)
+    # A lost answer makes the driver use two line numbers for one command.
+    board.lost = board.number + 1
+    dialect.read(60.0)
+    board.requests = board.number - age
+    assert dialect.read(60.0).axes == dialect.read(60.0).axes
