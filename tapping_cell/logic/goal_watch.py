@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tapping_cell.logic.planner import FINAL_STATES
 from tapping_cell.messages import ErrorCode, PlanState
 from tapping_cell.se2 import Pose
+
+FINAL_STATES = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
+"""Values of ``plan_state`` after a goal has ended."""
 
 SILENCE_S = 3.0
 """Message timeout of the planner, which reports every 0.5 s."""

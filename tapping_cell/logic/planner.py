@@ -36,6 +36,7 @@ from tapping_cell.logic.effects import (
 )
 from tapping_cell.logic.goal_handling import GoalHandling, Request
 from tapping_cell.logic.goal_validation import REFUSALS, Refused
+from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.logic.host import Activated, Configured, Deactivated, LifecycleEvent
 from tapping_cell.logic.learnt import to_message as learnt_message
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
@@ -166,9 +167,7 @@ TABLE = table(
 WIRE = {state: getattr(PlanState, state.name) for state in State}
 WORKING_STATES = tuple(WIRE[state] for state in WORKING)
 """Values of ``plan_state`` while a goal is under way."""
-FINAL = (S.REACHED, S.FAILED, S.CANCELED)
-FINAL_STATES = tuple(WIRE[state] for state in FINAL)
-"""Values of ``plan_state`` after a goal has ended."""
+FINAL = tuple(state for state in State if WIRE[state] in FINAL_STATES)
 LATE = frozenset(
     (
         ErrorCode.ARM_SILENT,

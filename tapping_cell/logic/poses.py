@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from tapping_cell.messages import Point, Quaternion
 from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.se2 import Pose
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _PLANAR = (0, 1, 5)
 """Rows and columns of x, y and the rotation about z in a 6 x 6 covariance."""
@@ -45,6 +48,9 @@ def compose(frame: PoseMessage, pose: PoseMessage) -> PoseMessage:
 
 
 def _rotation(q: Quaternion) -> Rotation:
+    # This import takes 0.4 s, and only poses in other frames than the table's need it.
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_quat([q.x, q.y, q.z, q.w])
 
 

@@ -20,7 +20,7 @@ from tapping_cell_msgs.msg import (
 
 from tapping_cell.logic.cell_monitor import CellMonitor
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.planner import FINAL_STATES
+from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.conversions import from_message, seconds
 from tapping_cell.nodes.page.recovery import Recovery, Step

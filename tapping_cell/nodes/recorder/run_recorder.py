@@ -41,7 +41,7 @@ from visualization_msgs.msg import MarkerArray
 
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
-from tapping_cell.logic.planner import FINAL_STATES
+from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import seconds
