@@ -6,7 +6,7 @@ import math
 
 from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
+from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock, skewed_clock
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import ArmState, ErrorCode, ObjectState, ObjectStates, TapperState
 from tapping_cell.se2 import Pose
@@ -179,16 +179,15 @@ class CellMonitor:
         return self._skew(now)
 
     def _skew(self, now: Now) -> CodedError | None:
-        for name, clock in self._clocks.items():
-            skew = clock.skew(now)
-            if abs(skew) > SKEW_LIMIT_S:
-                return (
-                    ErrorCode.CLOCKS_DIFFER,
-                    f"the local clock differs by {skew:+.2f} s from that of the computer of"
-                    f" {NAMES[name]} (limit {SKEW_LIMIT_S:.2f} s); synchronise the computers'"
-                    " clocks",
-                )
-        return None
+        skewed = skewed_clock(self._clocks, now)
+        if skewed is None:
+            return None
+        name, skew = skewed
+        return (
+            ErrorCode.CLOCKS_DIFFER,
+            f"the local clock differs by {skew:+.2f} s from that of the computer of"
+            f" {NAMES[name]} (limit {SKEW_LIMIT_S:.2f} s); synchronise the computers' clocks",
+        )
 
     def _arm_missing(self, arm: ArmState | None, now: Now) -> CodedError | None:
         if arm is None or self.silent("arm", now):

@@ -9,6 +9,7 @@ distinguished from a difference of the clocks; ``skew`` bounds the sum of both.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 
 from tapping_cell.logic.clock import Now, to_seconds
 from tapping_cell.messages import Time
@@ -51,3 +52,12 @@ class PeerClock:
         if not self._delays:
             return 0.0
         return self._delays[0][1] - (now.steady - 1e-9 * now.ros)
+
+
+def skewed_clock(clocks: Mapping[str, PeerClock], now: Now) -> tuple[str, float] | None:
+    """Return the name and the skew in s of the first clock beyond ``SKEW_LIMIT_S``, or None."""
+    for name, clock in clocks.items():
+        skew = clock.skew(now)
+        if abs(skew) > SKEW_LIMIT_S:
+            return name, skew
+    return None

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock
+from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock, skewed_clock
 from tapping_cell.logic.poses import from_message
 from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.messages import (
@@ -230,16 +230,16 @@ class TapperPeers:
 
     def clocks_differ(self, now: Now) -> CodedError | None:
         """Return why the clocks of the cell's computers differ too much for a tap, or None."""
-        for name, clock in self._clocks.items():
-            skew = clock.skew(now)
-            if abs(skew) > SKEW_LIMIT_S:
-                return (
-                    ErrorCode.CLOCKS_DIFFER,
-                    f"the local clock differs by {skew:+.2f} s from that of the {name} (limit"
-                    f" {SKEW_LIMIT_S:.2f} s), or the {name}'s messages are delayed that much;"
-                    " synchronise the clocks",
-                )
-        return None
+        skewed = skewed_clock(self._clocks, now)
+        if skewed is None:
+            return None
+        name, skew = skewed
+        return (
+            ErrorCode.CLOCKS_DIFFER,
+            f"the local clock differs by {skew:+.2f} s from that of the {name} (limit"
+            f" {SKEW_LIMIT_S:.2f} s), or the {name}'s messages are delayed that much;"
+            " synchronise the clocks",
+        )
 
     def _missing(self) -> CodedError | None:
         if self._limits.needs_camera and self._picture_at is None:

@@ -12,6 +12,7 @@ from which the camera sees as much as possible of what the arm hid before.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,9 @@ GRID_M = 0.02
 HEADINGS = np.arange(8) * (2.0 * math.pi / 8)
 """Possible headings of the next tap, rad."""
 
+Bars = tuple[Array, Array, Array]
+"""Bars of the arm at N poses: starts and ends (N, K, 3) and radii (K,), m in ``table``."""
+
 
 @dataclass(frozen=True, slots=True)
 class Scene:
@@ -70,20 +74,19 @@ def withdrawal(
     The park pose is used if the scene is not known, if no pose at travel height has a free view,
     or if the arm is not a SCARA, because the cell file does not describe the links of other arms.
     """
-    geometry = cell.arm.geometry()
-    parked = withdraw_path(geometry, current, motion)
-    own = cell.arm.ros2_control
-    if scene is None or (own is not None and own.chain is not None):
-        return parked
-    raised = raise_step(geometry, current, motion).joints
-    tried = _candidates(geometry, raised)
-    free = tried[_is_free(cell, geometry, scene, tried)]
-    if not len(free):
-        return parked
-    way = move_durations(geometry, raised, free, motion.travel_speed)
-    onwards = _to_next(cell, geometry, scene, free, motion)
-    best = free[int(np.argmin(way + onwards))]
-    return clear_view_path(geometry, current, Joints(*best.tolist()), motion)
+
+    def choose(geometry: ScaraGeometry, raised: Joints) -> Array | None:
+        if scene is None:
+            return None
+        tried = _candidates(geometry, raised)
+        free = tried[_is_free(cell, geometry, scene, tried)]
+        if not len(free):
+            return None
+        way = move_durations(geometry, raised, free, motion.travel_speed)
+        onwards = _to_next(cell, geometry, scene, free, motion)
+        return np.asarray(free[int(np.argmin(way + onwards))])
+
+    return _path_to_chosen(cell, current, motion, choose)
 
 
 def uncovering(
@@ -98,22 +101,41 @@ def uncovering(
     if no other hides less, if the lens position ``camera`` in ``table`` is not known, or if the arm
     is not a SCARA.
     """
+
+    def choose(geometry: ScaraGeometry, raised: Joints) -> Array | None:
+        if camera is None:
+            return None
+        tried = np.concatenate([[motion.park], _candidates(geometry, raised)])
+        places = _hidden_places(cell, geometry, camera, current)
+        bars = _bars(cell, geometry, tried)
+        hidden = len(places) - np.sum(_sees(cell, camera, bars, places), axis=1)
+        hidden = hidden + np.where(_sees_markers(cell, camera, bars), 0, len(places) + 1)
+        least = hidden == hidden.min()
+        if least[0]:
+            return None
+        times = move_durations(geometry, raised, tried[least], motion.travel_speed)
+        return np.asarray(tried[least][int(np.argmin(times))])
+
+    return _path_to_chosen(cell, current, motion, choose)
+
+
+def _path_to_chosen(
+    cell: Cell,
+    current: Joints,
+    motion: MotionSettings,
+    choose: Callable[[ScaraGeometry, Joints], Array | None],
+) -> tuple[Waypoint, ...]:
+    """Return waypoints to the joints (4,) that ``choose`` returns for the raised arm, or to the
+    park pose if it returns None or if the arm is not a SCARA."""
     geometry = cell.arm.geometry()
     parked = withdraw_path(geometry, current, motion)
     own = cell.arm.ros2_control
-    if camera is None or (own is not None and own.chain is not None):
+    if own is not None and own.chain is not None:
         return parked
-    raised = raise_step(geometry, current, motion).joints
-    tried = np.concatenate([[motion.park], _candidates(geometry, raised)])
-    places = _hidden_places(cell, geometry, camera, current)
-    hidden = len(places) - np.sum(_sees(cell, geometry, camera, tried, places), axis=1)
-    hidden = hidden + np.where(_sees_markers(cell, geometry, camera, tried), 0, len(places) + 1)
-    least = hidden == hidden.min()
-    if least[0]:
+    chosen = choose(geometry, raise_step(geometry, current, motion).joints)
+    if chosen is None:
         return parked
-    times = move_durations(geometry, raised, tried[least], motion.travel_speed)
-    best = tried[least][int(np.argmin(times))]
-    return clear_view_path(geometry, current, Joints(*best.tolist()), motion)
+    return clear_view_path(geometry, current, Joints(*chosen.tolist()), motion)
 
 
 def _hidden_places(
@@ -123,7 +145,7 @@ def _hidden_places(
     half = 0.5 * np.array([cell.file.table.length, cell.file.table.width])
     x, y = (np.arange(-side, side + 0.5 * GRID_M, GRID_M) for side in half)
     grid = np.stack(np.meshgrid(x, y, [cell.object.height], indexing="ij"), axis=-1).reshape(-1, 3)
-    seen = _sees(cell, geometry, camera, np.array([joints]), grid)[0]
+    seen = _sees(cell, camera, _bars(cell, geometry, np.array([joints])), grid)[0]
     return np.asarray(grid[np.logical_not(seen)])
 
 
@@ -147,38 +169,32 @@ def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -
     before = np.array([scene.before.x, scene.before.y])
     way = np.array([scene.predicted.x, scene.predicted.y]) - before
     places = np.column_stack([before + along[:, None] * way, np.full(PLACES, cell.object.height)])
-    free = np.all(_sees(cell, geometry, scene.camera, joints, places), axis=1)
-    free[free] = _sees_markers(cell, geometry, scene.camera, joints[free])
+    bars = _bars(cell, geometry, joints)
+    free = np.all(_sees(cell, scene.camera, bars, places), axis=1)
+    start, end, radius = bars
+    free[free] = _sees_markers(cell, scene.camera, (start[free], end[free], radius))
     return np.asarray(free)
 
 
-def _sees(
-    cell: Cell,
-    geometry: ScaraGeometry,
-    camera: tuple[float, float, float],
-    joints: Array,
-    places: Array,
-) -> Array:
-    """Return, (N, M) bool, whether the arm with joints (N, 4) hides no part of the object at the
-    places (M, 3)."""
-    clearance = view_clearance(camera, *_bars(cell, geometry, joints), places)
+def _sees(cell: Cell, camera: tuple[float, float, float], bars: Bars, places: Array) -> Array:
+    """Return, (N, M) bool, whether the bars of N poses hide no part of the object at the places
+    (M, 3)."""
+    clearance = view_clearance(camera, *bars, places)
     return np.asarray(clearance > cell.object.body().bounding_radius)
 
 
-def _sees_markers(
-    cell: Cell, geometry: ScaraGeometry, camera: tuple[float, float, float], joints: Array
-) -> Array:
-    """Return which of the joints (N, 4) leave enough reference markers visible, (N,) bool."""
+def _sees_markers(cell: Cell, camera: tuple[float, float, float], bars: Bars) -> Array:
+    """Return for the bars of N poses whether they leave enough reference markers visible."""
     markers = cell.references.markers
     of_markers = np.array([[marker.x, marker.y, 0.0] for marker in markers])
     half_diagonals = np.array([marker.size / math.sqrt(2.0) for marker in markers])
-    clearance = view_clearance(camera, *_bars(cell, geometry, joints), of_markers)
+    clearance = view_clearance(camera, *bars, of_markers)
     hidden = np.sum(clearance <= half_diagonals, axis=1)
     return np.asarray(hidden <= min(MARKERS_HIDDEN, len(markers) // 2))
 
 
-def _bars(cell: Cell, geometry: ScaraGeometry, joints: Array) -> tuple[Array, Array, Array]:
-    """Return the arm's bars with margin in ``table``: starts and ends (N, K, 3), radii (K,)."""
+def _bars(cell: Cell, geometry: ScaraGeometry, joints: Array) -> Bars:
+    """Return the arm's bars with margin in ``table`` for joints (N, 4)."""
     bars = arm_bars(geometry, cell.arm.shape(cell.file.tapper), joints)
     start, end = (_in_table(cell.arm_base, places) for places in (bars.start, bars.end))
     return start, end, bars.radius + VIEW_MARGIN_M

@@ -11,12 +11,13 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from rclpy.qos import DurabilityPolicy
 from rclpy.task import Future
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import Bool
 
 from tapping_cell import messages
@@ -55,7 +56,7 @@ class LogicHost(Generic[Machine]):
         self._tokens = itertools.count(1)
         self._requests: dict[int, Callable[[Any], None]] = {}
         self._feedback: dict[int, Callable[[Any], None]] = {}
-        self._stop_publishers: dict[bytes, str] = {}
+        self._stop_publishers: dict[bytes, TopicEndpointInfo] = {}
         self._later: deque[Callable[[], None]] = deque()
         self._wake = node.create_guard_condition(self._do_later)
         self.stop_file = KeptContent(folder / f"stop-{node.role}.json")
@@ -264,25 +265,20 @@ class LogicHost(Generic[Machine]):
             self._node.destroy_timer(timer)
             self._node.destroy_subscription(subscription)
             present, stopped = self._present_publishers(), self._stop_publishers
-            gone = {name for gid, name in stopped.items() if gid not in present}
+            gone = [info for gid, info in stopped.items() if gid not in present]
             # The last message of a single publisher is its level. Of several, each must repeat its
             # own.
             several = len(present.keys() | stopped.keys()) > 1
-            silent = set(self._present_publishers(volatile_only=True).values()) if several else ()
-            names = (tuple(sorted(each)) for each in ({*present.values()}, gone, silent))
+            silent = [info for info in present.values() if several and _is_volatile(info)]
+            names = map(_node_names, (present.values(), gone, silent))
             self._answered(token, fx.StopLevels(any(levels), *names))
 
         timer = self._node.create_timer(LEVELS_WAIT_S, settle)
 
-    def _present_publishers(self, volatile_only: bool = False) -> dict[bytes, str]:
-        """Return the node names of the publishers of ``emergency_stop``, by endpoint identifier.
-
-        ``volatile_only``: only those that do not resend their level to a new subscription."""
-        return {
-            bytes(info.endpoint_gid): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in self._node.get_publishers_info_by_topic(stops.TOPIC)
-            if not volatile_only or info.qos_profile.durability is DurabilityPolicy.VOLATILE
-        }
+    def _present_publishers(self) -> dict[bytes, TopicEndpointInfo]:
+        """Return the publishers of ``emergency_stop`` by endpoint identifier."""
+        found = self._node.get_publishers_info_by_topic(stops.TOPIC)
+        return {bytes(info.endpoint_gid): info for info in found}
 
     # Jobs
 
@@ -342,3 +338,13 @@ class _Context:
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
         return self._host.ask(query)
+
+
+def _node_names(publishers: Iterable[TopicEndpointInfo]) -> tuple[str, ...]:
+    names = {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers}
+    return tuple(sorted(names))
+
+
+def _is_volatile(publisher: TopicEndpointInfo) -> bool:
+    """Return whether a publisher does not resend its level to a new subscription."""
+    return publisher.qos_profile.durability is DurabilityPolicy.VOLATILE
