@@ -33,8 +33,8 @@ from std_msgs.msg import Bool
 from tapping_cell.cli.graph import Graph, own_domain
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.conversions import camera_to_message
 from tapping_cell.vision import CameraPose
 
 STOPS = 100

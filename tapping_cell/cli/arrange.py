@@ -24,6 +24,7 @@ from rich.console import Console
 
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.errors import print_error, print_refusal
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.configuration.cell import cells_of, load_cell
 from tapping_cell.configuration.layout_file import LayoutFile, LayoutGoal
 from tapping_cell.configuration.preset_layout import preset_layout
@@ -78,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if every object reached its goal, 1 if not, 2 for invalid input, 130
     if canceled."""
     console = session.console_of(arguments)
-    session.end_on_signals()
+    end_on_signals()
     try:
         if (arguments.layout is None) == (arguments.preset is None):
             raise ConfigurationError("give either a layout file or --preset")

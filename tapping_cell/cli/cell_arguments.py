@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import ExitStatus, print_error
-from tapping_cell.cli.session import end_on_signals
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.nodes.clients.cell_client import CellClient, NoCell, NotDone
 
 PATIENCE_S = 6.0

@@ -25,7 +25,8 @@ from tapping_cell.cli.commissioning.session import Session, StepFailed
 from tapping_cell.cli.commissioning.steps import STEPS
 from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.cli.graph import GraphError, own_domain
-from tapping_cell.cli.session import NotReadyInTime, end_on_signals
+from tapping_cell.cli.session import NotReadyInTime
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.report.commissioning_page import write_page
 

@@ -42,6 +42,7 @@ from tapping_cell.cli.graph import (
     own_domain,
     with_own_ports,
 )
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.start_checks import (
     check_simulation_files,
     off_table,
@@ -119,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if the goal was reached, 1 if not, 2 for invalid input, 130 if
     interrupted."""
     console = session.console_of(arguments)
-    session.end_on_signals()
+    end_on_signals()
     began = time.monotonic()
     scene = None
     try:

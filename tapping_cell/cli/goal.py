@@ -16,6 +16,7 @@ import time
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.confirmation import Person
 from tapping_cell.cli.errors import print_error
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.messages import ErrorCode
 from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
 from tapping_cell.report.error_codes import hint
@@ -101,7 +102,7 @@ def result_of(finished: Finished) -> dict[str, object]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if the goal was reached, 1 if not, 130 if canceled."""
     console = session.console_of(arguments)
-    session.end_on_signals()
+    end_on_signals()
     goal = Pose(arguments.x / 1000, arguments.y / 1000, math.radians(arguments.theta))
     distance, angle = arguments.tolerance
     with GoalClient("goal", arguments.namespace) as client:

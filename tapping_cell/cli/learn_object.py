@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
+from tapping_cell.cli.signals import end_on_signals
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
@@ -145,7 +146,7 @@ def _probed(
     from tapping_cell.cli.object_probing import ProbingStopped, probe
 
     console = Console(stderr=arguments.json)
-    session.end_on_signals()
+    end_on_signals()
     folders: list[Path] = []
     taps: list[Moves] = []
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -43,20 +42,6 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 def console_of(arguments: argparse.Namespace) -> Console:
     """Return the console for messages: stderr with --json, no output with --quiet."""
     return Console(stderr=arguments.json, quiet=arguments.quiet)
-
-
-def end_on_signals() -> None:
-    """Make Ctrl-C and SIGTERM raise KeyboardInterrupt, so that the verb ends in order.
-
-    Both handlers are set, because a shell starts background jobs with SIGINT ignored, and Python
-    keeps ignoring it.
-    """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
 
 
 def pose_text(pose: Pose) -> str:

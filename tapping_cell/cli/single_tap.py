@@ -51,6 +51,7 @@ from tapping_cell.cli.graph import (
     GraphError,
 )
 from tapping_cell.cli.measuring_graph import add_graph_arguments, measuring_graph
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.start_checks import check_simulation_files
 from tapping_cell.cli.tap_feasibility import TapFeasibility
 from tapping_cell.cli.tap_maker import READY_PATIENCE_S, SeriesStopped
@@ -149,7 +150,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if the experiment is complete, 1 after a failure, 2 for invalid input,
     130 if interrupted."""
     console = Console(stderr=arguments.json)
-    session.end_on_signals()
+    end_on_signals()
     try:
         _check_ranges(arguments)
         check_simulation_files(arguments)

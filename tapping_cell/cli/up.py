@@ -33,7 +33,7 @@ from tapping_cell.cli.graph import (
     nodes_of,
     with_own_ports,
 )
-from tapping_cell.cli.session import end_on_signals
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.start_checks import (
     check_simulation_files,
     refuse_unused,

@@ -1,16 +1,16 @@
-"""Conversions between ROS messages and library types, with no mathematics beyond quaternions."""
+"""Conversion of planar poses and times from and to ROS messages.
+
+Imports nothing large, so that a client that only sends a goal starts fast.
+"""
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
 from builtin_interfaces.msg import Time as TimeMessage
 from geometry_msgs.msg import Pose as PoseMessage
-from scipy.spatial.transform import Rotation
 
 from tapping_cell.se2 import Pose
-from tapping_cell.vision import CameraPose
 
 
 def to_message(pose: Pose, height: float = 0.0) -> PoseMessage:
@@ -33,26 +33,6 @@ def is_finite(message: PoseMessage) -> bool:
     """Return whether every number of a ROS pose is finite."""
     p, q = message.position, message.orientation
     return all(math.isfinite(value) for value in (p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-
-
-def camera_to_message(camera: CameraPose) -> PoseMessage:
-    """Return X_TC, the pose of ``camera_optical`` in ``table``, of a camera above the table."""
-    message = PoseMessage()
-    place, q = message.position, message.orientation
-    place.x, place.y, place.z = (float(value) for value in camera.position)
-    q.x, q.y, q.z, q.w = (float(v) for v in Rotation.from_matrix(camera.rotation.T).as_quat())
-    return message
-
-
-def camera_from_message(message: PoseMessage) -> CameraPose:
-    """Invert :func:`camera_to_message`.
-
-    Raises:
-        ValueError: the quaternion has zero norm.
-    """
-    place, q = message.position, message.orientation
-    rotation = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix().T
-    return CameraPose(rotation, -rotation @ np.array([place.x, place.y, place.z]))
 
 
 def seconds(stamp: TimeMessage) -> float:

@@ -28,11 +28,9 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.camera_pose import CameraPose
 from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
+from tapping_cell.nodes.camera.pose_messages import camera_from_message
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.conversions import (
-    camera_from_message,
-    from_message,
-)
+from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer
 from tapping_cell.simulation.scene import make_renderer

@@ -43,8 +43,9 @@ from tornado.websocket import (
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.conversions import camera_to_message, to_message
+from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.page.operator_page import OperatorPage
 from tapping_cell.nodes.page.server import MOST_PAGES, PICTURE_HEADER
 from tapping_cell.nodes.planner.tap_planner import TapPlanner

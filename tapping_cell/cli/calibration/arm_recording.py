@@ -16,6 +16,7 @@ from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import read_csv
 from tapping_cell.calibration.growing_csv import GrowingCsv
 from tapping_cell.cli import session
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.scara import Joints
 from tapping_cell.nodes.clients.arm_pose_client import ArmPoseClient, ArmRefused
@@ -51,7 +52,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
             "arm.ros2_control.chain: the joints of this arm are calibrated by its own "
             "driver; measure only arm.base and chain.tool, which belong to the cell"
         )
-    session.end_on_signals()
+    end_on_signals()
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
     try:
         with ArmPoseClient(arguments.namespace, cell.arm.ros2_control) as client:

@@ -19,6 +19,7 @@ from tapping_cell.calibration.growing_csv import GrowingCsv
 from tapping_cell.calibration.tapper import RECORD_COLUMNS, SHARES, launch_ratio
 from tapping_cell.calibration.trials import Trial, completed
 from tapping_cell.cli import session
+from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.tap_feasibility import TapFeasibility
 from tapping_cell.cli.tap_maker import SeriesStopped, TapMaker, trial_of
 from tapping_cell.configuration import assembly
@@ -44,7 +45,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
         CalibrationRefused: the cell or the object is unsuitable, for the stated reason.
         RecordError: the existing file cannot be continued.
     """
-    session.end_on_signals()
+    end_on_signals()
     energies = energies_of(cell)
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
     done = _recorded(growing, arguments.record)

@@ -32,9 +32,9 @@ from tapping_cell.logic.poses import covariance_to_message
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.annotated_images import AnnotatedImages
 from tapping_cell.nodes.camera.dropped_frames import Backlog
+from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import (
-    camera_to_message,
     from_message,
     seconds,
     to_message,

@@ -47,10 +47,10 @@ from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.logic import enabling
 from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.pose_messages import camera_from_message
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.conversions import (
-    camera_from_message,
     from_message,
     is_finite,
     seconds,
