@@ -12,6 +12,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from tapping_cell.hardware.text_line import Bad, Decoded, decode_first_line
+
 STATUS_QUERY = b"?"
 FEED_HOLD = b"!"
 SOFT_RESET = b"\x18"
@@ -19,9 +21,6 @@ FULL_FEED = b"\x90"
 """Resets the feed override to 100 %."""
 STOP = FEED_HOLD + SOFT_RESET
 """Feed hold, then soft reset: real-time bytes that the controller executes ahead of its queue."""
-
-LONGEST_LINE = 512
-"""Number of bytes without an end of line after which the input is treated as noise."""
 
 STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool")
 
@@ -118,24 +117,7 @@ class Status:
     """Feed override in percent (first value of Ov); only some reports contain it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Bad:
-    """A line that is noise or has an unknown format."""
-
-    line: bytes
-    why: str
-
-
 Frame = Ok | Error | Alarm | Banner | Setting | NamedSetting | Message | Status | Bad
-
-
-@dataclass(frozen=True, slots=True)
-class Decoded:
-    """A decoded frame (None if more bytes are needed), and the bytes not decoded yet."""
-
-    frame: Frame | None
-    rest: bytes
-
 
 _NUMBER = r"-?\d{1,7}(?:\.\d{1,6})?"
 _BANNER = re.compile(r"^(Grbl|GrblHAL|grblHAL|FluidNC|uCNC|µCNC)\s+v?(\d+\.\d+\S*)")
@@ -147,17 +129,9 @@ _FEED = re.compile(r"(?:^| )F(\d{1,7})(?:\.0*)?(?= |$)")
 _POSITION = re.compile(rf"^{_NUMBER}(?:,{_NUMBER}){{2,7}}$")
 
 
-def decode(buffer: bytes) -> Decoded:
+def decode(buffer: bytes) -> Decoded[Frame]:
     """Decode the first line of ``buffer``; empty lines are skipped. Never raises."""
-    while True:
-        end = buffer.find(b"\n")
-        if end < 0:
-            if len(buffer) > LONGEST_LINE:
-                return Decoded(Bad(buffer[:32], f"{len(buffer)} bytes without an end of line"), b"")
-            return Decoded(None, buffer)
-        line, buffer = buffer[:end].strip(b"\r "), buffer[end + 1 :]
-        if line:
-            return Decoded(decode_line(line), buffer)
+    return decode_first_line(buffer, decode_line)
 
 
 def decode_line(line: bytes) -> Frame:

@@ -20,6 +20,7 @@ from tapping_cell.hardware.dialect import (
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.grbl_controllers import GRBL, ORIGIN_BIT, GrblController, identify
+from tapping_cell.hardware.text_line import Bad
 from tapping_cell.hardware.transport import Transport
 
 REPLY_TIMEOUT = 0.5
@@ -308,7 +309,7 @@ class GrblDialect:
             self._sort(decoded.frame)
 
     def _sort(self, frame: grbl.Frame) -> None:
-        if isinstance(frame, grbl.Bad):
+        if isinstance(frame, Bad):
             self.counters.bad_lines += 1
             return
         if isinstance(frame, grbl.Status):

@@ -11,8 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-LONGEST_LINE = 512
-"""Number of bytes without an end of line after which the input is treated as noise."""
+from tapping_cell.hardware.text_line import Bad, Decoded, decode_first_line
 
 QUICK_STOP = b"\nM410\n"
 """Immediate stop for firmware with the emergency parser; the first newline ends a partial line."""
@@ -114,14 +113,6 @@ class Note:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Bad:
-    """A line that is none of the above."""
-
-    line: bytes
-    why: str
-
-
 Frame = (
     Ok
     | Busy
@@ -138,15 +129,6 @@ Frame = (
     | Note
     | Bad
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Decoded:
-    """A decoded frame (None if more bytes are needed), and the bytes not decoded yet."""
-
-    frame: Frame | None
-    rest: bytes
-
 
 _OK = re.compile(r"^ok(?: N\d{1,10})?(?: P\d{1,3})?(?: B\d{1,3})?$")
 # Marlin 2 has four messages that contain the last line; related firmwares have other messages.
@@ -165,17 +147,9 @@ _FIRMWARE = re.compile(r"^FIRMWARE_NAME:(.{1,60}?)(?: SOURCE_CODE_URL:.*| PROTOC
 _CAPABILITY = re.compile(r"^Cap:([A-Z0-9_]{1,40}):([01])$")
 
 
-def decode(buffer: bytes) -> Decoded:
+def decode(buffer: bytes) -> Decoded[Frame]:
     """Decode the first line of ``buffer``; empty lines are skipped. Never raises."""
-    while True:
-        end = buffer.find(b"\n")
-        if end < 0:
-            if len(buffer) > LONGEST_LINE:
-                return Decoded(Bad(buffer[:32], f"{len(buffer)} bytes without an end of line"), b"")
-            return Decoded(None, buffer)
-        line, buffer = buffer[:end].strip(b"\r "), buffer[end + 1 :]
-        if line:
-            return Decoded(decode_line(line), buffer)
+    return decode_first_line(buffer, decode_line)
 
 
 def decode_line(line: bytes) -> Frame:

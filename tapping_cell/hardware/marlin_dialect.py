@@ -20,6 +20,7 @@ from tapping_cell.hardware.dialect import (
 )
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.finding import Finding
+from tapping_cell.hardware.text_line import Bad
 from tapping_cell.hardware.transport import Transport
 
 SILENCE = 2.5
@@ -371,7 +372,7 @@ class MarlinDialect:
             if frame is None:
                 return bool(data)
             self.counters.lines += 1
-            if isinstance(frame, marlin.Bad):
+            if isinstance(frame, Bad):
                 self.counters.bad_lines += 1
             elif isinstance(frame, marlin.Halted) and self._known:
                 self._halted_why = frame.why

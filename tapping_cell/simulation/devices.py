@@ -10,9 +10,10 @@ from tapping_cell.configuration.cell import ArmSection, Cell
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
-from tapping_cell.simulation.grbl_machine import TO_UNITS, GrblMachine, default_settings
+from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
 from tapping_cell.simulation.joint_motion import AxisErrors
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachine
+from tapping_cell.simulation.motor_axes import TO_UNITS
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.rendered_camera import Occluder
 from tapping_cell.simulation.tapper_emulator import TapperEmulator

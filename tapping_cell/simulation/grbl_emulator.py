@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tapping_cell.simulation.device_emulator import OutputQueue
-from tapping_cell.simulation.grbl_machine import AXES, TO_UNITS, GrblMachine
+from tapping_cell.simulation.grbl_machine import GrblMachine
 from tapping_cell.simulation.grbl_program import Line, Modal, Refused, read_line
-from tapping_cell.simulation.joint_motion import Array, AxisTrack, Torque
+from tapping_cell.simulation.joint_motion import Array
+from tapping_cell.simulation.motor_axes import AXES, MotorAxes
 
 RECEIVE_BUFFER = 128
 """Size of the receive buffer; further bytes are lost (Grbl's RX_BUFFER_SIZE)."""
@@ -27,11 +28,8 @@ LINE_LENGTH = 80
 """Maximum length of a line (Grbl's LINE_BUFFER_SIZE)."""
 LINE_TIME = 0.001
 """Processing time of a line, s."""
-SLIP = 0.3
-"""Standard deviation of the steps lost by a reset in motion, in axis units."""
 HOLD = 255
 """Value of the hold setting with which the motors always keep their torque."""
-QUILL = 2
 
 
 @dataclass(slots=True)
@@ -53,22 +51,19 @@ class GrblEmulator:
         self._settings = dict(self.machine.settings)
         self._variant = self.machine.variant
         self._names = dict(self._variant.names)
-        self._torque = Torque(self.machine.quill_sinks, self.machine.quill_floor)
         self._rests_since: float | None = None
         self._homed = False
         self._boots_until: float | None = None
         self._feed_override = 100
-        self._sign = np.array(self.machine.axis_sign, dtype=float)
         self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
-        errors = self.machine.errors
-        start = self._units(self.machine.start_joints)
-        self._track = AxisTrack(
-            start,
-            np.abs(self._units(errors.backlash)),
-            np.abs(self._units(errors.repeatability)),
+        self._axes = MotorAxes(
+            self.machine.axis_sign,
+            self.machine.start_joints,
+            self.machine.errors,
+            self.machine.quill_sinks,
+            self.machine.quill_floor,
             self._rng,
         )
-        self._reference = start
         self._due: float | None = None
         self._after: Callable[[float], None] | None = None
         self._waiting_for_block: Callable[[float], None] | None = None
@@ -80,34 +75,28 @@ class GrblEmulator:
 
     def joints(self, time: float) -> tuple[float, float, float, float]:
         """Return the true joints (rad, rad, m, rad) at ``time``; reported values may differ."""
-        units = self._track.joints(time) * self._sign / TO_UNITS
-        units[QUILL] -= self._torque.sunk(float(units[QUILL]), time)
-        a, b, c, d = (units + np.asarray(self.machine.errors.offset)).tolist()
-        return a, b, c, d
+        return self._axes.joints(time)
 
     def moving(self, time: float) -> bool:
         """Return whether the motors move the axes at ``time``."""
-        return self._track.moving(time)
+        return self._axes.moving(time)
 
     @property
     def holds(self) -> bool:
         """Whether the motors have torque."""
-        return self._torque.on
+        return self._axes.powered
 
     def enter_sleep(self, now: float) -> None:
         """Cut the motors and end any move, as ``$SLP`` from another sender does."""
-        self._track.freeze(now)
+        self._axes.freeze(now)
         self._blocks.clear()
         self._state = "Sleep"
-        self._torque.cut(now)
+        self._axes.disable(now)
 
     def push(self, joints: tuple[float, float, float, float], now: float) -> None:
         """Move the resting, unpowered arm by hand to ``joints``, unknown to the controller."""
         self.advance(now)
-        before = self._track.motors(now)
-        after = self._units(joints) - self._units(self.machine.errors.offset)
-        self._track.shift(after, now)
-        self._reference = self._reference + (after - before)
+        self._axes.push(joints, now)
 
     def hit_limit(self, now: float) -> None:
         """Close a limit switch: alarm 1."""
@@ -166,8 +155,8 @@ class GrblEmulator:
     def power_cycle(self, now: float) -> None:
         """Cycle the power; the arm stays in place and all volatile state is lost."""
         self.advance(now)
-        self._track.freeze(now)
-        self._reference = self._track.motors(now)
+        self._axes.freeze(now)
+        self._axes.reference = self._axes.motors(now)
         self._output.clear()
         self._restart(now, hard=True)
 
@@ -214,15 +203,8 @@ class GrblEmulator:
 
     def _power(self, now: float) -> None:
         """Enable the motors; they hold a quill that has sunk, but the step count is unchanged."""
-        units = self._track.joints(now) * self._sign / TO_UNITS
-        sunk = self._torque.sunk(float(units[QUILL]), now)
-        self._torque.restore()
+        self._axes.enable(now)
         self._rests_since = now
-        if sunk > 0:
-            moved = np.zeros(AXES)
-            moved[QUILL] = -sunk * TO_UNITS[QUILL] * self._sign[QUILL]
-            self._track.shift(self._track.motors(now) + moved, now)
-            self._reference = self._reference + moved
 
     def _idle_out(self, now: float) -> None:
         """Cut the motors after the idle time of the hold setting."""
@@ -233,18 +215,12 @@ class GrblEmulator:
             self._rests_since = now
         hold = self._hold_setting()
         if hold != HOLD and now >= self._rests_since + hold / 1e3:
-            self._torque.cut(self._rests_since + hold / 1e3)
+            self._axes.disable(self._rests_since + hold / 1e3)
 
     def _soft_reset(self, now: float) -> None:
         homing = self._busy == "Home"
         delay = 0.0
-        if self._track.moving(now):
-            self._track.freeze(now)
-            # Steps are lost: the motors coast a little, but the step count is unchanged.
-            here = self._track.motors(now)
-            slip = self._rng.normal(0.0, SLIP, AXES)
-            self._track.shift(here + slip, now)
-            self._reference = self._reference + slip
+        if self._axes.stop_abruptly(now):
             self._state = "Alarm"
             self._output.put(b"ALARM:6\r\n" if homing else b"ALARM:3\r\n", now)
             delay = self._variant.reset_delay
@@ -254,14 +230,14 @@ class GrblEmulator:
         self._restart(now, hard=False, delay=delay)
 
     def _alarm(self, code: int, now: float) -> None:
-        self._track.freeze(now)
+        self._axes.freeze(now)
         self._blocks.clear()
         self._busy = ""
         self._due = self._after = self._waiting_for_block = self._waiting_for_rest = None
         self._state = "Alarm"
         self._homed = False
         if self._variant.alarm_cuts_torque:
-            self._torque.cut(now)
+            self._axes.disable(now)
         self._output.put(b"ALARM:%d\r\n" % code, now)
 
     # Real-time commands.
@@ -270,7 +246,7 @@ class GrblEmulator:
         if self._state in ("Alarm", "Check", "Sleep"):
             return self._state
         if self._held:
-            return "Hold:1" if self._track.moving(now) else "Hold:0"
+            return "Hold:1" if self._axes.moving(now) else "Hold:0"
         if self._busy:
             return self._busy
         return "Run" if self._blocks or self._due is not None else "Idle"
@@ -301,13 +277,13 @@ class GrblEmulator:
         if self._busy not in ("Run", "Jog") or self._held or self._state != "Idle":
             return
         self._held = True
-        self._due = self._track.brake(now, self._present_acceleration)
+        self._due = self._axes.brake(now, self._present_acceleration)
         self._after = None
         if self._busy == "Jog":
             self._blocks.clear()
 
     def _resume(self, now: float) -> None:
-        if not self._held or self._track.moving(now):
+        if not self._held or self._axes.moving(now):
             return
         self._held = False
         if self._blocks:
@@ -318,7 +294,7 @@ class GrblEmulator:
     def _cancel_jog(self, now: float) -> None:
         if self._busy == "Jog":
             self._blocks.clear()
-            self._due = self._track.brake(now, self._present_acceleration)
+            self._due = self._axes.brake(now, self._present_acceleration)
             self._after = self._finish_block
 
     # Lines.
@@ -524,7 +500,7 @@ class GrblEmulator:
         self._present_acceleration = block.acceleration
         steps = self._per_axis(100)
         target = np.round(block.target * steps) / steps
-        self._due = self._track.move(target + self._reference, now, speed, block.acceleration)
+        self._due = self._axes.move(target + self._axes.reference, now, speed, block.acceleration)
         self._after = self._finish_block
 
     def _finish_block(self, now: float) -> None:
@@ -565,13 +541,13 @@ class GrblEmulator:
         self._power(now)
         self._waiting_for_rest = _nothing
         errors = self.machine.errors
-        noise = self._rng.normal(0.0, 1.0, AXES) * self._units(errors.homing)
-        place = self._units(self.machine.home_joints) + noise
+        noise = self._rng.normal(0.0, 1.0, AXES) * self._axes.units(errors.homing)
+        place = self._axes.units(self.machine.home_joints) + noise
         pull_off = self._settings[27]
         seek, slow = self._settings[25] / 60, self._settings[24] / 60
         homing = [axis for axis in (2, 0, 1, 3) if self._homes(axis)]
         steps: list[tuple[Array, float]] = []
-        here = self._track.motors(now).copy()
+        here = self._axes.motors(now).copy()
         for axis in homing:
             for value, speed in (
                 (place[axis] + pull_off, seek),
@@ -585,14 +561,14 @@ class GrblEmulator:
             while steps:
                 target, speed = steps.pop(0)
                 acceleration = float(np.min(self._per_axis(120)))
-                end = self._track.move(target, at, speed, acceleration)
+                end = self._axes.move(target, at, speed, acceleration)
                 if end > at:
                     self._present_acceleration = acceleration
                     self._due, self._after = end, following
                     return
             homed = self._machine_position(at)
             homed[homing] = self._homed_place()[homing]
-            self._reference = self._track.motors(at) - homed
+            self._axes.reference = self._axes.motors(at) - homed
             self._parser_position = homed
             self._busy = ""
             self._homed = True
@@ -626,14 +602,9 @@ class GrblEmulator:
         """Return four consecutive settings, one per axis."""
         return np.array([self._settings[first + axis] for axis in range(AXES)], dtype=float)
 
-    def _units(self, joints: tuple[float, float, float, float]) -> Array:
-        """Convert joint values to axis units and directions."""
-        units: Array = np.asarray(joints, dtype=float) * TO_UNITS * self._sign
-        return units
-
     def _machine_position(self, now: float) -> Array:
         steps = self._per_axis(100)
-        counts = np.round((self._track.motors(now) - self._reference) * steps)
+        counts = np.round(self._axes.counted(now) * steps)
         return np.asarray(counts / steps, dtype=float)
 
     def _work_offset(self) -> Array:

@@ -2,17 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-
-import numpy as np
 
 from tapping_cell.simulation.grbl_variants import GRBL, GrblVariant
 from tapping_cell.simulation.joint_motion import AxisErrors
-
-AXES = 4
-TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
-"""Factors from joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
 
 
 def default_settings() -> dict[int, float]:

@@ -17,7 +17,8 @@ from functools import reduce
 import numpy as np
 
 from tapping_cell.simulation.device_emulator import OutputQueue
-from tapping_cell.simulation.joint_motion import Array, AxisErrors, AxisTrack, Torque
+from tapping_cell.simulation.joint_motion import Array, AxisErrors
+from tapping_cell.simulation.motor_axes import AXES, MotorAxes
 
 QUEUE_LENGTH = 4
 """Number of lines read ahead (Marlin's BUFSIZE)."""
@@ -29,11 +30,6 @@ LINE_TIME = 0.001
 BUSY_PERIOD = 2.0
 KILL_TIME = 0.03
 """Time from ``M112`` to standstill, s."""
-SLIP = 0.3
-"""Standard deviation of the steps lost by a sudden stop, in axis units."""
-AXES = 4
-QUILL = 2
-TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +72,16 @@ class MarlinEmulator:
     ) -> None:
         self.machine = machine or MarlinMachine()
         self._rng = np.random.default_rng(seed)
-        self._sign = np.array(self.machine.axis_sign, dtype=float)
         self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
-        start = self._units(self.machine.start_joints)
-        errors = self.machine.errors
-        self._track = AxisTrack(
-            start,
-            np.abs(self._units(errors.backlash)),
-            np.abs(self._units(errors.repeatability)),
+        self._axes = MotorAxes(
+            self.machine.axis_sign,
+            self.machine.start_joints,
+            self.machine.errors,
+            self.machine.quill_sinks,
+            self.machine.quill_floor,
             self._rng,
         )
         self._steps = np.array(self.machine.steps)
-        self._torque = Torque(self.machine.quill_sinks, self.machine.quill_floor)
         self._due: float | None = None
         self._after: Callable[[float], None] | None = None
         self._busy_at: float | None = None
@@ -95,35 +89,31 @@ class MarlinEmulator:
         self._line = bytearray()
         self._blocks: deque[tuple[Array, float, float]] = deque()
         self._rests_since = now
-        self._reference = start
         self._restart(now)
 
     # Interface to the simulated world.
 
     def joints(self, time: float) -> tuple[float, float, float, float]:
         """Return the true joints (rad, rad, m, rad) at ``time``; the step counts may differ."""
-        units = self._track.joints(time) * self._sign / TO_UNITS
-        units[QUILL] -= self._torque.sunk(float(units[QUILL]), time)
-        a, b, c, d = (units + np.asarray(self.machine.errors.offset)).tolist()
-        return a, b, c, d
+        return self._axes.joints(time)
 
     def moving(self, time: float) -> bool:
         """Return whether the axes move at ``time``."""
-        return self._track.moving(time)
+        return self._axes.moving(time)
 
     @property
     def holds(self) -> bool:
         """Whether the motors have torque."""
-        return self._torque.on
+        return self._axes.powered
 
     def enter_sleep(self, now: float) -> None:
         """Cut the motors and end any move, as ``M84`` from another sender does."""
         self.advance(now)
-        self._track.freeze(now)
+        self._axes.freeze(now)
         self._blocks.clear()
         self._due = self._after = None
-        self._commanded = self._native(now)
-        self._torque.cut(now)
+        self._commanded = self._axes.counted(now)
+        self._axes.disable(now)
 
     @property
     def halted(self) -> bool:
@@ -177,7 +167,7 @@ class MarlinEmulator:
     def power_cycle(self, now: float) -> None:
         """Restart the board; the arm stays in place, and its position is set to zero."""
         self.advance(now)
-        self._freeze(now)
+        self._axes.stop_abruptly(now)
         self._output.clear()
         self._restart(now)
 
@@ -200,7 +190,7 @@ class MarlinEmulator:
         self._inches = False
         self._feed = 1500.0
         # The motors' position becomes zero; logical = native + shift.
-        self._reference = self._track.motors(now)
+        self._axes.reference = self._axes.motors(now)
         self._commanded = np.zeros(AXES)
         self._shift: Array = np.zeros(AXES)
         for line in ("start", "Marlin 2.1.2.4", "echo: Last Updated: 2024-01-01"):
@@ -208,22 +198,15 @@ class MarlinEmulator:
 
     def _power(self, now: float) -> None:
         """Enable the motors; they hold a quill that has sunk, but the step count is unchanged."""
-        units = self._track.joints(now) * self._sign / TO_UNITS
-        sunk = self._torque.sunk(float(units[QUILL]), now)
-        self._torque.restore()
+        self._axes.enable(now)
         self._rests_since = now
-        if sunk > 0:
-            moved = np.zeros(AXES)
-            moved[QUILL] = -sunk * TO_UNITS[QUILL] * self._sign[QUILL]
-            self._track.shift(self._track.motors(now) + moved, now)
-            self._reference = self._reference + moved
 
     def _idle_out(self, now: float) -> None:
         """Cut the motors after the idle time; a limit of 0 keeps them on."""
         if self._due is not None or self._blocks:
             self._rests_since = now
         elif self._idle_limit and now >= self._rests_since + self._idle_limit:
-            self._torque.cut(self._rests_since + self._idle_limit)
+            self._axes.disable(self._rests_since + self._idle_limit)
 
     def _send_line(self, text: str, now: float) -> None:
         self._output.put(text.encode() + b"\n", now)
@@ -284,24 +267,15 @@ class MarlinEmulator:
         self._due, self._after = now + KILL_TIME, self._stand_dead
 
     def _stand_dead(self, now: float) -> None:
-        self._freeze(now)
-        self._torque.cut(now)
+        self._axes.stop_abruptly(now)
+        self._axes.disable(now)
 
     def _quick_stop(self, now: float) -> None:
-        self._freeze(now)
+        self._axes.stop_abruptly(now)
         self._queue.clear()
         self._blocks.clear()
         self._due = self._after = self._busy_at = self._running = None
-        self._commanded = self._native(now)
-
-    def _freeze(self, now: float) -> None:
-        """Stop the motors immediately; they lose steps if they moved."""
-        if not self._track.moving(now):
-            return
-        self._track.freeze(now)
-        slip = self._rng.normal(0.0, SLIP, AXES)
-        self._track.shift(self._track.motors(now) + slip, now)
-        self._reference = self._reference + slip
+        self._commanded = self._axes.counted(now)
 
     # Execution of queued lines.
 
@@ -364,7 +338,7 @@ class MarlinEmulator:
         elif code == "M114":
             logical = self._commanded + self._shift
             # Marlin's counts follow G92, because it also sets the stepper position.
-            counts = np.round((self._native(now) + self._shift) * self._steps).tolist()
+            counts = np.round((self._axes.counted(now) + self._shift) * self._steps).tolist()
             place = " ".join(f"{a}:{v:.2f}" for a, v in zip(letters, logical, strict=True))
             count = " ".join(f"{a}:{int(n)}" for a, n in zip(letters, counts, strict=True))
             self._send_line(f"{place} Count {count}", now)
@@ -394,7 +368,7 @@ class MarlinEmulator:
             if "S" in words:
                 self._idle_limit = words["S"]
             else:
-                self._torque.cut(now)
+                self._axes.disable(now)
         elif code == "M220":
             self._feed_percent = words.get("S", self._feed_percent)
         elif code not in ("M105", "M999"):
@@ -441,8 +415,8 @@ class MarlinEmulator:
     def _start_block(self, now: float) -> None:
         target, speed, pull = self._blocks[0]
         self._power(now)
-        exact = np.round(target * self._steps) / self._steps + self._reference
-        end = self._track.move(exact, now, speed * self._feed_percent / 100, pull)
+        exact = np.round(target * self._steps) / self._steps + self._axes.reference
+        end = self._axes.move(exact, now, speed * self._feed_percent / 100, pull)
         self._due, self._after = end, self._end_block
 
     def _end_block(self, now: float) -> None:
@@ -461,8 +435,8 @@ class MarlinEmulator:
 
     def _home(self, now: float) -> None:
         """Seek the end stops axis by axis, quill first, then set the position to zero."""
-        noise = self._rng.normal(0.0, 1.0, AXES) * self._units(self.machine.errors.homing)
-        place = self._units(self.machine.home_joints) + noise
+        noise = self._rng.normal(0.0, 1.0, AXES) * self._axes.units(self.machine.errors.homing)
+        place = self._axes.units(self.machine.home_joints) + noise
         order = [2, 0, 1, 3]
         self._power(now)
         pull = min(self.machine.acceleration)
@@ -471,27 +445,19 @@ class MarlinEmulator:
             if self._due is not None or self._blocks:
                 return False
             while order:
-                target = self._track.motors(at).copy()
+                target = self._axes.motors(at).copy()
                 target[order[0]] = place[order[0]]
                 order.pop(0)
-                end = self._track.move(target, at, self.machine.homing_rate, pull)
+                end = self._axes.move(target, at, self.machine.homing_rate, pull)
                 if end > at:
                     self._due = end
                     return False
-            self._reference = self._track.motors(at)
+            self._axes.reference = self._axes.motors(at)
             self._commanded = np.zeros(AXES)
             self._shift = np.zeros(AXES)
             return True
 
         self._begin(seek, now)
-
-    def _units(self, joints: tuple[float, float, float, float]) -> Array:
-        units: Array = np.asarray(joints, dtype=float) * TO_UNITS * self._sign
-        return units
-
-    def _native(self, now: float) -> Array:
-        """Return the motor positions in the frame of the commanded values."""
-        return np.asarray(self._track.motors(now) - self._reference, dtype=float)
 
 
 def _number_of(text: str) -> int:

@@ -1,12 +1,11 @@
-"""What must hold of the serial codecs whatever the bytes, and a fuzzer that looks for bytes where
-it does not.
+"""Properties of the serial codecs for any bytes, and a fuzzer that searches for counterexamples.
 
-    python test/fuzz/serial_codecs.py --runs 1000000              # every target
-    python test/fuzz/serial_codecs.py grbl-in --runs 1000000
+    python test/support/serial_codecs.py --runs 1000000              # every target
+    python test/support/serial_codecs.py grbl-in --runs 1000000
 
 With atheris installed (``pip install atheris``) the inputs are guided by coverage; without it they
-are mutations of real lines from a seed. ``test_serial_codecs.py`` holds the same properties in
-small.
+are mutations of real lines from a seed. ``test_serial_codecs.py`` checks the same properties with
+fewer inputs.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ from pathlib import Path
 from types import FunctionType
 
 from tapping_cell.hardware import grbl, marlin, tapper_protocol
+from tapping_cell.hardware.text_line import LONGEST_LINE, Bad
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_program import Modal, read_line
 from tapping_cell.simulation.marlin_emulator import MarlinEmulator
@@ -54,36 +54,36 @@ def _decode_all(decode: Callable[[bytes], object], data: bytes) -> tuple[list[ob
         if decoded.frame is None:  # type: ignore[attr-defined]
             return frames, decoded.rest  # type: ignore[attr-defined]
         if len(decoded.rest) >= len(data):  # type: ignore[attr-defined]
-            raise Broken(f"nothing was used up of {data!r}")
+            raise Broken(f"no byte of {data!r} was consumed")
         frames.append(decoded.frame)  # type: ignore[attr-defined]
         data = decoded.rest  # type: ignore[attr-defined]
 
 
 def _incoming(decode: Callable[[bytes], object], longest: int, data: bytes) -> None:
-    """Never raises, always ends, keeps little, and takes whole lines in pieces alike."""
+    """Decode never raises, always ends, keeps few bytes, and decodes split input alike."""
     whole, rest = _decode_all(decode, data)
     if len(rest) > longest:
         raise Broken(f"{len(rest)} bytes are kept")
     cut = data.rfind(b"\n", 0, len(data) // 2 + 1) + 1
     first, held = _decode_all(decode, data[:cut])
     second, _ = _decode_all(decode, held + data[cut:])
-    # The noise between frames may be told in other pieces; what means something may not.
+    # Noise between frames may be split differently; the valid frames must be the same.
     if [f for f in first + second if not _is_bad(f)] != [f for f in whole if not _is_bad(f)]:
-        raise Broken(f"in pieces {data!r} means something else")
+        raise Broken(f"{data!r} is decoded differently in two parts")
 
 
 def _is_bad(frame: object) -> bool:
-    return isinstance(frame, grbl.Bad | marlin.Bad | tapper_protocol.Bad)
+    return isinstance(frame, Bad | tapper_protocol.Bad)
 
 
 def grbl_in(data: bytes) -> None:
     """Lines of a Grbl."""
-    _incoming(grbl.decode, grbl.LONGEST_LINE, data)
+    _incoming(grbl.decode, LONGEST_LINE, data)
 
 
 def marlin_in(data: bytes) -> None:
     """Lines of a Marlin."""
-    _incoming(marlin.decode, marlin.LONGEST_LINE, data)
+    _incoming(marlin.decode, LONGEST_LINE, data)
 
 
 def tapper_in(data: bytes) -> None:
@@ -135,10 +135,10 @@ def marlin_out(data: bytes) -> None:
         value ^= byte
     found = re.fullmatch(rb"N(\d+) G1 X(\S+) Y(\S+) Z(\S+) A(\S+) F(\S+)", body)
     if value != int(check) or found is None or int(found[1]) != number:
-        raise Broken(f"{line!r} is no numbered line")
+        raise Broken(f"{line!r} is not a numbered line")
     for text, wanted in zip(found.groups()[1:], (*target, feed), strict=True):
         if abs(float(text) - wanted) > max(0.0006, 1e-9 * abs(wanted)):
-            raise Broken(f"{line!r} does not say {wanted}")
+            raise Broken(f"{line!r} does not contain {wanted}")
 
 
 def tapper_out(data: bytes) -> None:
@@ -165,7 +165,7 @@ def tapper_out(data: bytes) -> None:
 
 
 def boards(data: bytes) -> None:
-    """Any bytes into the emulated boards: they stand, and what they say is understood."""
+    """The emulated boards survive any bytes, and their output can be decoded."""
     for board, decode in (
         (GrblEmulator(), grbl.decode),
         (MarlinEmulator(), marlin.decode),
@@ -174,7 +174,7 @@ def boards(data: bytes) -> None:
         board.receive(data[:120], 0.0)
         frames, _ = _decode_all(decode, board.take_output(5.0))
         if isinstance(board, TapperEmulator) and any(_is_bad(frame) for frame in frames):
-            raise Broken(f"{data!r} makes {type(board).__name__} say {frames}")
+            raise Broken(f"{data!r} makes {type(board).__name__} send {frames}")
 
 
 TARGETS: dict[str, Callable[[bytes], None]] = {

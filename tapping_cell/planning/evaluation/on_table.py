@@ -97,7 +97,7 @@ def _run_one(
     seen = pose + camera.deviations * rng.standard_normal(3)
     decision, seen = decide(session, pose, seen, camera, rng)
     while isinstance(decision, Strike):
-        moved = evaluation.answer(
+        moved = evaluation.simulation.answer(
             pose[None, :], seen[None, :], np.array([decision.commanded]), gain, rng
         )[0]
         pose = pose + moved

@@ -80,7 +80,9 @@ def run_open_trials(
             )
             orientation = orientation[struck]
         asked = known.predict(commanded, orientation)
-        moved = evaluation.answer(pose[running], seen[running], commanded, true_gains[running], rng)
+        moved = evaluation.simulation.answer(
+            pose[running], seen[running], commanded, true_gains[running], rng
+        )
         pose[running] += moved
         before = seen[running]
         seen[running] = pose[running] + camera_noise * rng.standard_normal((running.size, 3))

@@ -98,18 +98,10 @@ class Evaluation:
         if not 0.0 <= self.off_centre <= 10.0:
             raise PlanningError(f"off centre by {self.off_centre} rad/m; it must be 0 to 10")
 
-    def answer(
-        self,
-        poses: Array,
-        seen: Array,
-        commanded: Array,
-        gains: Array,
-        rng: np.random.Generator,
-    ) -> Array:
-        """True displacements (n, 3) of commanded taps, for true poses (n, 3), measured poses
-        ``seen`` (n, 3) and true gains (n, 4)."""
-        world = AbstractWorld(self.settings.scatter) if self.world is None else self.world
-        return world.answer(poses, seen, commanded, gains, rng)
+    @property
+    def simulation(self) -> World:
+        """Simulation of the taps: ``world``, or else taps as commanded with scatter."""
+        return AbstractWorld(self.settings.scatter) if self.world is None else self.world
 
 
 class TapClock(TapTimes, Protocol):

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.hardware import grbl
+from tapping_cell.hardware.text_line import LONGEST_LINE, Bad
 
 
 def all_frames(data: bytes) -> list[grbl.Frame]:
@@ -64,7 +65,7 @@ def test_lines_of_the_documentation(line: bytes, frame: grbl.Frame) -> None:
 )
 def test_what_is_half_right_is_bad(line: bytes) -> None:
     (frame,) = all_frames(line + b"\n")
-    assert isinstance(frame, grbl.Bad)
+    assert isinstance(frame, Bad)
 
 
 @settings(max_examples=1000)
@@ -75,7 +76,7 @@ def test_any_bytes_are_survived_and_used_up(data: bytes) -> None:
         assert decoded.frame is None or len(decoded.rest) < len(data)
         data = decoded.rest
         if decoded.frame is None:
-            assert b"\n" not in data and len(data) <= grbl.LONGEST_LINE
+            assert b"\n" not in data and len(data) <= LONGEST_LINE
             return
 
 

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.hardware import marlin
+from tapping_cell.hardware.text_line import LONGEST_LINE, Bad, Decoded
 
 
 # Answers of real boards.
@@ -66,14 +67,14 @@ from tapping_cell.hardware import marlin
     ],
 )
 def test_answers_of_real_boards(line: bytes, frame: marlin.Frame) -> None:
-    assert marlin.decode(line + b"\r\n") == marlin.Decoded(frame, b"")
+    assert marlin.decode(line + b"\r\n") == Decoded(frame, b"")
 
 
 @pytest.mark.parametrize(
     "line", [b"okay", b"o", b"Resend: x", b"X:1.5 Y:2.0 Z:", b"X:nan Y:0.00", b"\xffok", b"ok\x00"]
 )
 def test_what_is_half_right_is_bad(line: bytes) -> None:
-    assert isinstance(marlin.decode(line + b"\n").frame, marlin.Bad)
+    assert isinstance(marlin.decode(line + b"\n").frame, Bad)
 
 
 @settings(max_examples=1000)
@@ -82,7 +83,7 @@ def test_any_bytes_are_survived_and_used_up(data: bytes) -> None:
     while True:
         decoded = marlin.decode(data)
         if decoded.frame is None:
-            assert b"\n" not in decoded.rest and len(decoded.rest) <= marlin.LONGEST_LINE
+            assert b"\n" not in decoded.rest and len(decoded.rest) <= LONGEST_LINE
             return
         assert len(decoded.rest) < len(data)
         data = decoded.rest

@@ -1,0 +1,133 @@
+"""Motors and axes of an arm behind an emulated controller, whose step counts may be wrong.
+
+Axis units are those of the controllers (deg, deg, mm, deg), with the directions of the motors.
+Joint values are in rad, rad, m, rad.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tapping_cell.simulation.joint_motion import Array, AxisErrors, AxisTrack, Torque
+
+AXES = 4
+QUILL = 2
+TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
+"""Factors from joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
+SLIP = 0.3
+"""Standard deviation of the steps lost by a sudden stop, in axis units."""
+
+Joints = tuple[float, float, float, float]
+
+
+class MotorAxes:
+    """Four axes in simulated time; all times in s.
+
+    sign: direction of each motor, +1 or -1. start: joint values at power-on. quill_sinks: speed at
+    which the unpowered quill sinks, m/s. quill_floor: its lowest position, m.
+    """
+
+    def __init__(
+        self,
+        sign: tuple[int, int, int, int],
+        start: Joints,
+        errors: AxisErrors,
+        quill_sinks: float,
+        quill_floor: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self._sign = np.array(sign, dtype=float)
+        self._offset = np.asarray(errors.offset)
+        self._rng = rng
+        self._torque = Torque(quill_sinks, quill_floor)
+        self._track = AxisTrack(
+            self.units(start),
+            np.abs(self.units(errors.backlash)),
+            np.abs(self.units(errors.repeatability)),
+            rng,
+        )
+        self.reference = self.units(start)
+        """Position of the motors, in axis units, at which the controller counts zero steps."""
+
+    def units(self, joints: Joints) -> Array:
+        """Convert joint values to axis units and directions, (4,)."""
+        return np.asarray(np.asarray(joints, dtype=float) * TO_UNITS * self._sign, dtype=float)
+
+    # State
+
+    def joints(self, time: float) -> Joints:
+        """Return the true joint values."""
+        values = self._of_track(time)
+        values[QUILL] -= self._torque.sunk(float(values[QUILL]), time)
+        a, b, c, d = (values + self._offset).tolist()
+        return a, b, c, d
+
+    def moving(self, time: float) -> bool:
+        """Return whether the motors move the axes."""
+        return self._track.moving(time)
+
+    @property
+    def powered(self) -> bool:
+        """Whether the motors have torque."""
+        return self._torque.on
+
+    def motors(self, time: float) -> Array:
+        """Return the position of the motors in axis units, (4,)."""
+        return self._track.motors(time)
+
+    def counted(self, time: float) -> Array:
+        """Return the position that the controller counts, in axis units, (4,)."""
+        return np.asarray(self._track.motors(time) - self.reference, dtype=float)
+
+    # Motion
+
+    def move(self, target: Array, start: float, speed: float, acceleration: float) -> float:
+        """Start a move of the motors to ``target`` (4,) and return the time at which it ends."""
+        return self._track.move(target, start, speed, acceleration)
+
+    def brake(self, time: float, deceleration: float) -> float:
+        """Brake the move and return the time at which it ends."""
+        return self._track.brake(time, deceleration)
+
+    def freeze(self, time: float) -> None:
+        """Stop the motors immediately, with correct step counts."""
+        self._track.freeze(time)
+
+    def stop_abruptly(self, time: float) -> bool:
+        """Stop the motors immediately. If they moved, they coast a little, which the controller
+        does not count, and the function returns True."""
+        if not self._track.moving(time):
+            return False
+        self._track.freeze(time)
+        self._shift(self._rng.normal(0.0, SLIP, AXES), time)
+        return True
+
+    def push(self, joints: Joints, time: float) -> None:
+        """Move the resting, unpowered axes by hand to ``joints``, which the controller does not
+        count."""
+        asked = (np.asarray(joints, dtype=float) - self._offset) * TO_UNITS * self._sign
+        self._shift(asked - self._track.motors(time), time)
+
+    # Torque
+
+    def enable(self, time: float) -> None:
+        """Enable the motors. They hold a quill that has sunk; the step count is unchanged."""
+        sunk = self._torque.sunk(float(self._of_track(time)[QUILL]), time)
+        self._torque.restore()
+        if sunk > 0:
+            moved = np.zeros(AXES)
+            moved[QUILL] = -sunk * TO_UNITS[QUILL] * self._sign[QUILL]
+            self._shift(moved, time)
+
+    def disable(self, time: float) -> None:
+        """Cut the power of the motors."""
+        self._torque.cut(time)
+
+    def _of_track(self, time: float) -> Array:
+        return np.asarray(self._track.joints(time) * self._sign / TO_UNITS)
+
+    def _shift(self, moved: Array, time: float) -> None:
+        self._track.shift(self._track.motors(time) + moved, time)
+        self.reference = self.reference + moved
