@@ -23,7 +23,7 @@ from tapping_cell.report.page_style import (
     failure_section,
     scrolling_table,
 )
-from tapping_cell.report.palette import INK, SERIES, TABLE
+from tapping_cell.report.palette import INK, LINE, SERIES, TABLE
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.run import Picture
 from tapping_cell.report.run_folder import PAGE
@@ -154,7 +154,7 @@ def _plan(run: ArrangementRun, poses: Mapping[str, Pose], moved: str = "") -> Pl
     plan = Plan(
         (-half[0] - _MARGIN_MM, -half[1] - _MARGIN_MM), (half[0] + _MARGIN_MM, half[1] + _MARGIN_MM)
     )
-    plan.rectangle(-half, half, f'fill="{TABLE}" stroke="#a99" stroke-width="1"')
+    plan.rectangle(-half, half, f'fill="{TABLE}" stroke="{LINE}" stroke-width="1"')
     for number, one in enumerate(run.objects):
         if one.goal is not None and moved in ("", one.name):
             plan.outline(_outline(one), one.goal, _colour(number), dashed=True)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
-from tapping_cell.report.palette import GOAL, REST, START, STRIKE
+from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
 from tapping_cell.report.run import Run
 from tapping_cell.report.words import counted
 from tapping_cell.se2 import Array, Pose, transform_points
@@ -71,7 +71,7 @@ def _draw_table(axes: Axes, run: Run) -> None:
     length, width = run.table_size
     x, y = np.array([-500, 500]) * length, np.array([-500, 500]) * width
     axes.add_patch(
-        Rectangle((x[0], y[0]), x[1] - x[0], y[1] - y[0], facecolor="#faf7f0", edgecolor="#998")
+        Rectangle((x[0], y[0]), x[1] - x[0], y[1] - y[0], facecolor=TABLE, edgecolor=LINE)
     )
     poses = [(run.start, START, 1.0)] if run.start is not None else []
     poses += [(tap.measured, REST, 0.35 + 0.5 * tap.number / len(run.taps)) for tap in run.taps]
@@ -131,11 +131,11 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
             xytext=_mm(tap.before),
             arrowprops={"arrowstyle": "-|>", "color": REST, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
         )
-        axes.plot(*_mm(tap.predicted), marker="x", color="#888888", ms=6)
+        axes.plot(*_mm(tap.predicted), marker="x", color=WAITING, ms=6)
         axes.annotate(
             str(tap.number), _mm(tap.measured), (5, 6), textcoords="offset points", color=REST
         )
-    axes.plot([], [], marker="x", ls="", color="#888888", label="predicted end of a tap")
+    axes.plot([], [], marker="x", ls="", color=WAITING, label="predicted end of a tap")
     axes.plot([], [], color=REST, label="measured move of a tap")
     axes.legend(loc="best", fontsize=8)
     points = np.array([_mm(pose) for pose in ends] + [_mm(tap.measured) for tap in run.taps])

@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
-from tapping_cell.report import error_codes
+from tapping_cell.report import error_codes, palette
 
-_STYLE = """
-:root{--ink:#1c2733;--muted:#66727f;--line:#e3e7ec;--good:#1a7440;--bad:#b82f26;--so:#8a5f00}
+_STYLE = (
+    palette.css_variables()
+    + palette.css_of_drawings()
+    + """
 *{box-sizing:border-box}
 body{font:16px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,sans-serif;color:var(--ink);
-background:#f3f5f7;margin:0}
+background:var(--ground);margin:0}
 main{max-width:1080px;margin:0 auto;padding:0 16px 40px}
-header{margin:0 -16px 16px;padding:26px 24px 20px;color:#fff;background:var(--so)}
+header{margin:0 -16px 16px;padding:26px 24px 20px;color:#fff;background:var(--warn)}
 header.good{background:var(--good)}header.bad{background:var(--bad)}
 header h1{margin:.1em 0 .15em;font-size:clamp(1.5rem,4.5vw,2.3rem);line-height:1.2}
 header p{margin:0}
 .badge{display:inline-block;border:1px solid #ffffffaa;border-radius:99px;padding:0 .8em;
 font-size:.85rem}
-section{background:#fff;border:1px solid var(--line);border-radius:10px;padding:16px 18px;
+section{background:var(--card);border:1px solid var(--line);border-radius:10px;padding:16px 18px;
 margin:14px 0}
 h2{font-size:1.15rem;margin:0 0 .6em}small{color:var(--muted);font-weight:normal}
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(140px,1fr));gap:12px}
@@ -35,7 +37,8 @@ figure{margin:0;min-width:0}figcaption{color:var(--muted);font-size:.88rem;margi
 .chart figcaption{color:var(--ink);margin:0 0 4px;font-weight:600}
 img,svg{display:block;width:100%;height:auto}img{border-radius:6px}
 svg text{font-family:system-ui,-apple-system,"Segoe UI",Roboto,sans-serif}
-.chart svg{font-size:12px}.plan{background:#fff;border:1px solid var(--line);border-radius:6px}
+.chart svg{font-size:12px}
+.plan{background:var(--card);border:1px solid var(--line);border-radius:6px}
 .band{border-radius:4px}
 .key{white-space:nowrap;margin-right:.8em}
 .key i{display:inline-block;width:.8em;height:.8em;border-radius:2px;margin-right:.35em}
@@ -54,29 +57,20 @@ cursor:pointer}
 .sorts [aria-sort=ascending] button::after{content:" \\25B2"}
 .sorts [aria-sort=descending] button::after{content:" \\25BC"}
 .trouble{border-left:5px solid var(--bad)}
-pre{overflow-x:auto;background:#f6f8fa;padding:10px;border-radius:6px;font-size:.82rem}
+pre{overflow-x:auto;background:var(--ground);padding:10px;border-radius:6px;font-size:.82rem}
 details{margin:4px 0}summary{cursor:pointer;overflow-wrap:anywhere}
 .good-word{color:var(--good)}.bad-word{color:var(--bad)}
 .film{max-width:620px;margin:0 auto}
 @media screen and (prefers-color-scheme:dark){
-:root{color-scheme:dark;--ink:#e8eef4;--muted:#a3b1be;--line:#33414d;--good:#4fd58a;
---bad:#ff8078;--so:#e0a94a}
-body{background:#0e151b}section{background:#18222b}
 header{color:#08120c}header.bad{color:#1d0504}.badge{border-color:#0006}
-.plan{background:#111a21}pre{background:#101820}
-svg [fill="#faf8f2"]{fill:#1d2832}svg [stroke="#e3e7ec"]{stroke:#33414d}
-svg [fill="#1c2733"]{fill:#e8eef4}svg [stroke="#1c2733"]{stroke:#e8eef4}
-svg [fill="#66727f"]{fill:#a3b1be}svg [stroke="#66727f"]{stroke:#a3b1be}
-svg [fill="#5b6570"]{fill:#b4c0cb}svg [stroke="#5b6570"]{stroke:#b4c0cb}
-svg [fill="#1f6fb4"]{fill:#5fb0f2}svg [stroke="#1f6fb4"]{stroke:#5fb0f2}
-svg [fill="#218a4c"]{fill:#4fd58a}svg [stroke="#218a4c"]{stroke:#4fd58a}
-svg [fill="#c8372d"]{fill:#ff8078}svg [stroke="#c8372d"]{stroke:#ff8078}}
+.plan{background:#111a21}}
 @media print{body{background:#fff;font-size:11px}main{max-width:none}
 header{-webkit-print-color-adjust:exact;print-color-adjust:exact;margin:0 0 10px}
 section{break-inside:avoid;border-color:#ccc}
 svg,.key i{-webkit-print-color-adjust:exact;print-color-adjust:exact}
 .two{grid-template-columns:1fr 1fr}.three{grid-template-columns:1fr 1fr 1fr}}
 """
+)
 
 
 def document(title: str, body: str) -> str:

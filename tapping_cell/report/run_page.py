@@ -31,6 +31,7 @@ from tapping_cell.report.page_style import (
 from tapping_cell.report.palette import (
     CONFIRMING,
     GOAL,
+    LINE,
     LOWERING,
     PLANNING,
     PREDICTED,
@@ -194,7 +195,7 @@ def _table_plan(run: Run) -> Plan:
         low, high = window([(1000 * p.x, 1000 * p.y) for p in places], 60.0, 200.0)
     plan = Plan((low[0], low[1]), (high[0], high[1]))
     if half.any():
-        plan.rectangle(-half, half, f'fill="{TABLE}" stroke="#a99" stroke-width="1"')
+        plan.rectangle(-half, half, f'fill="{TABLE}" stroke="{LINE}" stroke-width="1"')
     return plan
 
 

@@ -11,7 +11,7 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tapping_cell.report.palette import GOAL, INK, MUTED
+from tapping_cell.report.palette import GOAL, INK, LINE, MUTED
 from tapping_cell.se2 import Array, Pose, transform_points
 
 _ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
@@ -182,7 +182,7 @@ def chart(
     for tick in ticks:
         parts.append(
             f'<line x1="{left}" x2="{wide}" y1="{y(tick):.1f}" y2="{y(tick):.1f}" '
-            'stroke="#e3e7ec"/>'
+            f'stroke="{LINE}"/>'
             f'<text x="{left - 6}" y="{y(tick):.1f}" text-anchor="end" dominant-baseline="central" '
             f'fill="{MUTED}">{tick:g}</text>'
         )

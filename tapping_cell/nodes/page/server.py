@@ -44,6 +44,7 @@ from tapping_cell.nodes.page.requests import (
     parse,
 )
 from tapping_cell.nodes.page.runs import Runs
+from tapping_cell.report.palette import css_variables
 
 STATIC = Path(__file__).parent / "static"
 MOST_PAGES = 16
@@ -186,6 +187,7 @@ class PageServer:
         handlers: list[Any] = [
             ("/live", PageSocket, {"server": self}),
             ("/stop-port", StopPortHandler, {"server": self, "port": self._stop_port}),
+            ("/palette.css", PaletteHandler, {"server": self}),
             (
                 r"/runs/([\w-]{22})/([^/]{1,400})/(report\.html|run\.zip)",
                 RunHandler,
@@ -318,6 +320,19 @@ class StopPortHandler(_Guarded):
     def get(self) -> None:
         """Return the port number."""
         self.write(str(self._port))
+
+
+class PaletteHandler(_Guarded):
+    """Serve the colours that the page shares with reports and plots."""
+
+    def initialize(self, server: PageServer) -> None:
+        """Store the server."""
+        self.server = server
+
+    def get(self) -> None:
+        """Return the style sheet."""
+        self.set_header("Content-Type", "text/css; charset=utf-8")
+        self.finish(css_variables())
 
 
 class RunHandler(_Guarded):

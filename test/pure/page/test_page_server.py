@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import random
+import re
 import socket
 import time
 import urllib.error
@@ -127,6 +128,17 @@ def test_the_page_is_served_with_headers_that_allow_nothing_foreign(site: Site) 
         # nothing is fetched from elsewhere, and nothing runs that stands in the page itself
         assert b"//cdn" not in body and b"https://" not in body
     assert b"onclick" not in site.get("")[2] and b"style=" not in site.get("")[2]
+
+
+def test_every_colour_of_the_page_comes_from_the_palette(site: Site) -> None:
+    status, headers, palette = site.get("palette.css")
+    assert status == 200 and "text/css" in headers["Content-Type"]
+    style = site.get("style.css")[2].decode()
+    used = set(re.findall(r"var\(--([a-z-]+)\)", style))
+    declared = set(re.findall(r"--([a-z-]+):", palette.decode() + style.replace(": ", ":")))
+    assert used <= declared
+    shades = {"#fff", "#000", "#000a", "#000b", "#000c"}  # over the camera's image
+    assert set(re.findall(r"#[0-9a-f]{3,8}\b", style)) <= shades
 
 
 @pytest.mark.parametrize(
