@@ -34,7 +34,7 @@ from tapping_cell.planning.settings import PlannerSettings
 Singles = NDArray[np.float32]
 Indices = NDArray[np.int32]
 
-COARSE, FINE = 0.5, 0.22
+COARSE, FINE = 0.7, 0.22
 """Steps of the grid coordinate u (see ``Grid``) on the two grids."""
 
 FINE_DISTANCE = 2.0
@@ -78,8 +78,8 @@ class Abandoned(Exception):
 def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
     """Solve for a goal on the coarse grid, which is good enough far from the goal and quick.
 
-    Over 300 tasks each at three goals, first taps from this solution cost as many taps as first
-    taps from six improvements with 12 lengths and 8 points, which take three times as long.
+    Over 300 tasks each at three goals, first taps from this solution cost 0.05 taps more than
+    first taps from a grid with steps of 0.5, which takes 0.2 s longer; a tap takes 0.7 s.
     """
     place = np.asarray(goal, dtype=float)
     problem = _Problem(space, settings, place, COARSE, LENGTHS[0], POINTS[0])
