@@ -24,7 +24,6 @@ from tapping_cell.nodes.clients.arrange_client import (
     residuals,
 )
 from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
-from tapping_cell.report.arrangement_figures import draw_scene
 from tapping_cell.report.arrangement_page import write_page
 from tapping_cell.report.arrangement_run import (
     SUMMARY,
@@ -187,6 +186,9 @@ def _draw(
     goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
     outlines = {name: np.asarray(each.outline()) for name, each in cells_of(cell).items()}
     table = cell.file.table
+    # Imported here, because matplotlib delays the refusal of wrong options by half a second.
+    from tapping_cell.report.arrangement_figures import draw_scene
+
     draw_scene(
         ArrangementTrial(
             end="done" if not ended.error_code else "refused later",

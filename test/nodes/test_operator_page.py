@@ -243,6 +243,10 @@ def test_nodes_and_devices_are_told_in_words(cell: Cell) -> None:
             assert shown["sentence"] in [entry["text"] for entry in shown["log"]]
             silent = await page.state(lambda s: s["arm"]["state"] == "silent")
             assert silent["object"]["sentence"]
+            cell.publish("arm_state", ArmState(state=ArmState.NOT_HOMED))
+            cell.publish("plan_state", PlanState(state=PlanState.WAITING_FOR_CELL))
+            waits = await page.state(lambda s: s["sentence"].startswith("the goal waits: "))
+            assert waits["mode"] == "not ready" and waits["code"] != ErrorCode.NONE
             assert silent["runs_hint"] == "Runs are not recorded: run_recorder is not running."
 
     play(scenario)

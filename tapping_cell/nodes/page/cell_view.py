@@ -206,6 +206,9 @@ class CellView:
             if self._plan.state == PlanState.CONFIRMING:
                 number = self._plan.planned_tap.number
                 return Mode("waiting", f"tap {number} waits for your confirmation")
+            missing = self._monitor.missing(_now())
+            if self._plan.state == PlanState.WAITING_FOR_CELL and missing is not None:
+                return Mode("not ready", f"the goal waits: {missing[1]}", missing[0])
             return Mode("moving", f"tap {self._plan.taps + 1}: {PHASES[self._plan.state]}")
         if arm is not None and arm.state in ARM_BUSY and not self._monitor.silent("arm", _now()):
             return Mode("moving", f"the arm is {ARM_TEXTS[arm.state]}")
