@@ -71,8 +71,9 @@ class MountFit:
     """Result for one tapper; ``mount`` is the tapper's measured line.
 
     ``offset`` in m and ``angle`` in rad are corrections of the nominal mount. ``speed_factor`` is
-    the ratio of true to commanded speed. ``line_deviation`` in m is the standard deviation of the
-    line at the object, and ``angle_deviation`` in rad that of its angle. ``residual`` is the root
+    the ratio of true to commanded speed. ``line_offset`` in m is the offset of the line at the
+    object, ``line_deviation`` its standard deviation, and ``angle_deviation`` in rad that of the
+    angle. ``residual`` is the root
     mean square of the weighted residuals (about 1 if the assumed scatter is correct).
     """
 
@@ -81,6 +82,7 @@ class MountFit:
     offset: float
     angle: float
     speed_factor: float
+    line_offset: float
     line_deviation: float
     angle_deviation: float
     residual: float
@@ -182,6 +184,7 @@ def fit_mount(
         offset=offset,
         angle=angle,
         speed_factor=math.exp(speed),
+        line_offset=float(lever @ found.x),
         line_deviation=spread * math.sqrt(float(lever @ covariance @ lever)),
         angle_deviation=spread * math.sqrt(float(covariance[1, 1])),
         residual=float(np.sqrt(np.mean(rest**2))),

@@ -42,7 +42,7 @@ from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.report.run import TapRow
-from tapping_cell.report.run_folder import TAPS
+from tapping_cell.report.run_folder import SUMMARY, TAPS
 from tapping_cell.se2 import Pose
 
 
@@ -95,7 +95,7 @@ class Taps:
     """Single taps and the files that they were read from.
 
     ``tapper``: names (n,). ``speed``: commanded, (n,), m/s. ``before``, ``after``: poses of the
-    object at rest (n, 3), m and rad. ``faults``: rows that were left out, with the reason.
+    object at rest (n, 3), m and rad. ``faults``: rows and folders that were left out, with the reason.
     """
 
     files: tuple[Path, ...]
@@ -130,7 +130,8 @@ def read_taps(paths: Sequence[Path], cell: Cell) -> Taps:
 
 def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
     taps: list[TapRow] = []
-    for folder in folders:
+    runs = [folder for folder in folders if (folder / SUMMARY).exists()]
+    for folder in runs:
         taps += [tap for tap in measured_taps(folder, cell.object.name) if tap.tapper]
     if not taps:
         raise RecordError(
@@ -138,11 +139,16 @@ def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
             "a cell with fixed tappers"
         )
     return Taps(
-        tuple(folder / TAPS for folder in folders),
+        tuple(folder / TAPS for folder in runs),
         np.array([tap.tapper for tap in taps]),
         np.array([tap.striker_speed for tap in taps]),
         np.array([tap.before for tap in taps]),
         np.array([tap.measured for tap in taps]),
+        tuple(
+            f"{folder} has no {SUMMARY}: it is not the folder of a finished run"
+            for folder in folders
+            if folder not in runs
+        ),
     )
 
 
@@ -222,6 +228,7 @@ def report(fits: list[MountFit], taps: Taps, path: Path, entries: list[str]) -> 
                 "offset": fit.offset,
                 "angle": fit.angle,
                 "speed_factor": fit.speed_factor,
+                "line_offset": fit.line_offset,
                 "line_deviation": fit.line_deviation,
                 "angle_deviation": fit.angle_deviation,
                 "residual": fit.residual,
@@ -238,12 +245,15 @@ def report(fits: list[MountFit], taps: Taps, path: Path, entries: list[str]) -> 
 
 def lines(found: dict[str, Any]) -> list[str]:
     """Format the report as text."""
-    rows = [f"{'tapper':<12} {'taps':>5} {'offset mm':>16} {'angle deg':>9} {'speed %':>8}"]
+    rows = [
+        f"{'tapper':<12} {'taps':>5} {'at object, mm':>16} {'at mount, mm':>13} "
+        f"{'angle, deg':>11} {'speed, %':>9}"
+    ]
     for fit in found["tappers"]:
         rows.append(
-            f"{fit['name']:<12} {fit['taps']:>5} {1e3 * fit['offset']:>8.2f} +- "
-            f"{1e3 * fit['line_deviation']:>4.2f} {math.degrees(fit['angle']):>9.2f} "
-            f"{100 * (fit['speed_factor'] - 1):>+8.1f}"
+            f"{fit['name']:<12} {fit['taps']:>5} {1e3 * fit['line_offset']:>8.2f} +- "
+            f"{1e3 * fit['line_deviation']:>4.2f} {1e3 * fit['offset']:>13.2f} "
+            f"{math.degrees(fit['angle']):>11.2f} {100 * (fit['speed_factor'] - 1):>+9.1f}"
         )
     for fit in found["tappers"]:
         if fit["line_deviation"] > WANTED:

@@ -70,6 +70,9 @@ def test_twelve_taps_know_a_line_to_a_third_of_a_millimetre() -> None:
         errors.append(line_error(fit.mount, true))
         claimed.append(fit.line_deviation)
         assert fit.speed_factor == pytest.approx(factor, rel=0.05)
+        expected = line_error(fit.mount, true) - line_error(nominal, true)
+        # The mean place of the objects is up to 3 cm from the one in the middle.
+        assert fit.line_offset == pytest.approx(expected, abs=0.03 * abs(fit.angle) + 1e-4)
         assert abs(wrap_angle(fit.mount.theta - true.theta)) < 5.0 * fit.angle_deviation
     assert np.sqrt(np.mean(np.square(errors))) < WANTED
     # The uncertainty that is told is honest: not half, not twice of what is found.
@@ -159,6 +162,13 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
     assert main([*command, "--output", str(made)]) == 0
     measured = load_cell(made).fixed_tappers.tappers[2]
     assert abs(line_error(Pose(*measured.position, measured.direction), true)) < 2 * WANTED
+
+    unfinished = tmp_path / "unfinished"
+    unfinished.mkdir()
+    capsys.readouterr()
+    again = [*command[:2], str(unfinished), *command[2:]]
+    assert main([*again, "--output", str(tmp_path / "again.yaml")]) == 0
+    assert f"left out: {unfinished} has no summary.json" in capsys.readouterr().out
 
     other = replace(run_of(entry.name, taps), object_name="teapot")
     write_illustrated_run(folders[0], IllustratedRun(other, ()), pictures=False)
