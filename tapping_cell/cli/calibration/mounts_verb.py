@@ -95,7 +95,8 @@ class Taps:
     """Single taps and the files that they were read from.
 
     ``tapper``: names (n,). ``speed``: commanded, (n,), m/s. ``before``, ``after``: poses of the
-    object at rest (n, 3), m and rad. ``faults``: rows and folders that were left out, with the reason.
+    object at rest (n, 3), m and rad. ``faults``: rows and folders that were left out, with
+    the reason.
     """
 
     files: tuple[Path, ...]
