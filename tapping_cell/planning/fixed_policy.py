@@ -1,20 +1,22 @@
 """Expected number of taps to a goal with fixed tappers, on a grid over the object's (x, y, theta).
 
 A state is the error relative to a fixed goal, because the position of the object determines which
-tappers can hit it and how. The grid is graded: the coordinate u of an axis is asinh(e / fine). Its
-steps are uniform near the goal and grow in proportion far from it, and the cell of a state is found
-without a search. W is the least expected number of taps if at least one more tap must be made. The
-cost inside the stopping box is 0. If the objective is time, W is the least expected time, in units
-of ``MEAN_TAP_S``. The scatter of a tap is represented by a fixed set of equally likely points.
+tappers can hit it and how. The grid is graded: its steps are uniform near the goal, grow in
+proportion to the distance from it, and stay below a widest one, because interpolation between
+states that no single tap connects is far too high. The cell of a state is found without a search. W
+is the least expected number of taps if at least one more tap must be made. The cost inside the
+stopping box is 0. If the objective is time, W is the least expected time, in units of
+``MEAN_TAP_S``. The scatter of a tap is represented by a fixed set of equally likely points.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtri
 
@@ -29,12 +31,43 @@ LEAST_SCATTER = Scatter(0.02, 0.04, 0.003)
 """Minimum scatter that plans assume."""
 
 
-class Grid(NamedTuple):
-    """A graded grid about the goal. step: step of u. fine: scale of the uniform part, m and rad.
-    size: number of points on each side of the goal, for the distances and for the rotation."""
+class Grading(NamedTuple):
+    """Steps of one axis of the grid. step: ratio of the steps to the distance from the goal. fine:
+    distance up to which the steps are about uniform. widest: largest step. In m or rad."""
 
     step: float
-    fine: tuple[float, float]
+    fine: float
+    widest: float
+
+    @property
+    def _limits(self) -> tuple[float, float]:
+        """Where the steps become constant: distance, and coordinate asinh(distance / fine)."""
+        distance = math.sqrt(max((self.widest / self.step) ** 2 - self.fine**2, 0.0))
+        return distance, math.asinh(distance / self.fine)
+
+    def steps(self, value: NDArray[Any]) -> NDArray[Any]:
+        """Return the fractional number of steps from the goal, with the sign of ``value``."""
+        distance, limit = self._limits
+        size = np.abs(value)
+        graded = np.arcsinh(np.minimum(size, distance) / self.fine) / self.step
+        constant = np.maximum(size - distance, 0.0) / self.widest
+        return np.asarray(np.copysign(graded + constant, value))
+
+    def value(self, steps: NDArray[Any]) -> NDArray[Any]:
+        """Return the distance after a number of steps; inverse of :meth:`steps`."""
+        distance, limit = self._limits
+        size = self.step * np.abs(steps)
+        graded = self.fine * np.sinh(np.minimum(size, limit))
+        constant = np.maximum(size - limit, 0.0) * (self.widest / self.step)
+        return np.asarray(np.copysign(graded + constant, steps))
+
+
+class Grid(NamedTuple):
+    """A graded grid about the goal. along, turn: steps of the distances and of the rotation. size:
+    number of points on each side of the goal, for the distances and for the rotation."""
+
+    along: Grading
+    turn: Grading
     size: tuple[int, int]
 
     @property
@@ -47,16 +80,16 @@ class Grid(NamedTuple):
         """Fractional indices of states (..., 3): (3, ...)."""
         return np.stack(
             [
-                np.arcsinh(remaining[..., 0] / self.fine[0]) / self.step + self.size[0],
-                np.arcsinh(remaining[..., 1] / self.fine[0]) / self.step + self.size[0],
-                np.arcsinh(remaining[..., 2] / self.fine[1]) / self.step + self.size[1],
+                self.along.steps(remaining[..., 0]) + self.size[0],
+                self.along.steps(remaining[..., 1]) + self.size[0],
+                self.turn.steps(remaining[..., 2]) + self.size[1],
             ]
         )
 
     def states(self) -> Array:
         """Errors (object minus goal) at the grid points, (n, n, m, 3)."""
-        along = self.fine[0] * np.sinh(self.step * np.arange(-self.size[0], self.size[0] + 1))
-        turn = self.fine[1] * np.sinh(self.step * np.arange(-self.size[1], self.size[1] + 1))
+        along = self.along.value(np.arange(-self.size[0], self.size[0] + 1))
+        turn = self.turn.value(np.arange(-self.size[1], self.size[1] + 1))
         return np.stack(np.meshgrid(along, along, turn, indexing="ij"), axis=-1)
 
 

@@ -48,7 +48,7 @@ def test_a_goal_that_is_asked_for_later_is_answered_before_another_is_refined() 
     second = solver.goal(space, settings, np.array([0.03, 0.01, 0.0]))
     wait_until(lambda: second.solution is not None)
     assert first.solution is not None
-    assert first.solution.grid.step > 0.1
+    assert first.solution.grid.along.step > 0.1
 
 
 def test_a_fine_solution_that_is_interrupted_is_abandoned() -> None:

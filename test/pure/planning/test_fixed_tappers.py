@@ -18,7 +18,7 @@ from tapping_cell.planning import CircleArea, Refusal, RefusalReason, Strike
 from tapping_cell.planning.coverage import coverage
 from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluate_fixed
 from tapping_cell.planning.evaluation.task import End
-from tapping_cell.planning.fixed_policy import scatter_points, states_after
+from tapping_cell.planning.fixed_policy import Grading, scatter_points, states_after
 from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import BESIDES_FLIGHT_S, MEAN_TAP_S, FixedStrikeSpace
@@ -102,12 +102,45 @@ def test_trials_end_at_the_goal() -> None:
     assert np.mean(results.taps) < 7.0
 
 
+def test_the_coarse_solution_also_turns_an_object_half_around() -> None:
+    """The first taps are chosen from the coarse solution. With steps in proportion to the rotation,
+    its interpolated values were three times too high there and the taps too short: 20 taps."""
+    half_around = FixedEvaluation(
+        SPACE, PLAN, trials=12, seed=1, start_angle=math.pi, goal=(-0.05, 0.02, -1.57)
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "tapping_cell.planning.evaluation.fixed_cell.GoalSolver", lambda: GoalSolver(finer=())
+        )
+        results = evaluate_fixed(half_around)
+    assert np.all(results.end == End.DONE)
+    assert np.mean(results.taps) < 13.0
+
+
+@given(
+    step=st.floats(0.05, 1.0),
+    fine=st.floats(1e-4, 0.1),
+    ratio=st.floats(0.1, 1e3),
+    numbers=st.lists(st.floats(-40.0, 40.0), min_size=1, max_size=20),
+)
+def test_the_grading_is_monotone_and_its_steps_are_limited(
+    step: float, fine: float, ratio: float, numbers: list[float]
+) -> None:
+    grading = Grading(step, fine, ratio * step * fine)
+    steps = np.sort(np.array(numbers))
+    assert grading.steps(grading.value(steps)) == pytest.approx(steps, rel=1e-6, abs=1e-6)
+    whole = grading.value(np.arange(-30, 31))
+    assert np.all(np.diff(whole) > 0.0)
+    # A step of asinh ends beyond the slope at its start by at most the factor sinh(step) / step.
+    assert np.all(np.diff(whole) <= grading.widest * math.cosh(step) * (1.0 + 1e-9))
+
+
 def test_trials_take_about_the_least_expected_time() -> None:
     """Without anything to learn, goals take the time that the solution predicts, or a little less:
     interpolation on the coarse grid overestimates it."""
     space = make_fixed_space(CELL, objective="time")
     assert space.key() != SPACE.key()
-    trials, turned = 16, math.radians(10.0)
+    trials, turned = 32, math.radians(10.0)
     results = evaluate_fixed_coarse(
         FixedEvaluation(space, PLAN, trials=trials, start_angle=turned, adapt=False, seed=3)
     )
@@ -120,7 +153,8 @@ def test_trials_take_about_the_least_expected_time() -> None:
     bearing, theta = rng.uniform(-math.pi, math.pi, 400), rng.uniform(-turned, turned, 400)
     starts = np.stack([radius * np.cos(bearing), radius * np.sin(bearing), theta], axis=-1)
     expected = MEAN_TAP_S * float(np.mean(solution.taps_to_go(starts)))
-    assert 0.6 * expected < np.mean(results.seconds) < 1.05 * expected
+    error = np.std(results.seconds) / math.sqrt(trials)
+    assert 0.6 * expected < np.mean(results.seconds) < expected + 2.0 * error
 
 
 @pytest.mark.parametrize("objective", ["taps", "time"])
