@@ -1,4 +1,5 @@
-"""Every test process talks to itself alone: a ROS domain of its own, this machine only."""
+"""Every test process is isolated: it has its own ROS domain and communicates only on this
+computer."""
 
 import os
 from pathlib import Path
@@ -7,12 +8,12 @@ from hypothesis import settings
 
 from tapping_cell.cli.graph import own_domain
 
-# How long an example takes says more of what else the machine does than of the code.
+# The duration of an example depends mainly on the load of the machine, so there is no deadline.
 settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")
 
-# A domain that the caller's shell has may be that of a real cell, so it does not count here. Each
-# process takes its own (the workers of pytest-xdist too) and holds it until it ends.
+# ROS_DOMAIN_ID of the caller's shell may be that of a real cell, so it is ignored. Each process
+# (also each worker of pytest-xdist) reserves a domain of its own until it ends.
 os.environ.pop("ROS_DOMAIN_ID", None)
 _DOMAIN = own_domain()
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN.number)
