@@ -1,5 +1,5 @@
-"""Requirement S1 of docs/safety.md: if the process of tapper or arm is frozen during a tap, no
-striker is fired after the arm's promise to stand still has ended, or while the arm moves.
+"""If the process of tapper or arm is frozen during a tap, no striker is fired after the arm's
+promise to stand still has ended, or while the arm moves.
 
 ``TAPPING_CELL_FREEZES=100:7`` freezes each process 100 times, at random times with seed 7.
 """

@@ -203,7 +203,7 @@ def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> 
 
 
 def test_a_stop_outlives_its_node_and_homes_nothing(tmp_path: Path) -> None:
-    """S5: after a stop, an arm whose node was killed and restarted must not home by itself."""
+    """After a stop, an arm whose node was killed and restarted must not home by itself."""
     with arm_cell(tmp_path) as cell:
         cell.wait_state(ArmState.IDLE)
         assert cell.call("stop").success
@@ -218,7 +218,7 @@ def test_a_stop_outlives_its_node_and_homes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
-    """S4: the person who clears must have checked the panel that stopped the cell and then
+    """The person who clears must have checked the panel that stopped the cell and then
     disappeared."""
     panel = Node("panel")
     lost = panel.create_publisher(Bool, "emergency_stop", LATCHED)
@@ -235,7 +235,7 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
 
 
 def test_a_source_that_does_not_repeat_its_level_asks_for_a_confirmation(cell: Cell) -> None:
-    """S4: the release of one source must not release the stop of another whose level cannot be
+    """The release of one source must not release the stop of another whose level cannot be
     queried."""
     panel = Node("panel")
     held = panel.create_publisher(Bool, "emergency_stop", COMMAND)
@@ -292,7 +292,7 @@ def test_a_stop_is_sent_before_anything_is_asked_of_the_graph(
 def test_an_arm_whose_stop_could_not_be_stored_does_not_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """S5: after a restart, the stop would be forgotten."""
+    """If the stop is not stored, a restarted node does not know of it."""
     (tmp_path / "file").touch()
     monkeypatch.setattr(cell_identity, "STATE", tmp_path / "file")
     with arm_cell(tmp_path) as cell:

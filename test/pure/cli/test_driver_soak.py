@@ -1,4 +1,4 @@
-"""The soak sees what grows, and the drivers do not."""
+"""The soak test detects growing resources, and the drivers have none."""
 
 from __future__ import annotations
 
