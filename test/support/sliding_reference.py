@@ -1,7 +1,8 @@
-"""Independent references for the sliding tests: the textbook formulas and a tight integration.
+"""Independent references for the sliding tests: the textbook formulas and an accurate integration.
 
-Nothing of the package is imported here. The friction factors are the published ones in K and E
-(scipy's take k^2) with series where they cancel; the motion is integrated in ln r by DOP853.
+Nothing is imported from the package. The friction factors are the published ones in K and E
+(scipy's functions take k^2), with series where the formulas cancel. The motion is integrated in ln
+r by DOP853.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from scipy.special import ellipe, ellipk
 
 
 def disk_force_and_torque(eps: float) -> tuple[float, float]:
-    """F and T of a disk at eps = v / (R omega)."""
+    """Return F and T of a disk at eps = v / (R omega)."""
     if eps > 20:
         q = 1 / eps
         return (
@@ -39,7 +40,7 @@ def disk_force_and_torque(eps: float) -> tuple[float, float]:
 
 
 def ring_force_and_torque(eps: float) -> tuple[float, float]:
-    """F and T of a thin ring at eps = v / (R omega)."""
+    """Return F and T of a thin ring at eps = v / (R omega)."""
     if eps > 1:
         torque, force = ring_force_and_torque(1 / eps)
         return force, torque
@@ -68,7 +69,7 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
         v, s = math.exp(log_v), math.exp(log_s)
         force, torque = friction(v / s)
         r = math.hypot(v, s)
-        # d/dt of v is -F and of s is -Lambda T; dt = dsigma * r
+        # The derivatives of v and s are -F and -Lambda T; dt = dsigma * r.
         return [
             -force * r / v,
             -torque_ratio * torque * r / s,
@@ -88,8 +89,8 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
     )
     assert solution.status == 1
     _, _, travel, rim_travel, time = solution.y[:, -1]
-    # The last billionth of the velocity adds less than 1e-8 of a second's r0; its time is closed
-    # with the friction of the terminal ratio.
+    # The remaining 1e-8 of the velocity contributes less than 1e-8 to the results; its time is
+    # added with the friction at the final ratio.
     log_v, log_s = solution.y[:2, -1]
     v, s = math.exp(log_v), math.exp(log_s)
     force, torque = friction(v / s)

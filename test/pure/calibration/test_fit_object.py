@@ -1,4 +1,4 @@
-"""The complete fit of an object file, from simulated experiments and from records with known
+"""The complete fit of an object file, for simulated experiments and from records with known
 impacts."""
 
 import json

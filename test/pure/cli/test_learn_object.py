@@ -21,8 +21,7 @@ DISK = shared_folder() / "objects" / "aluminium_disk.yaml"
 
 
 def made_runs(folder: Path) -> list[str]:
-    """Write two runs. The displacements differ by 5 % (random) from those that made_bags
-    commands."""
+    """Write two runs of five random taps each, whose results are exactly as commanded."""
     folders = []
     random = np.random.default_rng(3)
     for index in range(2):
@@ -57,7 +56,7 @@ def test_an_object_file_is_learnt_from_runs(
     assert main(words) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["taps"] == 10 and result["left_out"] == 0
-    # On average the taps moved the object as commanded, so the learnt values are those in use.
+    # The results are as commanded, so the learnt values are those in use.
     assert load_object(made).friction == pytest.approx(load_cell().object.friction, rel=0.02)
     assert load_object(made).calibration is not None
 

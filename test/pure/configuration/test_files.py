@@ -128,7 +128,7 @@ def test_the_workspace_carries_the_keep_outs() -> None:
 
 
 def test_how_well_a_map_was_measured_comes_from_its_record(tmp_path: Path) -> None:
-    """For a printed sheet no measured accuracy is stated; its nominal accuracy is used."""
+    """A printed sheet has no calibration record, so its deviation is 0."""
     record = Provenance(
         by="calibrate table",
         made="2026-01-01T00:00:00+00:00",

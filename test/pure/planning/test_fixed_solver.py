@@ -1,4 +1,4 @@
-"""Goals solved in a process of their own are those that are solved here."""
+"""Goals solved in a separate process have the same solution as goals solved in this process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
 
 @pytest.fixture(autouse=True)
 def _normal_priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process at low priority might wait for minutes on a busy machine."""
+    """Run the process at normal priority: at low priority it could wait for minutes on a busy
+    machine."""
     monkeypatch.setattr("tapping_cell.planning.fixed_solver.REFINING_NICENESS", 0)
 
 
