@@ -1,7 +1,6 @@
-"""Calibrations of camera, table, arm and tapper against random, hidden ground truth.
+"""Errors of the calibrations of camera, table, arm and tapper, for random true parameters.
 
-The peer for the camera is OpenCV's default calibrateCamera with five coefficients on the same
-corners.
+For comparison, OpenCV's default calibrateCamera with five coefficients uses the same corners.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 TRUTHS = (
     (1.2, 0.8, 0.8, 1.2),
     (1.2, 1.2, 0.8, 0.8),
-    (0.8, 1.2, 1.15, 0.8),  # a restitution of 0.86 cannot rise by a fifth
+    (0.8, 1.2, 1.15, 0.8),  # a fifth more than 0.86 would be above 1
     (0.8, 0.8, 1.15, 1.2),
     (0.8, 1.2, 0.8, 1.2),
     (1.2, 0.8, 1.15, 0.8),
@@ -73,7 +73,8 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
 
 
 def _mean_taps(assumed: ObjectFile, true: ObjectFile, trials: int) -> float:
-    """Mean taps over trials of the paper's task; an unfinished trial counts as the maximum."""
+    """Return the mean taps over trials of the paper's task; an unfinished trial counts as the
+    maximum."""
     striker = _STRIKER.striker()
     scatter = Scatter(0.05, 0.15, math.radians(1.0))
     settings = replace(PlannerSettings.for_tap(assumed.tap(striker)), scatter=scatter)

@@ -46,7 +46,7 @@ SEED = 7
 
 
 class Part(NamedTuple):
-    """Some trials of one group. ``number``: index of the part, which is its seed."""
+    """Some trials of one group. ``number`` is the index of the part and its random seed."""
 
     group: str
     number: int
@@ -94,7 +94,7 @@ def _evaluation(part: Part) -> FixedEvaluation:
 
 
 def _stored(part: Part) -> dict[str, list[Any]]:
-    """Return the results of a part: from its file, or computed now and stored there."""
+    """Return the results of a part from its file; if there is none, compute and store them."""
     evaluation = _evaluation(part)
     inputs = f"{part};{evaluation.space.key()};{evaluation.settings.key()};{evaluation.goal}"
     inputs += f";{evaluation.start_angle};{evaluation.mount_error};{evaluation.seed}"

@@ -36,7 +36,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
             )
             began = time.process_time()
             solved = [(time.process_time() - began, plan) for plan in solutions(settings)]
-            keep_policy(settings, solved[-1][1])  # otherwise the trials would solve it again
+            keep_policy(settings, solved[-1][1])  # otherwise the trials would compute it again
             found = summarise(evaluate(Evaluation("optimal", settings, trials=count), 1))
             rows.append(
                 {

@@ -54,7 +54,7 @@ def problems(driver: webdriver.Chrome) -> list[str]:
     ]
 
 
-def looks(driver: webdriver.Chrome) -> Iterator[str]:
+def appearances(driver: webdriver.Chrome) -> Iterator[str]:
     """Show the document in both colour schemes, each at the width of a desktop and of a phone."""
     for width, height in (DESKTOP, PHONE):
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
@@ -67,13 +67,13 @@ def looks(driver: webdriver.Chrome) -> Iterator[str]:
 
 def audit(driver: webdriver.Chrome, what: str) -> dict[str, list[str]]:
     """Return the serious problems of the document for each colour scheme and width."""
-    found = {f"{what}, {look}": problems(driver) for look in looks(driver)}
+    found = {f"{what}, {appearance}": problems(driver) for appearance in appearances(driver)}
     folder = os.environ.get("TAPPING_CELL_PICTURES")
     if folder:
-        for look in looks(driver):
-            name = f"{what} {look}".replace(",", "").replace(" ", "_")
+        for appearance in appearances(driver):
+            name = f"{what} {appearance}".replace(",", "").replace(" ", "_")
             driver.save_screenshot(str(Path(folder) / f"{name}.png"))
-    return {look: each for look, each in found.items() if each}
+    return {appearance: each for appearance, each in found.items() if each}
 
 
 @pytest.fixture

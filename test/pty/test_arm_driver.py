@@ -231,7 +231,7 @@ def test_settings_that_differ_are_refused_by_name(plug: Callable[..., PseudoTerm
     assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
-class Babbler:
+class NoisyDevice:
     """A device that is not a Grbl controller."""
 
     def __init__(self) -> None:
@@ -253,7 +253,7 @@ class Babbler:
 
 
 def test_unknown_firmware_is_refused(plug: Callable[..., PseudoTerminal]) -> None:
-    port = plug(Babbler())
+    port = plug(NoisyDevice())
     transport = SerialTransport(str(port.path))
     driver = ArmDriver(transport, GrblDialect(transport), ScaraGeometry())
     with pytest.raises(HardwareFault, match="check the port, the baud") as caught:

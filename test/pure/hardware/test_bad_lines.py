@@ -68,12 +68,12 @@ def test_lost_answers_to_fire_are_settled_without_a_second_shot() -> None:
     line = cell.tapper_line
     original = cell.tapper_device.on_fire
 
-    def deafen(shot: int, energy: float, now: float) -> float | None:
+    def lose_answers(shot: int, energy: float, now: float) -> float | None:
         first = line.count(Direction.TO_HOST)
         line.add(LineFault(FaultKind.DROP, Direction.TO_HOST, first, length=200))
         return original(shot, energy, now) if original else None
 
-    cell.tapper_device.on_fire = deafen
+    cell.tapper_device.on_fire = lose_answers
     assert cell.tap() is FireOutcome.FIRED
     assert len(cell.tapper_device.fires) == 1
     assert cell.tally.clean, cell.tally.notes

@@ -162,7 +162,7 @@ def noise(now: float) -> bytes:
     return np.random.default_rng(int(1000 * now)).bytes(40)
 
 
-class Babbler:
+class NoisyDevice:
     """A device that answers each message with lines of noise."""
 
     def __init__(self) -> None:
@@ -194,7 +194,7 @@ BOARDS: dict[str, Callable[[], DeviceEmulator]] = {
     "grbl": GrblEmulator,
     "marlin": MarlinEmulator,
     "tapper": TapperEmulator,
-    "babbler": Babbler,
+    "noise": NoisyDevice,
 }
 
 
@@ -206,7 +206,7 @@ def test_a_board_of_another_kind_is_refused_in_time_and_nothing_moves(
     line = line_to(device)
     with pytest.raises(HardwareFault) as caught:
         DRIVERS[driver](line).connect(5.0)
-    if board == "babbler":
+    if board == "noise":
         assert caught.value.reason is FaultReason.PROTOCOL
     else:
         assert caught.value.reason in (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT)

@@ -97,8 +97,8 @@ def test_a_planner_that_forgot_the_goal_ends_the_wait() -> None:
 
 
 def test_a_planner_that_was_frozen_answers_itself() -> None:
-    """After the freeze the planner continues, and the client accepts its own result instead of
-    ending the wait."""
+    """After the freeze the planner continues. When it reports the end, the client still waits up to
+    GRACE_S for the result of the action."""
     client = Client()
     client.wait(5.0, PlanState.PLACING)
     client.wait(SILENCE_S + 1.0, None)

@@ -27,7 +27,7 @@ def _normal_priority(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_background_gives_a_coarse_solution_and_then_the_same_fine_one() -> None:
     space = assembly.make_fixed_space(CELL)
-    # A wide tolerance makes a small grid.
+    # A wide tolerance needs only a small grid.
     settings = assembly.make_planner_settings(CELL, (0.02, math.radians(20.0)))
     goal = np.array([0.01, -0.02, 0.3])
     here = GoalSolver().goal(space, settings, goal).solution
