@@ -40,7 +40,7 @@ _MEASUREMENT_STD = (1.5e-5, 1.5e-5, 3e-4)
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return the mean taps over ``count`` demos for each ground truth."""
+    """Return the mean number of taps over ``count`` demos for each ground truth."""
     configured = load_cell()
     rows = []
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):

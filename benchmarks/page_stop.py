@@ -1,11 +1,11 @@
 """Latency from STOP on the operator's page to a subscriber of ``emergency_stop`` under attack.
 
-The real node runs as a separate process, with its process for STOP. Another process simulates
-``CLIENTS`` hostile clients with 200 messages per second each. They first send drags, commands and
-invalid data to the page, and reconnect when disconnected. Then they send checks and invalid data to
-the port of STOP. The latency includes a browser's request over a new connection, the process, the
-middleware and the subscription in this process. For comparison, the same request is measured
-without an attack, and a message is published by this process.
+The real node and its separate process for STOP are running. Another process simulates ``CLIENTS``
+hostile clients with 200 messages per second each. They first send drags, commands and invalid data
+to the page, and reconnect when disconnected. Then they send checks and invalid data to the port of
+STOP. The latency includes a browser's request over a new connection, the process, the middleware
+and the subscription in this process. For comparison, the same request is measured without an
+attack, and a message is published by this process.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ struct tapper {
     uint16_t sequence;
     bool has_sequence;
     bool setup;             /* set-up mode: limited energy unless the enabling switch is held */
-    uint64_t shot;          /* shot charged last, also in earlier boots; the greatest number used */
+    uint64_t shot;          /* last charged shot, also of earlier boots; its number is the greatest used */
     uint64_t fired;         /* shot fired last in this boot; 0: none */
     uint8_t channel;        /* channel of `shot` */
     uint32_t energy_uj;

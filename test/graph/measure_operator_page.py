@@ -2,8 +2,9 @@
 
     . ./env.sh; python test/graph/measure_operator_page.py
 
-Starts the simulated graph with the page, and measures the node's processor time without a page and
-with one in headless Chromium, and the time from a picture's stamp to its drawing in the browser.
+Starts the simulated graph with the node operator_page. Measures the node's processor time with no
+browser connected and with the page open in headless Chromium, and the time from an image's stamp
+until the browser has drawn it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Kill each node while a goal is being executed: nothing unsafe happens and the goal is reached.
 
 ``python -m tapping_cell faults --crashes`` kills every node at every phase of a tap; ``faults
---goals`` does so, and freezes them, in virtual time.
+--goals`` kills and freezes nodes at random times, in virtual time.
 
 ``TAPPING_CELL_FREEZES=100:7 pytest --timeout 0`` freezes planner and camera node 100 times each, at
 moments drawn from the seed 7 (``test/nodes/test_frozen_tapper.py`` does so with tapper and arm).

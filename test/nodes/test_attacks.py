@@ -52,8 +52,8 @@ CARRYING = (
     arms.State.FOLLOWING,
 )
 """States in which a motion carries a charged striker away. Motions to a strike pose are not among
-them: they are allowed with a charged striker, and one that has begun still ends there after the
-node was deactivated."""
+them, because they are allowed with a charged striker. Such a motion is completed even if the node
+is deactivated meanwhile."""
 
 
 @dataclass

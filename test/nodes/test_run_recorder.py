@@ -139,8 +139,8 @@ def cell(tmp_path: Path, **parameters: object) -> Iterator[FakeCell]:
 
 
 def is_written(runs: Path) -> bool:
-    """Return whether a bag contains data. Stopping the recorder while it still opens a bag would
-    use up part of the few seconds that it has for ending."""
+    """Return whether a bag contains data. A recorder that is stopped while it still opens its bag
+    may not have enough time to close it."""
     return any(file.stat().st_size > 0 for file in runs.glob("*/bag/*"))
 
 

@@ -218,8 +218,8 @@ def test_a_stop_outlives_its_node_and_homes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
-    """The person who clears must have checked the panel that stopped the cell and then
-    disappeared."""
+    """If the panel that stopped the cell disappears, a person must confirm that they have checked
+    it before the stop can be cleared."""
     panel = Node("panel")
     lost = panel.create_publisher(Bool, "emergency_stop", LATCHED)
     cell.bench.wait(lambda: lost.get_subscription_count() >= 1, "the panel is known")
@@ -235,8 +235,8 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
 
 
 def test_a_source_that_does_not_repeat_its_level_asks_for_a_confirmation(cell: Cell) -> None:
-    """The release of one source must not release the stop of another whose level cannot be
-    queried."""
+    """Some sources do not repeat their level, so nobody can check whether they still hold the stop.
+    The release of one source must not release the stop of such a source."""
     panel = Node("panel")
     held = panel.create_publisher(Bool, "emergency_stop", COMMAND)
     cell.bench.wait(lambda: held.get_subscription_count() >= 1, "the panel is known")

@@ -192,8 +192,8 @@ def test_homing_survives_a_pulled_cable_but_not_a_reset(
 
 
 def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerminal]) -> None:
-    """The controller does not count a push as a motion. After reconnecting, only a jump of its own
-    position can be noticed."""
+    """The controller does not notice if somebody pushes the arm. The driver only notices that the
+    reported position has changed; a move of another program causes this here."""
     cell = emulated(plug)
     driver = cell.ready()
     with cell.port.lock:

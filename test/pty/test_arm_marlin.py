@@ -128,8 +128,8 @@ class OctoPrintPort:
 
     It is an independent implementation, but not a real board. It answers a repeated line number
     with ``Resend`` and ``ok``, where real Marlin does not answer. It has an axis E instead of a
-    fourth arm axis, its step counts are not steps, and the ``ok`` of ``M114`` is on the same line
-    as the position.
+    fourth arm axis, its reported step counts are not those of motors, and the ``ok`` of ``M114`` is
+    on the same line as the position.
     """
 
     def __init__(self, printer: object) -> None:

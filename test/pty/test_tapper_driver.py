@@ -265,7 +265,8 @@ def test_each_repetition_of_fire_is_checked_and_keeps_the_deadline(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = Cell(plug)
-    # Short enough for three checks within the window of 100 ms, even on a busy machine.
+    # The timeout is short enough for three checks within the window of 100 ms, even on a busy
+    # machine.
     settings = TapperSettings(fire_reply_timeout=0.01)
     cell.driver = TapperDriver(SerialTransport(str(cell.port.path)), settings)
     driver = cell.connected()

@@ -58,8 +58,8 @@ def renderer(
 
 def between(grid_y: np.ndarray, grid_x: np.ndarray, nodes: np.ndarray, ys, xs) -> np.ndarray:
     """Interpolate ``nodes`` (len(grid_y), len(grid_x), N) by cubic splines at all ``ys`` and
-    ``xs``; return (N, len(ys), len(xs)). This gives the values of RectBivariateSpline as products
-    of matrices."""
+    ``xs``; return (N, len(ys), len(xs)). The result equals that of RectBivariateSpline, but is
+    computed by matrix products."""
     down, across = (
         make_interp_spline(grid, np.eye(len(grid)), k=3)(at)
         for grid, at in ((grid_y, ys), (grid_x, xs))

@@ -55,11 +55,13 @@ def ring_force_and_torque(eps: float) -> tuple[float, float]:
 
 
 def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float):
-    """Return mu g x, mu g R theta and mu g t of a whole slide, to a relative 1e-10.
+    """Return mu g x, mu g R theta and mu g t of a complete slide, with a relative accuracy of
+    1e-10.
 
-    ``torque_ratio`` is kappa m R^2 / I. State: phi = atan2(rim speed, speed) and the three
-    results; the variable is L = ln(r0 / r), and r goes to 1e-8 of its start. The products x / v0
-    and theta / omega0 are integrated so that a tiny part keeps its relative accuracy.
+    ``torque_ratio`` is kappa m R^2 / I. With r = hypot(speed, rim speed), the integration variable
+    is L = ln(r0 / r), and the integration ends when r is 1e-8 of its initial value r0. The products
+    x / v0 and theta / omega0 are integrated, so that a very small part also has this relative
+    accuracy.
     """
     friction = {"disk": disk_force_and_torque, "ring": ring_force_and_torque}[support]
     r0 = math.hypot(speed, rim_speed)

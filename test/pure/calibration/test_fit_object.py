@@ -1,4 +1,4 @@
-"""The complete fit of an object file, for simulated experiments and from records with known
+"""The complete fit of an object file, tested with simulated experiments and with records of known
 impacts."""
 
 import json
@@ -45,7 +45,7 @@ def test_the_simulated_truth_is_found(records, fit):
     friction = fit.estimate("contact_friction")
     assert friction.fitted
     assert friction.value == pytest.approx(true["contact_friction"], rel=0.15)
-    # 32 taps determine a scatter to a quarter of its value, at two standard deviations.
+    # 32 taps determine the scatter to within a quarter of its value (two standard deviations).
     assert 0.03 < fit.estimate("scatter_speed").value < 0.075
     assert 0.09 < fit.estimate("scatter_spin").value < 0.23
 

@@ -111,7 +111,8 @@ def test_noise_of_the_velocities_does_not_bias_the_torque_factor():
 
 
 def test_intervals_cover_as_often_as_they_say():
-    """Means of 4 x 10 samples of a skewed distribution; the score of each sample is mean - x."""
+    """The estimate is the mean of 4 x 10 samples from a skewed distribution. The score of a sample
+    x is mean - x."""
     random = np.random.default_rng(0)
     runs = np.repeat([1, 2, 3, 4], 10)
     trials, covered = 300, 0

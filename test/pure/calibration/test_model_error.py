@@ -28,7 +28,8 @@ def taps(
     place: float = 0.0,
     direction: float = 0.0,
 ) -> Taps:
-    """Return taps with a scatter of 5 and 15 % and with effects that the model does not contain."""
+    """Return taps with a scatter of 5 % in distance and 15 % in rotation, and with effects that the
+    model does not contain."""
     count = RUNS * trials
     runs = np.repeat(np.arange(RUNS), trials)
     contact, travel = random.uniform(-math.pi, math.pi, (2, count))

@@ -29,7 +29,7 @@ def test_both_parts_are_found() -> None:
 
 
 def test_a_scatter_in_proportion_has_no_floor() -> None:
-    """At a false alarm rate of 1 %, 3 of 200 occur by chance in less than one of 15 series."""
+    """With a false alarm rate of 1 %, more than 6 of 200 are found with a probability of 0.4 %."""
     found = [scatter_parts([_series(0.05, 0.0, 60, seed)]) for seed in range(200)]
     assert sum(parts is not None and parts.floor > 0.0 for parts in found) <= 6
 

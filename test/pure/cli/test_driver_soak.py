@@ -1,4 +1,4 @@
-"""The soak test detects growing resources, and the drivers have none."""
+"""The soak test detects a growing use of resources; that of the drivers does not grow."""
 
 from __future__ import annotations
 

@@ -46,7 +46,8 @@ def test_no_waypoint_sweeps_low(start: Joints, x: float, y: float, yaw: float) -
             )
         )
         if sideways:
-            # Horizontal motion happens only above travel height, at both ends of the straight line.
+            # Horizontal motion is allowed only above travel height. The tip moves in a straight
+            # line, so checking both ends is enough.
             for end in (here, waypoint.joints):
                 assert GEOMETRY.forward(end).z >= SETTINGS.travel_height - 1e-12
         check_limits(GEOMETRY, waypoint.joints)
@@ -114,7 +115,8 @@ def test_out_of_reach_is_a_worded_refusal() -> None:
 def test_duration_is_that_of_the_slowest_joint_alone(
     start: Joints, goal: Joints, speed: float
 ) -> None:
-    """The reference is the emulator's trapezoid for each joint alone: no joint needs longer."""
+    """Reference: the emulator's trapezoidal speed profile for each joint alone. No joint needs
+    longer than the move."""
     duration = move_duration(GEOMETRY, start, goal, speed)
     single = 0.0
     for axis in range(4):

@@ -133,8 +133,8 @@ def test_moves_in_one_line_are_passed_without_a_stop_as_fast_as_can_be(
     goal = (0.1, 0.2, -first - second, 0.3)
     moves = [StraightMove(via, 60 * fast), StraightMove(goal, 60 * slow)]
     points = straight_points(start, moves, GEOMETRY.max_acceleration)
-    # Reference: speed over position on a fine grid, limited by the acceleration forwards and
-    # backwards.
+    # Reference: the maximum speed at each position of a fine grid, limited by the acceleration from
+    # both ends.
     places = np.linspace(0.0, first + second, 1001)
     bound = np.where(places < first, fast, slow)
     bound[0] = bound[-1] = 0.0

@@ -128,8 +128,8 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
 
 
 def test_the_striker_is_lowered_only_at_its_place(cell: Cell) -> None:
-    """The arm raises, travels and lowers: below travel height, the tip is only above the strike
-    pose."""
+    """The arm raises, travels and lowers. Below travel height, the tip is nowhere else than above
+    its strike pose."""
     configuration = load_cell()
     geometry = configuration.file.arm.geometry()
     cell.command(100)
@@ -218,8 +218,8 @@ def test_a_withdrawal_of_no_tap_moves_nothing(cell: Cell) -> None:
 
 
 def test_only_the_withdrawal_of_the_last_tap_parks_an_idle_arm(cell: Cell) -> None:
-    """A second withdrawal of the last tap means that the arm still hides the object; that of
-    another tap means nothing."""
+    """A second withdrawal of the last tap means that the arm still hides the object. A withdrawal
+    of any other tap has no effect."""
     camera = Point(x=0.0, y=0.0, z=0.7)
     cell.publish("camera/pose", PoseStamped(pose=PoseMessage(position=camera)))
     cell.command(100)
@@ -423,8 +423,8 @@ def test_nothing_homes_by_itself_unless_an_option_says_so() -> None:
 
 
 def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
-    """The person who clears the stop must have checked the panel that stopped the cell and then
-    disappeared."""
+    """If the panel that stopped the cell disappears, a person must confirm that they have checked
+    it before the stop can be cleared."""
     cell.network.publish("panel", "emergency_stop", Bool(data=True))
     cell.wait_state(ArmState.STOPPED)
     cell.network.leave("panel")

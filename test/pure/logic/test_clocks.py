@@ -1,5 +1,5 @@
-"""Computers with different clocks: a few ms have no effect; differences of seconds are refused with
-the figures."""
+"""Computers with different clocks: a few ms have no effect; a difference of seconds is refused, and
+the refusal states it."""
 
 from __future__ import annotations
 

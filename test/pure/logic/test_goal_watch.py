@@ -1,4 +1,4 @@
-"""A client's wait for a goal ends within a limited time, regardless of the planner's fate."""
+"""A client's wait for a goal ends within a limited time, whatever happens to the planner."""
 
 from __future__ import annotations
 

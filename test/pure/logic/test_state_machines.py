@@ -1,5 +1,5 @@
-"""Each state can be left by an action of a person or after a time, and the documentation shows the
-tables."""
+"""Each state can be left, by an action of a person or after some time. The documentation shows the
+current tables."""
 
 import importlib.util
 from enum import Enum

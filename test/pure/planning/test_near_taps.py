@@ -1,5 +1,5 @@
-"""The objective `time`: alternative taps with a shorter arm motion are worth their additional
-expected taps."""
+"""With the objective `time`, a tap with a shorter arm motion is chosen if it saves more time than
+its additional expected taps cost."""
 
 import math
 

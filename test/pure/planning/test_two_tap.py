@@ -42,7 +42,7 @@ def test_inside_the_cone_one_tap_does_it(distance, share, variant, line):
 
 
 @given(st.floats(0.0, 0.03), st.floats(0.0, 0.35), variants, lines, st.floats(-1.0, 1.0))
-# just outside the cone; the first tap nearest to the cone would be too narrow
+# just outside the cone
 @example(0.0234375, 0.1875, "overshoot", 0.3, 1.0)
 @example(0.02, 0.13, "overshoot", 0.6, -1.0)
 def test_after_the_first_tap_another_reaches_the_goal_wherever_on_the_error_line(

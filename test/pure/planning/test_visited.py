@@ -42,8 +42,8 @@ def test_the_goal_itself_stays_free_however_close_a_visited_pose_was() -> None:
 
 @given(st.integers(2, 6))
 def test_a_walk_along_a_line_leaves_a_dead_end(length: int) -> None:
-    """Places on a line: the goal seems to be near, but behind a wall. The only way out is behind
-    the start."""
+    """The places form a line. The goal seems to be near, but it is behind a wall, and the only way
+    out leads back past the start."""
     visited = VisitedPoses(np.array([1.0, 0.0, 0.0]))
     place = length
     for _ in range(40 * length**2):

@@ -24,7 +24,7 @@ SPREAD = ((4e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 4e-4))
 
 
 def tap(number: int = 1, **changed: Any) -> TapRow:
-    """Return a tap of 40 mm along x with a rotation of 0.2 rad, with changed fields."""
+    """Return a tap of 40 mm along x with a rotation of 0.2 rad; ``changed`` replaces fields."""
     plain: dict[str, Any] = {
         "number": number,
         "tap_id": number,

@@ -33,7 +33,8 @@ TABLE = CELL.file.table
 ONE, OTHER = CELL.object.name, "second disk"
 STARTS = {ONE: Pose(-0.12, 0.0, 0.0), OTHER: Pose(0.06, 0.005, 0.0)}
 GOALS = {ONE: Pose(-0.05, 0.0, 0.0), OTHER: STARTS[OTHER]}
-"""The second disk starts at its goal. At its own goal, the first disk is 20 mm away from it."""
+"""The second disk starts at its goal. When the first disk is at its goal, the gap between them is
+20 mm."""
 
 
 def tabletop() -> Tabletop:

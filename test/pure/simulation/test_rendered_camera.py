@@ -115,8 +115,8 @@ def test_the_object_leaves_no_trace_and_may_leave_the_image(scene):
 
 
 def test_the_side_wall_shows_towards_the_camera(scene):
-    """To a camera above the middle, a disk on the right hides the table only beyond the outer edge
-    of its top."""
+    """The camera is above the middle. A disk on the right hides the table only beyond the outer
+    edge of its top."""
     pose = np.array([0.25, -0.02, 0.0])
     image = scene.render(pose).astype(float)
     inner_top, inner_base = (

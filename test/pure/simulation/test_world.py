@@ -103,7 +103,7 @@ def test_taps_scatter_from_one_to_the_next_as_the_truth_says() -> None:
     ends = spread(replace(PLAIN, scatter=ScatterTruth(speed=0.05, spin=0.0, direction=0.02)))
     distance = np.hypot(ends[:, 0] - START.x, ends[:, 1] - START.y)
     # The distance is proportional to the square of the speed, so 5 % becomes 10 %. 40 samples
-    # determine it to a quarter.
+    # determine the scatter to within a quarter.
     assert 0.07 < distance.std() / distance.mean() < 0.14
     heading = np.arctan2(ends[:, 1] - START.y, ends[:, 0] - START.x)
     assert 0.014 < heading.std() < 0.028
@@ -223,7 +223,7 @@ def test_every_supplied_world_answers_a_tap(file: Path) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.7])
 def test_small_taps_end_beside_their_end_by_the_floor(share: float) -> None:
-    """The final pose scatters by the floor for taps of two lengths: along, across and in
+    """The final pose of taps of two lengths scatters by the floor: along the tap, across it, and in
     rotation."""
     floor = ScatterTruth(position_floor=3e-4, angle_floor=0.004)
     tap = CELL.object.tap(STRIKER)

@@ -1,4 +1,4 @@
-"""Effects of clients and persons on a goal, in a cell in virtual time."""
+"""Actions of clients and people during a goal, in a simulated cell in virtual time."""
 
 from __future__ import annotations
 

@@ -35,8 +35,8 @@ def erroneous_camera(random: np.random.Generator, scale: float) -> CameraModel:
 
 
 def erroneous_map(random: np.random.Generator, misprint: float) -> ReferenceMap:
-    """Return a table file with the true marker positions, as if the markers were printed
-    ``misprint`` m away from them."""
+    """Return a table file whose marker positions are wrong by ``misprint`` m, as if the markers had
+    been printed inaccurately."""
     return ReferenceMap(
         REFERENCES.dictionary,
         tuple(

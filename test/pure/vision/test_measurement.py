@@ -63,8 +63,8 @@ def test_one_frame_by_edges_and_by_all_pixels():
     assert np.all(np.quantile(by_edges, 0.9, axis=0) < [0.02, 0.05])
     assert np.all(np.median(by_pixels, axis=0) < [0.002, 0.003])
     assert np.all(np.quantile(by_pixels, 0.9, axis=0) < [0.005, 0.01])
-    # 24 scenes with 3 degrees of freedom: 99.8 % of a chi-square with 72 degrees of freedom are
-    # between 40 and 115; divided by 24.
+    # The chi-square value of 24 scenes with 3 degrees of freedom each is between 40 and 115 with a
+    # probability of 99.8 %.
     assert 40 / 24 < np.mean(normalised) < 115 / 24
 
 

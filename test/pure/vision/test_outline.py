@@ -158,7 +158,7 @@ def test_an_object_that_stays_is_measured_as_by_a_whole_fit(outline):
         whole = fit_outline(image, shown.view, outline, HOME)
         again = fit_again(image, known.linearisation, HOME)
         deviation = np.sqrt(np.diag(whole.covariance))
-        # The pixels at the edge of the band differ, and so do the sectors that agree.
+        # The pixels at the edge of the band and the accepted sectors differ slightly.
         assert np.all(np.abs(again.pose - whole.pose) < 0.7 * deviation)
         assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.3)
     moved = HOME + np.array([3e-4, 0.0, 0.0])
@@ -205,8 +205,8 @@ def test_the_normalised_error_is_that_of_the_covariance(outline):
             normalised.append(d @ np.linalg.solve(seen.covariance, d))
     assert np.quantile(np.abs(errors), 0.9, axis=0) == pytest.approx([0, 0, 0], abs=6e-4)
     assert np.all(np.abs(errors)[:, :2] < 4e-5)
-    # 3 degrees of freedom and 8 observations, some of which have common systematic errors of the
-    # table and the edge.
+    # Mean of 8 observations with 3 degrees of freedom each. Some of them share systematic errors of
+    # the table and the edge.
     assert 0.2 < np.mean(normalised) < 6.0
     assert np.max(normalised) < 20.0
 
@@ -297,7 +297,7 @@ def test_two_of_a_kind_are_not_chosen_from():
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
 def test_an_object_under_the_edge_of_a_hard_shadow_is_found(outline):
-    """A shadow reduces the brightness on a part of the object to half, and the noise in
+    """A shadow reduces the brightness of a part of the object to one half, and the noise there in
     proportion."""
     y, x = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
     for number in range(2):

@@ -162,8 +162,8 @@ def test_fused_error_follows_its_covariance():
         error = mean - true
         error[2] = wrap_angle(error[2])
         normalised.append(error @ np.linalg.solve(covariance, error))
-    # The mean of 300 values with 3 degrees of freedom each: 3 +- 4 standard deviations. The fusion
-    # reduces the weight of large errors slightly.
+    # The mean of 300 chi-square values with 3 degrees of freedom each. The bounds are four standard
+    # deviations. The fusion slightly reduces the weight of large errors.
     assert 2.4 < np.mean(normalised) < 3.6
 
 

@@ -71,8 +71,8 @@ def test_a_polygon_without_a_marker(brighter: bool) -> None:
     found = traced(WEDGE, appearance, pose)
     assert found.marker is None and found.brighter == brighter
     true = transform_points(np.array(pose), WEDGE)
-    # A dark wall cannot be distinguished from a dark top next to it, so off the image centre the
-    # traced edge includes the foot of the wall.
+    # A dark wall next to a dark top cannot be distinguished from it. Therefore, away from the image
+    # centre, the traced outline includes the foot of the wall.
     assert farthest(corners_on_table(found), true) < (4e-4 if brighter else 1.5e-3)
     # The frame's origin is the centroid, and its x axis is parallel to the longest side.
     vertices = np.array(found.vertices)
