@@ -38,7 +38,8 @@ _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 
 def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
-    """Return the mean taps with the configured and the fitted object for each ground truth."""
+    """Return the mean number of taps with the configured and the fitted object for each ground
+    truth."""
     initial = load_object(shared_folder() / "objects" / "aluminium_disk.yaml")
     report = []
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
@@ -73,8 +74,8 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
 
 
 def _mean_taps(assumed: ObjectFile, true: ObjectFile, trials: int) -> float:
-    """Return the mean taps over trials of the paper's task; an unfinished trial counts as the
-    maximum."""
+    """Return the mean number of taps over trials of the paper's task; an unfinished trial counts as
+    the maximum."""
     striker = _STRIKER.striker()
     scatter = Scatter(0.05, 0.15, math.radians(1.0))
     settings = replace(PlannerSettings.for_tap(assumed.tap(striker)), scatter=scatter)

@@ -80,7 +80,7 @@ class _Waits:
     after_stroke: list[float] = field(default_factory=list)
     _asked: float = 0.0
     _free_at: float | None = None
-    """Time from which the arm could leave without its promise to stand still, s."""
+    """Time from which the arm could leave if it had not promised to stand still, s."""
     _moving: bool = False
 
     def begin(self) -> None:

@@ -66,7 +66,7 @@ class Computer:
         return str(self._holder.pid)
 
     def command(self, words: Sequence[str]) -> list[str]:
-        """Return a command line that runs ``words`` on this computer."""
+        """Return the command line that runs ``words`` on this computer."""
         return ["nsenter", "--target", self.process_id, "--net", "--mount", "--uts", *words]
 
     def start(

@@ -196,7 +196,7 @@ def _arm_over_reference(stage: Stage) -> Iterator[Shot]:
 
 
 def _reach(stage: Stage, place: Pose) -> Iterator[Shot]:
-    """Move the striker's tip to 70 mm beside a place, and back."""
+    """Move the striker's tip to a point 70 mm from a place, and back."""
     cell = load_cell()
     arm, geometry = cell.arm, cell.arm.geometry()
     directions = stage.random.permutation(np.linspace(-math.pi, math.pi, 24, endpoint=False))

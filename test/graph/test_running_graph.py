@@ -166,8 +166,8 @@ def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
     def since_start(node: str) -> int:
         return counts[node][-1][1] - counts[node][0][1] if counts[node] else 0
 
-    # On a slow machine the simulated world sends fewer images per second. This waits without using
-    # the processor.
+    # On a slow machine the simulated world sends fewer images per second. Waiting longer costs no
+    # processor time.
     deadline = time.monotonic() + 120.0
     time.sleep(8.0)
     while since_start("/sim_world") <= 150 or len(counts["/camera_pose"]) < 6:
@@ -215,7 +215,7 @@ def test_the_emergency_stop_ends_the_goal_and_latches_every_actor(cell: Cell) ->
     )
     cell.stop.publish(Bool(data=True))
     ends = [event for event in cell.client.events() if isinstance(event, Finished)]
-    # The code is that of the stop itself or of the first stopped node, whichever the planner
+    # The planner reports the code of the stop itself or of the first stopped node, whichever it
     # receives first.
     stopped = (ErrorCode.EMERGENCY_STOP, ErrorCode.ARM_STOPPED, ErrorCode.TAPPER_STOPPED)
     assert ends[0].error_code in stopped

@@ -91,7 +91,7 @@ def test_an_experiment_is_stopped_resumed_and_read(tmp_path: Path) -> None:
 
 @pytest.fixture
 def own_signals() -> Iterator[None]:
-    """Restore the signal handlers, because a verb that runs in this process replaces that of
+    """Restore the signal handlers, because a verb that runs in this process replaces the handler of
     Ctrl-C."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield

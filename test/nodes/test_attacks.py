@@ -284,8 +284,8 @@ def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
 
 
 def test_no_line_that_somebody_injects_on_the_arms_port_fires_at_a_moving_arm(cell: Cell) -> None:
-    """Inject a forged line before each output of the arm's controller. The forged report that the
-    arm stands at its strike pose is a copy of the one received during an earlier tap."""
+    """Inject a forged line before each output of the arm's controller. One of them is a copy of the
+    report, received during an earlier tap, that the arm is at its strike pose."""
     said, forged, honest = list[bytes](), [b""], cell.mechanics.take_output
 
     def take_output(now: float) -> bytes:

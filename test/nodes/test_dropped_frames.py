@@ -1,5 +1,5 @@
-"""Images arrive faster than they are processed: the node takes the newest one, but works off short
-delays."""
+"""If images arrive faster than they are processed, the node takes only the newest one. After a
+short delay, it processes all images."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S, Backlog
 def film(
     period: float, each: float, pictures: int, jam: float = 0.0
 ) -> tuple[Backlog, list[float]]:
-    """Simulate images every ``period`` s and a node that needs ``each`` s per image. Return the
-    ages of the results. The node is blocked for ``jam`` s halfway."""
+    """Simulate images every ``period`` s and a node that needs ``each`` s per image and is blocked
+    once for ``jam`` s. Return the node's record and the ages of the results."""
     backlog, queue, ages = Backlog(), [period * k for k in range(pictures)], []
     now, jammed = 0.0, False
     while queue:

@@ -173,7 +173,7 @@ def test_energies_are_within_the_tapper_and_mixed_over_the_range() -> None:
     assert all(curve.slowest <= curve.speed_for(energy) <= curve.fastest for energy in energies)
     every = list(tapper_recording.order(energies, 30, []))
     assert tuple(Counter(every)[energy] for energy in energies) == SHARES
-    # The first third of the taps already covers the whole range.
+    # The first third of the taps already contains all energies.
     assert len(set(every[:10])) == len(SHARES)
     rest = list(tapper_recording.order(energies, 30, [1.001 * energy for energy in every[:12]]))
     assert Counter(rest) == Counter(every) - Counter(every[:12])

@@ -1,4 +1,4 @@
-"""The action single_tap: it makes one tap with the planner's safety checks and always returns a
+"""The action single_tap makes one tap with the planner's safety checks and always returns a
 record."""
 
 from __future__ import annotations

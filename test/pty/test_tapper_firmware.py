@@ -287,7 +287,7 @@ class Board:
         return self.times.get(timeout=20.0)
 
     def clock(self) -> float:
-        """Return the board's own time, s. It is behind real time if the machine is busy."""
+        """Return the board's own time, s. On a busy machine it is later than real time."""
         return self._ask()[0] * 1e-6
 
     def place(self) -> float:

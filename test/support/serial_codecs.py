@@ -89,7 +89,7 @@ def marlin_in(data: bytes) -> None:
 
 def tapper_in(data: bytes) -> None:
     """Check the decoding of replies from the tapper. The last frame is also tested with a correct
-    checksum, so that the parser behind it is reached."""
+    checksum, so that its content is parsed, too."""
     _incoming(tapper_protocol.decode, tapper_protocol.LONGEST_FRAME, data)
     body = data.translate(None, b"@\n\r")[: tapper_protocol.LONGEST_FRAME - 8]
     frame = b"@%s*%04X\n" % (body, tapper_protocol.crc16(body))

@@ -37,7 +37,8 @@ def sampled(data: bytes, sent: float, read: float) -> bytes:
 
 
 class WrongBaud:
-    """An emulated board at ``board`` baud behind a host at ``host`` baud."""
+    """An emulated board that runs at ``board`` baud, connected to a host that runs at ``host``
+    baud."""
 
     def __init__(self, emulator: DeviceEmulator, host: float, board: float) -> None:
         self._emulator = emulator

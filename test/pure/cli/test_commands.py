@@ -39,7 +39,7 @@ def test_every_command_in_the_documents_parses(page: Path) -> None:
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
     for line in re.findall(r"^ +python -m tapping_cell (\w.+)$", text, re.MULTILINE):
         words = shlex.split(re.split(r" [>|] ", line)[0], comments=True)
-        # A word in capitals is a placeholder for a number or a file.
+        # A word in capital letters is a placeholder for a number or a file.
         verb_parser(words[0])[0].parse_args(["1" if word.isupper() else word for word in words[1:]])
     for line in re.findall(r"python -m benchmarks( --[^`\n]+)", text):
         make_parser().parse_args(shlex.split(line, comments=True))

@@ -45,8 +45,8 @@ def test_every_shipped_truth_is_read_and_differs_from_the_planners_model(path: P
 
 
 def test_the_papers_disk_reproduces_the_papers_task() -> None:
-    """Section 4 of the paper: 10 mm and 10 degrees is "about three times as much rotation as a
-    single tap"."""
+    """Section 4 of the paper states that the task (10 mm and 10 degrees) needs "about three times
+    as much rotation as a single tap"."""
     tap = assembly.make_tap(load_cell())
     assert math.degrees(tap.cone_slope) * 0.010 == pytest.approx(10 / 3, rel=0.02)
 

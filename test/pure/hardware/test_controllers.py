@@ -201,7 +201,8 @@ def test_an_axis_without_a_switch_must_be_named() -> None:
 
 @pytest.mark.parametrize("lost", [b"[FIRMWARE:grblHAL]", b"[AXS:4:XYZA]"])
 def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> None:
-    """Without the first line, grblHAL looks like grbl-Mega-5X; without both, like Grbl."""
+    """Without the first line, grblHAL would be mistaken for grbl-Mega-5X; without both lines, for
+    Grbl."""
     cell = ControllerCell("grblhal", {22: 9.0})
     original = cell.emulator.take_output
     spoilt: list[bytes] = []
@@ -318,7 +319,7 @@ def test_reports_of_the_work_position_are_refused_at_connect() -> None:
 
 @pytest.mark.parametrize("delay", [0.6, 1.0, 1.4, 1.9])
 def test_a_late_answer_is_never_credited_to_another_line(delay: float) -> None:
-    """Regression test: the `ok` of a move arrived after 0.5 s and was taken for that of the next
+    """Regression test: the `ok` of a move arrived 0.5 s late and was taken for the `ok` of the next
     line."""
     for place in range(0, 12):
         cell = ControllerCell("grbl")

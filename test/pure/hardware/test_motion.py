@@ -46,8 +46,8 @@ def test_no_waypoint_sweeps_low(start: Joints, x: float, y: float, yaw: float) -
             )
         )
         if sideways:
-            # Horizontal motion is allowed only above travel height. The tip moves in a straight
-            # line, so checking both ends is enough.
+            # Horizontal motion is allowed only above travel height. The path is straight in
+            # joint space, so checking both ends is enough.
             for end in (here, waypoint.joints):
                 assert GEOMETRY.forward(end).z >= SETTINGS.travel_height - 1e-12
         check_limits(GEOMETRY, waypoint.joints)

@@ -459,7 +459,8 @@ def test_the_last_check_is_of_the_tapped_object() -> None:
     assert reason("other", here) == ErrorCode.OBJECT_MOVED
     assert reason("own", here) == reason("", here) == ErrorCode.NONE
     assert reason("own", there) == ErrorCode.OBJECT_MOVED
-    # The age of a state is that of its stamp, and an older state does not replace a newer one.
+    # The age of a state follows from its own stamp, and an older state does not replace a newer
+    # one.
     late = states_of(other=away)
     late.objects[0].header.stamp.sec = 9
     peers.on_object_states(late, now)

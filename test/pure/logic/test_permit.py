@@ -213,7 +213,7 @@ def test_only_who_asked_for_the_promise_can_end_it(
 def test_no_sequence_of_other_requests_takes_the_promise_over(
     asked: list[tuple[int, int, float, float]], first: bool
 ) -> None:
-    """Other requests to stand still, before or after that of the tapper, cannot end its promise
+    """Other requests to stand still, before or after the tapper's request, cannot end its promise
     early."""
     pair = Pair()
     call = pair.begin()

@@ -79,8 +79,8 @@ def test_object_and_markers_are_free_after_every_withdrawal(
 
 
 def test_withdrawals_are_short() -> None:
-    """They take less than half the time of parking, and hardly any tap needs parking for a free
-    view."""
+    """Withdrawals take less than half the time of parking, and at most one of the taps needs
+    parking for a free view."""
     rng = np.random.default_rng(3)
     early, parked, parks = 0.0, 0.0, 0
     for _ in range(60):

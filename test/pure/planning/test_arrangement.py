@@ -72,8 +72,8 @@ def test_the_map_among_others_is_that_of_a_space_with_these_keep_outs(kind: Kind
     areas = [CircleArea(0.1, 0.05, 0.03), CircleArea(-0.1, -0.08, 0.04)]
     quick = kind.free.among(areas)
     slow = FreeSpace(kind.free.space.among(areas))
-    # ``quick`` uses the exact capsule of the bar, ``slow`` uses points on it. It never allows more
-    # places, and hardly fewer.
+    # ``quick`` uses the exact capsule of the bar, and ``slow`` uses points on it. ``quick`` never
+    # allows more places than ``slow``, and hardly fewer.
     assert not np.any(quick.workable & ~slow.workable)
     assert np.sum(slow.workable & ~quick.workable) <= 0.02 * np.sum(slow.workable)
     assert np.array_equal(kind.free.among([]).workable, kind.free.workable)
@@ -151,7 +151,8 @@ def test_a_shift_of_an_object_that_was_not_tapped_is_noticed(kind: Kind) -> None
 
 
 def test_an_object_does_not_return_to_where_it_blocks_another(kind: Kind) -> None:
-    """Two objects form a wall with a gap. The goal of o0 is in the gap, and o0 stands beside it."""
+    """Two objects form a wall with a gap, and the goal of o0 is in this gap. o0 stays next to it
+    until o1 has passed."""
     goals = [Pose(0.06, 0.0, 0.0), Pose(-0.2, 0.0, 0.0), None, None]
     poses = [Pose(0.12, 0.05, 0.0), Pose(0.22, -0.1, 0.0)]
     wall = [Pose(0.06, 0.124, 0.0), Pose(0.06, -0.124, 0.0)]

@@ -1,4 +1,4 @@
-"""The simulated image shows the arm at its true position, covering what is behind it."""
+"""The simulated image shows the arm at its true position, hiding what is below it."""
 
 from __future__ import annotations
 

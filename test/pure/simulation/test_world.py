@@ -1,5 +1,5 @@
-"""The simulated world reacts to a strike according to its true parameters, not those of the
-planner."""
+"""The simulated world reacts to a strike according to its true parameters, not to the planner's
+parameters."""
 
 from __future__ import annotations
 

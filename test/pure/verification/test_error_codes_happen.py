@@ -80,7 +80,7 @@ class ReportedCell:
             self.codes.setdefault(message.error_code, message.error_msg)
 
     def ready(self) -> None:
-        """Start the cell, and forget the reports from before it was ready."""
+        """Start the cell, and discard the reports from before it was ready."""
         self.trial.bring_up()
         self.trial.physical.world.place(START)
         self.run(2.0)
@@ -273,7 +273,8 @@ def test_more_frames_than_the_camera_delivers_are_too_few(cell: ReportedCell) ->
 
 @pytest.mark.parametrize("state", [TapperState.CHARGING, TapperState.CHARGED])
 def test_a_tapper_that_is_charged_for_somebody_else_is_busy_for_a_goal(state: int) -> None:
-    """This is visible only in a cell without an arm; otherwise the arm is busy as well."""
+    """The tapper's state only matters in a cell without an arm, because otherwise the arm is busy
+    as well."""
     monitor = CellMonitor(silence_limit=0.5)
     monitor.expect(has_arm=False)
     monitor.on_tapper(TapperState(state=state, tappers=["east"]), Now(1.0, 10**9))

@@ -110,7 +110,7 @@ def test_no_number_in_a_message_disturbs_the_cell(names: tuple[str, ...]) -> Non
     trial.scheduler.run(trial.scheduler.now + lasting + 1.0)
     assert [process.defects for process in trial.processes.values() if process.defects] == []
     assert trial.checker.violations == []
-    # The estimates of clock differences forget a forged stamp after 10 s.
+    # A forged stamp affects the estimates of the clock differences for 10 s.
     trial.scheduler.run(trial.scheduler.now + 12.0)
     results: list[Any] = []
     goal = PositionObject.Goal(goal_pose=PoseStamped(pose=to_message(Pose(-0.02, 0.02, 0.0))))

@@ -130,7 +130,7 @@ def test_the_object_lies_where_its_marker_says():
         marker,
     )
     assert pose == pytest.approx(true)
-    # The uncertainty of the marker's angle adds to that of the object's centre.
+    # The uncertainty of the marker's angle adds to the uncertainty of the object's centre.
     assert covariance[0, 0] + covariance[1, 1] == pytest.approx(2e-10 + 1e-6 * (0.02**2 + 0.01**2))
 
 

@@ -56,7 +56,7 @@ def delay_of_rest(random: np.random.Generator, rate: float, lose: bool) -> float
     """Return the time at which rest is reported after a slide of random friction and speed that
     ends at time 0.
 
-    The noise is that of the tracker: larger (by edges) during the motion, smaller (by all pixels)
+    The noise is as in the tracker: larger (by edges) during the motion, and smaller (by all pixels)
     when the object hardly moves.
     """
     track = Track()
