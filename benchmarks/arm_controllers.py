@@ -1,9 +1,9 @@
-"""Arm driver against the emulators of all six controllers, in virtual time.
+"""The arm's driver with the emulators of all six controllers, in virtual time.
 
-For each controller: connect, home and random moves, each compared with the true joints; then stops,
-unplugged cables, alarms, restarts and the other faults of ``controller_trials`` at random moments.
-A trial is right if reason, message and the arm's position are right, and if the arm moves exactly
-to its goal after homing again.
+Each controller is connected and homed and makes random moves, which are compared with the true
+joints. Then stops, disconnected cables, alarms, restarts and the other faults of
+``controller_trials`` happen at random times. A trial is right if reason, message and the arm's
+position are right, and if the arm moves exactly to its goal after homing again.
 """
 
 from __future__ import annotations

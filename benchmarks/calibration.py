@@ -4,7 +4,8 @@ Each experiment draws a ground truth: friction 0.10 to 0.30, torque factor 1 to 
 to 0.95, contact friction 0.14 to 0.28, and a striker 5 % faster or slower than commanded. It makes
 4 runs of 10 taps in the simulated world, which integrates them in time, and then fits the
 parameters. The scatter is 5 % in speed, 15 % in spin and 1 degree in direction; the 30 Hz camera
-has pose errors of 0.03 mm and 0.05 degrees. Every fourth experiment also predicts as many new taps.
+has pose errors of 0.03 mm and 0.05 degrees. Every fourth experiment also predicts the same number
+of new taps.
 """
 
 from __future__ import annotations

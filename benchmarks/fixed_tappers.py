@@ -3,9 +3,9 @@
 The observations have noise of 0.05 mm and 0.05 degrees. Two groups of trials are run:
 
 - goals anywhere in the working disc with any rotation of the object, ``count`` trials;
-- goals at its centre from up to 30 degrees, a tenth of ``count`` trials each, with tappers mounted
-  as the file says and with mounts that are wrong by 0.5 mm and 0.5 degrees (standard deviations)
-  and are learnt while tapping.
+- goals at its centre with rotations of up to 30 degrees, a tenth of ``count`` trials each. One part
+  has tappers mounted as the file says. The other has mounts that are wrong by 0.5 mm and
+  0.5 degrees (standard deviations), which are learnt while tapping.
 
 Each part of 250 trials is stored in the cache folder when it is finished, so that the same command
 continues after an interruption. A change of mechanics or planning makes the stored parts

@@ -5,9 +5,9 @@ of the boards, for example that no striker is fired outside the time for which t
 to stand still and that nothing moves without a person's permission. Runs continue until each node
 was frozen ``count`` times, and lost half as many times. Every violation is printed.
 
-The cost of the permit is measured in goals without faults: the time from the tapper's request to
-the arm's answer, and the time for which the arm stands still although the striker has ended its
-stroke and the tap was withdrawn. The stroke itself is not counted.
+The cost of the permit is measured in goals without faults. It consists of the time from the
+tapper's request to the arm's answer and of the time for which the arm still waits after the striker
+has ended its stroke and the tap was withdrawn. The stroke itself is not counted.
 """
 
 from __future__ import annotations

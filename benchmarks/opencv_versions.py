@@ -3,8 +3,8 @@
 The images are rendered once, with random pose, light, noise and blur. In half of them the object
 moves, and in every third a disk covers part of the table. Each version then runs in a process of
 its own. A marker is *missed* if it is visible but not found. A detection is *wrong* if it is more
-than ``WRONG_PX`` from all markers with its id. The accuracy is that of the object's pose from a
-single image, and of the detected corners before they are refined.
+than ``WRONG_PX`` from all markers with its id. The reported accuracy is that of the object's pose
+from a single image, and that of the detected corners before refinement.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The trials use the abstract model with the published scatter (5 % and 15 %, and 1 degree in
 direction) and camera noise of 0.01 mm and 0.01 degrees. The benchmark also measures the limit due
-to the smallest tap and the time for solving the coarse plan, which is used first, and the fine
+to the smallest tap, and the times for computing the coarse plan, which is used first, and the fine
 plan.
 """
 

@@ -42,7 +42,7 @@ REFUSED_S = {
     "drivers": {"vision": 0.0, "drivers": 2.0, "desk": 0.0},
 }
 """Offsets of the clocks beyond the limit. The goal is refused before its first tap, and the refusal
-names the computer whose clock is ahead."""
+names the computer with the wrong clock."""
 PATIENCE_S = 120.0
 SETTLE_S = 3.0
 

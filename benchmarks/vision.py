@@ -80,8 +80,8 @@ def _measure(count: int) -> dict[str, Any]:
         assert scene is not None
         true = random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
         image = scene.render(true)
-        # The first method starts with a cold CPU cache. Therefore, another method is the first in
-        # each image.
+        # The first method starts with a cold CPU cache. Therefore, a different method is the first
+        # in each image.
         turn = number % len(methods)
         for name in [*methods][turn:] + [*methods][:turn]:
             method = methods[name]
@@ -144,7 +144,7 @@ def _methods(
         return by_edges(image, quad(true + np.array([0.0005, -0.0004, 0.004])))
 
     def settled(image: np.ndarray, true: np.ndarray) -> Pose:
-        # The predicted pose of a stationary object, or of one with a good prediction.
+        # The pose predicted for a stationary object, or a good prediction for a moving one.
         return by_edges(image, quad(true + np.array([2e-5, -2e-5, 2e-4])))
 
     def photometric(image: np.ndarray, true: np.ndarray) -> Pose:

@@ -28,8 +28,8 @@ WARM_UP = 5
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the processor time per image in s and the number of objects found, by number of
-    objects."""
+    """Return, for each number of objects, the processor time per image in s and the number of
+    objects found."""
     cv2.setNumThreads(1)
     return {str(number): _measure(number, count) for number in NUMBERS}
 

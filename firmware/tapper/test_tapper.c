@@ -357,7 +357,7 @@ static void test_shot_numbers(void)
     press_button(5200);
     CHECK(host_kept() == 1);
     CHECK(strstr(ask("CLEAR"), ",OK,"));
-    /* Nor is it reset by a press during which the board is stopped. */
+    /* The count is not reset by a press during which the board is stopped either. */
     keep(600);
     host_button(1);
     pass(100);

@@ -1,5 +1,5 @@
-"""A node's timers keep running when the computer's clock is set back or replaced by simulated
-time."""
+"""A node's timers keep running when its clock is set back, and its time source cannot be changed
+while it runs."""
 
 from __future__ import annotations
 

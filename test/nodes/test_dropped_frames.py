@@ -12,7 +12,7 @@ def film(
     period: float, each: float, pictures: int, jam: float = 0.0
 ) -> tuple[Backlog, list[float]]:
     """Simulate images every ``period`` s and a node that needs ``each`` s per image and is blocked
-    once for ``jam`` s. Return the node's record and the ages of the results."""
+    once for ``jam`` s. Return the backlog and the ages of the results."""
     backlog, queue, ages = Backlog(), [period * k for k in range(pictures)], []
     now, jammed = 0.0, False
     while queue:

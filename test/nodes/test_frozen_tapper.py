@@ -66,8 +66,8 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
         node.create_service(HoldStill, "hold_still", hold)
         try:
             b.wait(lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe")
-            # On a busy machine a tap may end before the arm is asked. Such a tap is not frozen and
-            # does not count.
+            # On a busy machine a tap may end before the arm is asked. In this case nothing is
+            # frozen, and the tap does not count.
             for tap_id in range(100, 100 + 6 * FREEZES):
                 if len(promised) == FREEZES:
                     break

@@ -73,7 +73,7 @@ def test_a_goal_that_is_cancelled_in_the_terminal_makes_no_tap() -> None:
 
 def test_a_goal_that_is_sent_again_does_not_end_the_wait_for_it() -> None:
     with acted(), client_of_a_cell() as client:
-        # As session.send does when the response to the first request is late.
+        # session.send repeats a request like this if the response to the first one is late.
         client.send(GOAL)
         session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
         finished = session.follow(client, lambda: None, Console(quiet=True))

@@ -1,4 +1,4 @@
-"""The SROS 2 policy grants each node exactly what it opens."""
+"""The SROS 2 policy grants each node exactly the topics, services and actions that it opens."""
 
 from __future__ import annotations
 

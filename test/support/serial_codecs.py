@@ -187,7 +187,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "marlin-out": marlin_out,
     "tapper-out": tapper_out,
 }
-"""The properties by name: each codec in each direction."""
+"""The properties to check, by name: each codec in each direction."""
 
 
 def mutated(generator: random.Random) -> bytes:

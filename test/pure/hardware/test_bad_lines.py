@@ -20,7 +20,7 @@ from tapping_cell.simulation.fault_layer import (
 )
 
 THOROUGH = (Dialect.GRBL, Dialect.MARLIN)
-"""The two most used dialects. The other controllers have shorter tests."""
+"""Dialects with complete tests. The other controllers have shorter ones."""
 
 
 @pytest.mark.parametrize("dialect", Dialect)

@@ -184,7 +184,7 @@ class Actors(VirtualNode):
         final = (PlanState.REACHED, PlanState.FAILED)
         self.wait(lambda: self.plans[-1].state in final, "the goal's end", patience)
         end = self.plans[-1]
-        self.run(0.1)  # receive the messages that were sent at the same time
+        self.run(0.1)  # also receive the messages that are sent together with this state
         return end
 
     def taps(self) -> list[TapCommand]:
