@@ -1,9 +1,9 @@
 """Safety while nodes are frozen, killed, restarted and stopped during taps, in simulated time.
 
 After every event the invariants of ``tapping_cell.verification`` are checked against the true state
-of the boards, for example that no striker is fired outside the time for which the arm has promised
-to stand still and that nothing moves without a person's permission. Runs continue until each node
-was frozen ``count`` times, and lost half as many times. Every violation is printed.
+of the boards. For example, a striker may be fired only while the arm has promised to stand still,
+and nothing may move without a person's permission. Runs continue until each node was frozen
+``count`` times, and lost half as many times. Every violation is printed.
 
 The cost of the permit is measured in goals without faults. It consists of the time from the
 tapper's request to the arm's answer and of the time for which the arm still waits after the striker

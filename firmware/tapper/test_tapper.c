@@ -189,7 +189,7 @@ static void test_sequence(void)
     charged(9);
     uint32_t before = host_releases();
     snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", (unsigned)sequence, (unsigned long)(now + 50));
-    CHECK(*send(body) == 0); /* the sequence number of the last STATUS with another command */
+    CHECK(*send(body) == 0); /* the last sequence number, but with another command */
     snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", sequence - 1u, (unsigned long)(now + 50));
     CHECK(*send(body) == 0); /* an older sequence number */
     snprintf(body, sizeof body, "8,%u,FIRE,9,%lu", sequence + 1u, (unsigned long)(now + 50));

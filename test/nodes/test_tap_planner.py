@@ -171,12 +171,13 @@ def actors() -> Iterator[Actors]:
 
 
 def test_a_planner_that_has_ended_serves_nothing() -> None:
-    # Otherwise later clients would wait for a server of which only some services are left.
+    # If some services of an ended planner stayed visible, new clients would wait for its action
+    # server.
     context = Context()
     rclpy.init(context=context)
     watcher = Node("watcher", context=context)
     service = "/position_object/_action/send_goal"
-    gc.disable()  # otherwise garbage collection could remove the services at any time
+    gc.disable()  # garbage collection could remove such services at any time and hide the defect
     try:
         with acted() as actors:
             actors.bench.wait(lambda: watcher.count_services(service) == 1, "the planner")
