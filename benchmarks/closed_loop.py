@@ -1,9 +1,9 @@
 """Benefit of a fit: taps of the optimal planner with the configured and with the fitted object.
 
 The true friction, torque factor, restitution and contact friction are a fifth higher or lower than
-configured. 4 runs of 10 single taps in the simulated world are fitted. Then the planner, without
-learning from taps, positions the object (10 mm and 10 degrees) with the configured and with the
-fitted parameters, with the same ground truth and scatter.
+configured. 4 runs of 10 single taps in the simulated world are fitted. Then the planner positions
+the object (10 mm and 10 degrees) once with the configured and once with the fitted parameters. It
+does not learn from taps, and ground truth and scatter are the same.
 """
 
 from __future__ import annotations

@@ -259,7 +259,7 @@ class QuietTrial(Trial):
             self._receive(topic, message)
 
     def next_goal(self, number: int) -> Pose:
-        """Return the next goal of the published task, back and forth."""
+        """Return the next goal of the published task; the goals alternate between two poses."""
         return _goal(self.physical.object_pose(self.scheduler.now), number)
 
 

@@ -1,8 +1,8 @@
 """Benefit of a fitted object file in demos: taps with the configured and with the fitted file.
 
-The cell's own sessions (planner, learning from taps, arm, table) run against the simulated world,
-which integrates every slide in time, with the tilt, uneven pressure, scatter and arm errors of a
-truth file. Images, serial lines and the ROS graph are omitted, so that a demo takes a fifth of a
+The cell's own sessions (planner, learning from taps, arm, table) tap in the simulated world, which
+integrates every slide in time. A truth file defines its tilt, uneven pressure, scatter and arm
+errors. Images, serial lines and the ROS graph are omitted, so that a demo takes a fifth of a
 second. The ground truths differ from the configuration by a fifth, as in closed_loop, and each fit
 uses 4 runs of 10 single taps with the same ground truth.
 """

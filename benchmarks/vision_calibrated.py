@@ -37,8 +37,8 @@ TARGET = Target("charuco", 14, 10, 0.030, 0.022, "4X4_100")
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the scores of ``count`` positions. A new camera and new photographs are used after
-    every ten."""
+    """Return the scores of ``count`` positions. After every ten positions, a new camera with new
+    photographs is used."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     names = ("calibrated from photographs", "the same, one frame", "exact files")

@@ -278,8 +278,8 @@ static void test_stop_and_clear(void)
     host_button(0);
     pass(2);
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
-    /* A press that began before a stop does not clear it, even if an earlier stop preceded the
-     * press. */
+    /* The button is pressed after one stop and released after another: this does not clear the
+     * stop. */
     host_button(1);
     pass(300);
     host_receive((const uint8_t *)"!", 1, now);

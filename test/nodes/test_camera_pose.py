@@ -333,7 +333,7 @@ def test_pictures_that_waited_long_are_passed_over_for_the_newest(cell: Cell) ->
         if answers()[0] == stamps[-1]:
             break
     else:
-        # Single images may be lost, but hardly the last of eight in each attempt.
+        # Single images may be lost, but it is unlikely that every attempt loses its last image.
         raise AssertionError(f"none of {TRIES} times was the newest picture answered first")
     assert cell.show(5)[-1].visible
 

@@ -91,8 +91,9 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
     )
     assert solution.status == 1
     _, _, travel, rim_travel, time = solution.y[:, -1]
-    # The remaining 1e-8 of the velocity contributes less than 1e-8 to the results; its time is
-    # added with the friction at the final ratio.
+    # The integration ends at 1e-8 of the initial velocity. The rest of the slide changes the
+    # results by less than 1e-8; only its duration is added, computed with the friction at the final
+    # ratio of the velocities.
     log_v, log_s = solution.y[:2, -1]
     v, s = math.exp(log_v), math.exp(log_s)
     force, torque = friction(v / s)

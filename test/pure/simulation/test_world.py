@@ -176,7 +176,7 @@ def test_a_striker_follows_through_to_the_end_of_its_stroke() -> None:
 
     alone = moved(0.025, 0.0)
     pushed = moved(0.025, 2.0)
-    # A single impact gives the object (1 + e) m_s / (m + m_s) of the striker's speed.
+    # After a single impact, the object has (1 + e) m_s / (m + m_s) times the striker's speed.
     speed = 1.1 * 0.3 / 0.32 * 0.2
     assert alone == pytest.approx(speed**2 / (2 * 0.6 * 9.81), rel=0.02)
     # The object is pushed to the end of the striker's stroke and then slides on.
