@@ -37,8 +37,8 @@ LARGEST_TAP = 0.040
 ALL_DIRECTIONS = np.linspace(0.0, math.pi, 9)
 LINE = np.array([0.0, math.pi])
 NEAR = 3.2
-"""Taps beside the line to the goal are considered up to this length and up to this distance from
-the goal, in multiples of the smallest tap."""
+"""Limit for taps that do not follow the line to the goal, in multiples of the smallest tap: their
+maximum length, and the maximum distance from the goal at which they are considered."""
 ITERATIONS, EVALUATIONS, SETTLED = 12, 25, 2e-3
 
 

@@ -356,8 +356,8 @@ def _judge(tally: Tally, seen: Observation, true: np.ndarray) -> None:
 
 
 def _other_resolution(cell: Cell) -> bool:
-    """Return whether each frame is rejected with a message that contains both sizes if the
-    calibration is for another resolution."""
+    """Use a calibration for another resolution. Return whether each frame is rejected with a
+    message that contains both sizes."""
     half = replace(cell.camera, width=cell.camera.width // 2, height=cell.camera.height // 2)
     tracker = PoseTracker(half, cell.table, cell.marker)
     frame = np.full((cell.camera.height, cell.camera.width), 90, np.uint8)

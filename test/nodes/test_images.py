@@ -113,8 +113,8 @@ def test_a_message_is_made_of_any_picture():
 
 
 def test_a_pictures_memory_is_not_given_back_and_cleared_anew() -> None:
-    """Count the page faults of a hundred rounds in a process of its own, because the setting is per
-    process."""
+    """Count the page faults while a process repeatedly allocates and frees images. The process is a
+    separate one because the setting applies to a whole process."""
     script = """
 import ctypes, resource
 from tapping_cell.nodes.memory import keep_memory

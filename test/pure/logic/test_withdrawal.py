@@ -1,4 +1,4 @@
-"""After a tap the arm moves out of the camera's view of the object; the reference is the
+"""After a tap the arm moves out of the camera's view of the object. The test compares this with the
 silhouettes that the simulation draws."""
 
 from __future__ import annotations
