@@ -1,9 +1,9 @@
-"""Arm driver against the emulators of all six controllers, in virtual time.
+"""The arm's driver with the emulators of all six controllers, in virtual time.
 
-For each controller: connect, home and random moves, each compared with the true joints; then stops,
-unplugged cables, alarms, restarts and the other faults of ``controller_trials`` at random moments.
-A trial is right if reason, message and the arm's position are right and the arm moves exactly after
-it was homed again.
+Each controller is connected and homed and makes random moves, which are compared with the true
+joints. Then stops, disconnected cables, alarms, restarts and the other faults of
+``controller_trials`` happen at random times. A trial is right if reason, message and the arm's
+position are right, and if the arm moves exactly to its goal after homing again.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from tapping_cell.verification.controller_cell import NAMES
 from tapping_cell.verification.controller_trials import FAULTS, run_faults, run_moves
 
 DEFAULT_COUNT = 200
-"""Number of moves of each controller; a fifth as many faults of each kind."""
+"""Number of moves of each controller; each kind of fault is tried a fifth as often."""
 SEED = 1
 _SHOWN = 3
-"""Number of messages shown for each row with wrong trials."""
+"""Number of messages printed for each row with wrong trials."""
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the trials and the wrong ones by kind and controller."""
+    """Return the number of trials and the wrong trials, by kind and controller."""
     rows: dict[str, dict[str, Any]] = {}
     for name in NAMES:
         moves = run_moves(name, count, SEED)

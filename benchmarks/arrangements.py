@@ -43,10 +43,10 @@ OPTIONS = ["--camera-noise", "0.1", "0.1"]
 GRID_GAPS_MM = (40, 30, 20)
 
 DRAWN = ("history", "goals", "outlines", "table")
-"""Fields of a trial for drawings, which are not stored."""
+"""Fields of a trial that are only needed for drawings and are not stored."""
 
 Group = tuple[str, ArrangementTask, list[str], float]
-"""Name, task, additional options of the shapes, share of the count."""
+"""Name, task, additional options of the shapes, and share of the count."""
 
 
 def groups() -> list[Group]:

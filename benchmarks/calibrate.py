@@ -1,7 +1,6 @@
-"""Calibrations of camera, table, arm and tapper against random, hidden ground truth.
+"""Errors of the calibrations of camera, table, arm and tapper, for random true parameters.
 
-The peer for the camera is OpenCV's default calibrateCamera with five coefficients on the same
-corners.
+For comparison, OpenCV's default calibrateCamera with five coefficients uses the same corners.
 """
 
 from __future__ import annotations
@@ -58,8 +57,9 @@ def measure() -> dict[str, Any]:
 def _camera_errors(
     model: CameraModel, views: list[TargetView], target: Target
 ) -> tuple[float, float, float, float]:
-    """RMS reprojection error in pixels; relative errors of the focal length here and with plain
-    OpenCV; RMS of the errors of fx, fy, cx, cy divided by their stated standard deviations."""
+    """Return the RMS reprojection error in pixels, the relative errors of the focal length here and
+    with plain OpenCV, and the RMS of the errors of fx, fy, cx, cy divided by their stated standard
+    deviations."""
     result = calibrate_camera(views, target, (model.width, model.height))
     points = [
         np.column_stack([target.points[v.ids], np.zeros(len(v.ids))]).astype(np.float32)

@@ -1,9 +1,9 @@
 """Benefit of a fit: taps of the optimal planner with the configured and with the fitted object.
 
 The true friction, torque factor, restitution and contact friction are a fifth higher or lower than
-configured. 4 runs of 10 single taps in the simulated world are fitted. Then the planner, without
-learning from taps, positions the object (10 mm and 10 degrees) with the configured and with the
-fitted parameters, with the same ground truth and scatter.
+configured. 4 runs of 10 single taps in the simulated world are fitted. Then the planner positions
+the object (10 mm and 10 degrees) once with the configured and once with the fitted parameters. It
+does not learn from taps, and ground truth and scatter are the same.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 TRUTHS = (
     (1.2, 0.8, 0.8, 1.2),
     (1.2, 1.2, 0.8, 0.8),
-    (0.8, 1.2, 1.15, 0.8),  # a restitution of 0.86 cannot rise by a fifth
+    (0.8, 1.2, 1.15, 0.8),  # a fifth more than 0.86 would be above 1
     (0.8, 0.8, 1.15, 1.2),
     (0.8, 1.2, 0.8, 1.2),
     (1.2, 0.8, 1.15, 0.8),
@@ -38,7 +38,8 @@ _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 
 def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
-    """Return the mean taps with the configured and the fitted object for each ground truth."""
+    """Return the mean number of taps with the configured and the fitted object for each ground
+    truth."""
     initial = load_object(shared_folder() / "objects" / "aluminium_disk.yaml")
     report = []
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
@@ -73,7 +74,8 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
 
 
 def _mean_taps(assumed: ObjectFile, true: ObjectFile, trials: int) -> float:
-    """Mean taps over trials of the paper's task; an unfinished trial counts as the maximum."""
+    """Return the mean number of taps over trials of the paper's task; an unfinished trial counts as
+    the maximum."""
     striker = _STRIKER.striker()
     scatter = Scatter(0.05, 0.15, math.radians(1.0))
     settings = replace(PlannerSettings.for_tap(assumed.tap(striker)), scatter=scatter)

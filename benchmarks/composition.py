@@ -1,8 +1,9 @@
-"""Processor time of rclpy's executor per callback: one node in a process, and all nodes composed.
+"""Processor time of rclpy's executor per callback: one node in a process, and all nodes in one
+process.
 
-The executor builds its wait set anew before each callback, from every entity of every node that it
-spins. Nodes in one process share the executor, so each callback of one node also pays for the
-entities of the others. No messages are sent: the callback is that of a triggered guard condition.
+Before each callback, the executor rebuilds its wait set from all entities of all nodes that it
+spins. Nodes in one process share the executor, so the entities of each node slow down the callbacks
+of the others. No messages are sent: the callback is that of a triggered guard condition.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ WARM_UP = 20
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the processor time of a callback (µs) by node, and with all nodes composed."""
+    """Return the processor time of a callback (µs) for each node alone, and with all nodes in one
+    process."""
     own_domain().use()
     rclpy.init(args=["--ros-args", "-p", "autostart:=false"])
     nodes = {name: _make(name) for name in (*SIMULATED, RECORDER)}

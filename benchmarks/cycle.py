@@ -1,12 +1,13 @@
 """Time per tap by activity for the published task: 10 mm and 10 degrees, back and forth.
 
 Two cells are measured. In the first, every node is a process, with rendered images and emulated
-boards. In the second, the same machines, drivers and boards run in virtual time, in which software
-takes no time and messages take a few milliseconds, so that only the time of the cell's mechanics
-remains. A tap lasts from its command to the next command, or to the end of its goal. Its activities
-follow each other without gaps or overlaps. Simultaneous activities (the slide, charging while the
-arm moves) are listed separately, as is the planned duration of the arm's motion to the strike. The
-two cells make different taps, so this duration is subtracted before their cycles are compared.
+boards. In the second, the same state machines, drivers and boards run in virtual time, in which
+software takes no time and messages take a few milliseconds, so that only the time of the cell's
+mechanics remains. A tap lasts from its command to the next command, or to the end of its goal. Its
+activities follow each other without gaps or overlaps. Simultaneous activities (the slide, charging
+while the arm moves) are listed separately, as is the planned duration of the arm's motion to the
+strike. The two cells make different taps, so this duration is subtracted before their cycles are
+compared.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ TOPICS = {
 
 @dataclass(slots=True)
 class Tap:
-    """Times of the events of one tap, s."""
+    """Times of the events during one tap, s."""
 
     commanded: float
     planned: float = math.nan
@@ -70,7 +71,7 @@ class Tap:
     done: float = math.nan
 
     def activities(self) -> dict[str, float]:
-        """Durations of ``ACTIVITIES`` and ``BESIDES``, s."""
+        """Return the durations of ``ACTIVITIES`` and ``BESIDES``, s."""
         ready = max(self.in_position, self.charged)
         return {
             "travel": self.above - self.commanded,
@@ -88,7 +89,7 @@ class Tap:
 
 
 class Stopwatch:
-    """Subscriber that records the times of each tap from the stamps of the cell's messages."""
+    """Records the times of each tap from the stamps of the cell's messages."""
 
     def __init__(self, cell: Cell) -> None:
         has_arm = cell.file.arm is not None
@@ -138,7 +139,7 @@ class Stopwatch:
             self._accepted = stamp
 
     def _tap_command(self, tap: Tap, message: Any, stamp: float) -> None:
-        """Do nothing, because the cancellation of a tap gives no new time."""
+        """Do nothing: the cancellation of a tap is not timed."""
 
     def _plan_state(self, tap: Tap, message: Any, stamp: float) -> None:
         if message.state == PlanState.LOOKING and math.isnan(tap.free):
@@ -258,7 +259,7 @@ class QuietTrial(Trial):
             self._receive(topic, message)
 
     def next_goal(self, number: int) -> Pose:
-        """Return the next goal of the published task, back and forth."""
+        """Return the next goal of the published task; the goals alternate between two poses."""
         return _goal(self.physical.object_pose(self.scheduler.now), number)
 
 

@@ -1,7 +1,7 @@
 """Benefit of a fitted object file in demos: taps with the configured and with the fitted file.
 
-The cell's own sessions (planner, learning from taps, arm, table) run against the simulated world,
-which integrates every slide in time, with the ground truth's tilt, uneven pressure, scatter and arm
+The cell's own sessions (planner, learning from taps, arm, table) tap in the simulated world, which
+integrates every slide in time. A truth file defines its tilt, uneven pressure, scatter and arm
 errors. Images, serial lines and the ROS graph are omitted, so that a demo takes a fifth of a
 second. The ground truths differ from the configuration by a fifth, as in closed_loop, and each fit
 uses 4 runs of 10 single taps with the same ground truth.
@@ -40,7 +40,7 @@ _MEASUREMENT_STD = (1.5e-5, 1.5e-5, 3e-4)
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return the mean taps over ``count`` demos for each ground truth."""
+    """Return the mean number of taps over ``count`` demos for each ground truth."""
     configured = load_cell()
     rows = []
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
@@ -104,8 +104,8 @@ def _fitted(cell: Cell, truth: TruthFile, seed: int) -> ObjectFile:
 
 
 def _demos(cell: Cell, assumed: ObjectFile, truth: TruthFile, count: int) -> list[int]:
-    """Return the number of taps of each demo of a cell with its object file. ``assumed``: object
-    file to which the ground truth is relative. A demo that fails counts as the maximum number."""
+    """Return the number of taps of each demo of a cell with its object file. The ground truth is
+    relative to the object file ``assumed``. A demo that fails counts as the maximum number."""
     goal = cell.file.goal
     tolerance = (goal.position_tolerance, goal.angle_tolerance)
     planner = make_planner(goal.planner, assembly.make_planner_settings(cell, tolerance))

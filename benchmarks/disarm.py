@@ -41,7 +41,7 @@ START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
 SLOW_SPRING = SpringMechanism(step_rate=300.0)
 """Spring that takes several seconds to charge, but less than the driver's timeout for charging."""
 LATEST_LOSS_S = 1.0
-"""Maximum random delay of the loss after the start of charging, s."""
+"""Maximum random time from the start of charging to the simulated loss of the node or images, s."""
 PATIENCE_S = 90.0
 OVER = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 CAMERA = "camera_pose"
@@ -52,8 +52,8 @@ LOSSES = tuple(
 PICTURES_STOP = ("pictures", "stop")
 
 
-class DrawnCell:
-    """A running cell whose planner requests taps, but whose spring is never fired."""
+class ChargingCell:
+    """A running cell whose planner requests taps. The striker is charged but never fired."""
 
     def __init__(self, folder: Path) -> None:
         arm, tapper = folder / "arm", folder / "tapper"
@@ -78,7 +78,7 @@ class DrawnCell:
         self._relay = node.create_publisher(Image, "relayed/image_raw", PICTURES)
         node.create_subscription(Image, "camera/image_raw", self._on_image, PICTURES, raw=True)
 
-    def __enter__(self) -> DrawnCell:
+    def __enter__(self) -> ChargingCell:
         self.terminal.open()
         self.graph.__enter__()
         self.client.__enter__()
@@ -105,7 +105,7 @@ class DrawnCell:
     def _on_plan(self, message: PlanState) -> None:
         self._phase = message.state
 
-    def draw(self) -> None:
+    def wait_for_charging(self) -> None:
         """Wait until the striker is being charged; send a goal if none is active."""
         deadline = time.monotonic() + PATIENCE_S
         asked = 0.0
@@ -124,7 +124,7 @@ class DrawnCell:
             time.sleep(0.001)
 
     def lose(self, who: str, how: str) -> float:
-        """Cause a loss and return the time until the board has discharged the striker, s."""
+        """Simulate a loss and return the time until the board has discharged the striker, s."""
         began = time.monotonic()
         if who == PICTURES_STOP[0]:
             self.relaying = False
@@ -135,7 +135,7 @@ class DrawnCell:
         return time.monotonic() - began
 
     def bring_back(self, who: str, how: str) -> None:
-        """Undo the loss."""
+        """End the simulated loss."""
         if who == PICTURES_STOP[0]:
             self.relaying = True
         elif how == "hang":
@@ -151,12 +151,12 @@ class DrawnCell:
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the times from each kind of loss to the discharged striker, s."""
+    """Return, for each kind of loss, the times until the striker is discharged, s."""
     domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     chance = random.Random(1)
     found: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder, DrawnCell(Path(folder)) as cell:
+    with tempfile.TemporaryDirectory() as folder, ChargingCell(Path(folder)) as cell:
         for who, how in (*LOSSES, PICTURES_STOP):
             times = [_loss(cell, who, how, chance.random) for _ in range(count)]
             found[f"{who} {how}"] = {"worst": max(times), "mean": sum(times) / count}
@@ -164,8 +164,8 @@ def measure(count: int) -> dict[str, Any]:
     return {"losses": found, "count": count, "fired": fired, "load": os.getloadavg()[0]}
 
 
-def _loss(cell: DrawnCell, who: str, how: str, chance: Callable[[], float]) -> float:
-    cell.draw()
+def _loss(cell: ChargingCell, who: str, how: str, chance: Callable[[], float]) -> float:
+    cell.wait_for_charging()
     time.sleep(LATEST_LOSS_S * chance())
     taken = cell.lose(who, how)
     cell.bring_back(who, how)

@@ -3,8 +3,8 @@
 The overhead is measured in the emulated devices' own time, so that it does not depend on the load
 of the computer. Replies take as long as on a real line at 115200 baud plus 2 ms for the adapter.
 Commands arrive immediately, as over a native USB port; the bytes sent to the arm are therefore
-counted separately. Stops and reconnections use pseudo-terminals in real time. The peers are a plain
-``os.write`` through the same terminal and a plain opening of the port.
+counted separately. Stops and reconnections use pseudo-terminals in real time. For comparison, a
+plain ``os.write`` through the same terminal and a plain opening of the port are measured.
 """
 
 from __future__ import annotations
@@ -84,9 +84,10 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
-    """Mean times of a tap, s: from the command to in position, back to the park pose, the overhead
-    beyond motion, settling and charging until firing, the total overhead, and the time of the
-    status query excluded from the total. Also the number of bytes sent to the arm's board."""
+    """Return the mean times of a tap, s: from the command to in position, back to the park pose,
+    the overhead beyond motion, settling and charging until firing, the total overhead, and the time
+    of the status query, which the total does not include. Also return the number of bytes sent to
+    the arm's board."""
     cell = TrialCell(dialect, 3)
     cell.recover()
     before = cell.arm_line.count(Direction.TO_DEVICE)
@@ -109,7 +110,8 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         cell.tapper.charge(shot, energy)
         cell.tapper.fire(shot, WINDOW, cell.allowed)
         to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
-        # The node queries the arm while it waits for the end of firing, so this time is separate.
+        # While the node waits for the end of firing, it queries the arm. The time of this query is
+        # measured separately.
         reading = cell.clock.now
         here = cell.arm.read_joints()
         readings.append(cell.clock.now - reading)
@@ -132,8 +134,8 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
 
 
 def stop_to_wire(stops: int) -> dict[str, float]:
-    """Time from the call of ``stop`` to its bytes at the other end, while another thread writes,
-    s."""
+    """Return the times from the call of ``stop`` to its bytes at the other end while another thread
+    writes, s."""
     master, slave = os.openpty()
     tty.setraw(slave)
     transport = SerialTransport(os.ttyname(slave))
@@ -176,7 +178,8 @@ def _until_received(master: int, act: Callable[[], object], wanted: bytes) -> fl
 
 
 def reconnect(times: int) -> dict[str, Any]:
-    """Time from the return of the port to the identification of the device, s, for each driver."""
+    """Return the times from reconnecting the cable to the identification of the device, s, for each
+    driver."""
     found: dict[str, list[float]] = {}
     bare: list[float] = []
     now = time.monotonic()
@@ -206,7 +209,7 @@ def reconnect(times: int) -> dict[str, Any]:
 
 
 def _return_of(terminal: PseudoTerminal, driver: ArmDriver | TapperDriver) -> float:
-    """Unplug the cable, plug it in again while the driver waits, and return the time until the
+    """Disconnect the cable, reconnect it while the driver waits, and return the time until the
     device is identified, s."""
     terminal.hang_up()
     driver.close()

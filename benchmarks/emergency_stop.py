@@ -2,7 +2,7 @@
 
 Each driver node runs as a separate process with an emulated board in this process. The latency
 includes publisher, middleware, executor, driver, terminal and the reading thread in this process.
-The peer is a byte that is written to the same terminal and received by the same thread.
+For comparison, a byte is written to the same terminal and received by the same thread.
 """
 
 from __future__ import annotations

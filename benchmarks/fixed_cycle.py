@@ -1,9 +1,9 @@
-"""Time per goal and per tap of the positioning cell, whose tappers are fixed, in the running graph.
+"""Time per goal and per tap of the positioning cell with fixed tappers, in the running graph.
 
-Goals are drawn in the working disc, rotated by up to 10, 30 and 90 degrees relative to the object,
-which lies where the previous goal left it. A goal lasts from its acceptance to its end. Its time
-before the first tap is spent on the first image and the first plan. A tap lasts from its command to
-the next command: the shot, the object's slide, the images of the object at rest, and the decision.
+Goals are at random places of the working disc, rotated by up to 10, 30 and 90 degrees relative to
+the object's current pose. A goal lasts from its acceptance to its end. The time before the first
+tap is that of the first image and the first plan. A tap lasts from its command to the next command:
+the shot, the object's slide, the images of the object at rest, and the decision.
 """
 
 from __future__ import annotations

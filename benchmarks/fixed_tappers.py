@@ -3,9 +3,9 @@
 The observations have noise of 0.05 mm and 0.05 degrees. Two groups of trials are run:
 
 - goals anywhere in the working disc with any rotation of the object, ``count`` trials;
-- goals at its centre from up to 30 degrees, a tenth of ``count`` trials each, with tappers mounted
-  as the file says and with mounts that are wrong by 0.5 mm and 0.5 degrees (standard deviations)
-  and are learnt while tapping.
+- goals at its centre with rotations of up to 30 degrees, a tenth of ``count`` trials each. One part
+  has tappers mounted as the file says. The other has mounts that are wrong by 0.5 mm and
+  0.5 degrees (standard deviations), which are learnt while tapping.
 
 Each part of 250 trials is stored in the cache folder when it is finished, so that the same command
 continues after an interruption. A change of mechanics or planning makes the stored parts
@@ -46,7 +46,7 @@ SEED = 7
 
 
 class Part(NamedTuple):
-    """Some trials of one group. ``number``: index of the part, which is its seed."""
+    """Some trials of one group. ``number`` is the index of the part and its random seed."""
 
     group: str
     number: int
@@ -94,7 +94,7 @@ def _evaluation(part: Part) -> FixedEvaluation:
 
 
 def _stored(part: Part) -> dict[str, list[Any]]:
-    """Return the results of a part: from its file, or computed now and stored there."""
+    """Return the results of a part from its file; if there is none, compute and store them."""
     evaluation = _evaluation(part)
     inputs = f"{part};{evaluation.space.key()};{evaluation.settings.key()};{evaluation.goal}"
     inputs += f";{evaluation.start_angle};{evaluation.mount_error};{evaluation.seed}"

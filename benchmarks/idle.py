@@ -5,9 +5,9 @@ The minimal pair of processes measures the cost of the messages alone: one proce
 of the same size at the same rate, one subscribes, and six idle nodes publish and subscribe to two
 topics at 10 Hz each.
 
-Cell and pair run at the same time, in two ROS domains, and are measured in the same short turns: a
-second of processor time does less work while other programs share the caches and the cores, and the
-load of a machine drifts. The ratio is the median over the turns.
+Cell and pair run at the same time, in two ROS domains, and are measured in the same short periods.
+This is necessary because the load of a machine varies, and because a second of processor time does
+less work if other programs use the same caches and cores. The ratio is the median over the periods.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ WORLDS = {
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the detected misfits and the coverage, over ``count`` experiments per world."""
+    """Return the detected misfits and the coverage over ``count`` experiments in each world."""
     return {name: _world(truth, count) for name, truth in WORLDS.items()}
 
 

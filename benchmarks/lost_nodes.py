@@ -1,13 +1,13 @@
 """Safety while nodes are frozen, killed, restarted and stopped during taps, in simulated time.
 
 After every event the invariants of ``tapping_cell.verification`` are checked against the true state
-of the boards, for example that no striker is released outside the arm's promise and that nothing
-moves without a person's permission. Runs continue until each node was frozen ``count`` times, and
-lost half as many times. Every violation is printed.
+of the boards. For example, a striker may be fired only while the arm has promised to stand still,
+and nothing may move without a person's permission. Runs continue until each node was frozen
+``count`` times, and lost half as many times. Every violation is printed.
 
-The cost of the permit is measured in goals without faults: the time from the tapper's request to
-the arm's answer, and the time for which the arm stands still although the striker has ended its
-stroke and the tap was withdrawn. The stroke itself is not counted.
+The cost of the permit is measured in goals without faults. It consists of the time from the
+tapper's request to the arm's answer and of the time for which the arm still waits after the striker
+has ended its stroke and the tap was withdrawn. The stroke itself is not counted.
 """
 
 from __future__ import annotations
@@ -25,20 +25,21 @@ from tapping_cell.verification.faults import NODES, Mix
 from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 1000
-"""Number of freezes of each node; its crashes, restarts and stops together are half as many."""
+"""Number of freezes of each node. Crashes, restarts and stops together are half as many."""
 FREEZES = Mix(("freeze",), 8.0)
-"""Freezes of 1 ms to 5 s, log-uniform, at random times of goals and of a program's taps."""
+"""Freezes of 1 ms to 5 s (log-uniform) at random times of the goals and of taps by another
+program."""
 LOSSES = Mix((*("kill",) * 8, "restart", "stop service"), 8.0)
 """All four nodes can be killed; only arm and tapper have a service to stop them."""
 STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
 COST_SEEDS, COST_GOALS = range(1, 5), 5
 LEAST_HOLD_S = 0.16
-"""Duration of ``hold_still`` above which a request begins a promise and does not end one."""
+"""A ``hold_still`` request for a longer time begins a promise; one for a shorter time ends it."""
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Both campaigns, and the cost of the permit."""
+    """Run both campaigns and measure the cost of the permit."""
     return {
         "cost": _cost(),
         "freezes": _campaign(FREEZES, ("freeze",), count, SEED),
@@ -66,24 +67,24 @@ def _campaign(mix: Mix, ways: tuple[str, ...], count: int, seed: int) -> dict[st
 
 
 def _times(summary: Summary, node: str, ways: tuple[str, ...]) -> int:
-    """Return how often a node was struck in one of these ways."""
+    """Return how often one of these faults happened to a node."""
     return sum(summary.by_node[f"{way} {node}"] for way in ways)
 
 
 @dataclass(slots=True)
 class _Waits:
-    """Waits for the permit in one run; s."""
+    """Waiting times for the permit in one run, s."""
 
     trial: Trial
     for_answer: list[float] = field(default_factory=list)
     after_stroke: list[float] = field(default_factory=list)
     _asked: float = 0.0
     _free_at: float | None = None
-    """Time from which the arm could leave if it had promised nothing."""
+    """Time from which the arm could leave if it had not promised to stand still, s."""
     _moving: bool = False
 
     def begin(self) -> None:
-        """Observe the run from here on."""
+        """Start to observe the run."""
         network, scheduler = self.trial.network, self.trial.scheduler
         arm = self.trial.processes["scara_arm"]
         on_call, on_answer, on_handled = network.on_call, network.on_answer, arm.on_handled
@@ -126,7 +127,7 @@ class _Waits:
 
 
 def _cost() -> dict[str, Any]:
-    """Return what the permit costs a tap, in ms."""
+    """Return the time that the permit adds to a tap, in ms."""
     answers: list[float] = []
     waits: list[float] = []
     for seed in COST_SEEDS:
@@ -145,7 +146,7 @@ def _cost() -> dict[str, Any]:
 
 
 def lines(report: dict[str, Any]) -> list[str]:
-    """What struck whom, what was violated, and what the permit costs."""
+    """Format the faults, the violations and the cost of the permit as lines of text."""
     cost = report["cost"]
     summary = [
         f"permit: {cost['answer_ms'] + cost['standing_ms']:.1f} ms a tap ({cost['taps']} taps):"

@@ -27,7 +27,7 @@ _LAUNCHES = 12
 _MUJOCO_LAUNCHES = 4
 _MUJOCO_FEET = 61
 _TIGHT = 1e-12
-# At this tolerance solve_ivp is as accurate as the table's worst case, a few 1e-10.
+# At this tolerance, solve_ivp is as accurate as the table in the worst case (a few 1e-10).
 _EQUAL = 1e-10
 
 
@@ -185,10 +185,11 @@ def _against_solve_ivp(sliding: Sliding, forward_per_s: float) -> dict:
 
 
 def _solve(speed: float, spin: float, kappa: float, tolerance: float) -> tuple[float, float]:
-    """Distance and rotation by ``solve_ivp``, with the textbook forms in K and E.
+    """Integrate distance and rotation by ``solve_ivp``, with the textbook formulas in K and E.
 
-    The integration variable is the logarithm of the speed, in which the slide is regular at its
-    end, as the solver needs. The last 1e-7 of the speed contributes 1e-14 of the distance.
+    The integration variable is the logarithm of the speed, so that the solution is smooth at the
+    end of the slide. The integration ends at 1e-7 of the initial speed; the omitted distance is
+    1e-14 of the total.
     """
     from scipy.integrate import solve_ivp
 
@@ -220,7 +221,8 @@ def _solve(speed: float, spin: float, kappa: float, tolerance: float) -> tuple[f
 
 
 def _textbook(eps: float) -> tuple[float, float]:
-    """F and T of a disk at eps = v / (R omega), with a series where K and E cancel."""
+    """Return F and T of a disk at eps = v / (R omega), with a series where terms in K and E
+    cancel."""
     from scipy.special import ellipe, ellipk
 
     if eps > 20:
@@ -303,7 +305,8 @@ def _cylinder() -> str:
 
 
 def _feet() -> str:
-    """Feet in a sunflower arrangement (Fermat's spiral), each for an equal share of the area."""
+    """Return MuJoCo feet in a sunflower arrangement (Fermat's spiral), each of which represents the
+    same area."""
     size = 5e-4
     index = np.arange(_MUJOCO_FEET) + 0.5
     radius = _DISK.radius * np.sqrt(index / _MUJOCO_FEET)
@@ -316,7 +319,7 @@ def _feet() -> str:
 
 
 def _simulate(mujoco, model, speed: float, spin: float) -> tuple[float, float]:
-    """Distance and rotation of one slide, from a disk that has settled on the table."""
+    """Return distance and rotation of one slide of a disk that has settled on the table."""
     data = mujoco.MjData(model)
     for _ in range(200):
         mujoco.mj_step(model, data)

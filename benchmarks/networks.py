@@ -45,7 +45,7 @@ def why_not() -> str:
 
 
 class Computer:
-    """One network namespace with an address and separate shared memory."""
+    """A network namespace with an address and separate shared memory."""
 
     def __init__(self, name: str, address: str) -> None:
         self.name = name
@@ -62,11 +62,11 @@ class Computer:
 
     @property
     def process_id(self) -> str:
-        """ID of the process that keeps the namespaces open."""
+        """Process id of the process that keeps the namespaces open."""
         return str(self._holder.pid)
 
     def command(self, words: Sequence[str]) -> list[str]:
-        """Return a command line that runs ``words`` on this computer."""
+        """Return the command line that runs ``words`` on this computer."""
         return ["nsenter", "--target", self.process_id, "--net", "--mount", "--uts", *words]
 
     def start(
@@ -147,7 +147,7 @@ def _relay(made: list[Computer], ends: list[str], delay: float, loss: float) -> 
 
 
 def _forward(taps: Sequence[int], delay: float, loss: float) -> None:
-    """Switch frames between the devices by hardware address, with the delay and the loss."""
+    """Forward frames between the devices by hardware address, with the delay and the loss."""
     chance = random.Random(1)
     homes: dict[bytes, int] = {}
     waiting: list[tuple[float, int, int, bytes]] = []
@@ -165,7 +165,7 @@ def _forward(taps: Sequence[int], delay: float, loss: float) -> None:
                     heapq.heappush(waiting, (due, next(order), tap, frame))
         while waiting and waiting[0][0] <= time.monotonic():
             *_, tap, frame = heapq.heappop(waiting)
-            with contextlib.suppress(OSError):  # a full queue or a stopped computer
+            with contextlib.suppress(OSError):  # a full queue, or a computer that was stopped
                 os.write(tap, frame)
 
 

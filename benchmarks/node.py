@@ -90,7 +90,8 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
 
 
 def cpu_seconds(pid: int) -> float:
-    """User and system time of a process with all threads, s (proc(5), fields 14 and 15)."""
+    """Return the user and system time of a process with all its threads, s (proc(5), fields 14 and
+    15)."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

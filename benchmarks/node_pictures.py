@@ -1,8 +1,8 @@
 """Processor time and latency of camera_pose alone, with images published by this process.
 
 The latency is the time from the call that publishes an image to the arrival of its object_state
-here, including the transport both ways. The node's own share is the value that it publishes in
-/diagnostics.
+here, including the transport in both directions. The node's own processing time is the value that
+it publishes in /diagnostics.
 """
 
 from __future__ import annotations
@@ -115,11 +115,13 @@ def _pictures(case: Case, path: Path) -> list[Image]:
 
 
 def _encoded(grey: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
-    """Convert a grey image to an encoding; as a Bayer pattern a grey image is unchanged."""
+    """Convert a grey image to an encoding. A Bayer image of a grey scene is the grey image
+    itself."""
     if encoding in ("bgr8", "bgra8"):
         return np.repeat(grey[..., None], len(encoding) - 1, axis=2)
     empty = {"mono16": 0, "yuv422": 128}.get(encoding)
-    # The grey value is the second of two bytes: the high byte (little-endian) or the Y of UYVY.
+    # The grey value is the second of two bytes: the high byte of a little-endian number, or Y in
+    # UYVY.
     return grey if empty is None else np.stack([np.full_like(grey, empty), grey], axis=-1)
 
 

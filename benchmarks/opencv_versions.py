@@ -1,10 +1,10 @@
 """Detections by the oldest supported OpenCV and by the installed one, in the same images.
 
-The images are rendered once, with random place, light, noise and blur; in half of them the object
+The images are rendered once, with random pose, light, noise and blur. In half of them the object
 moves, and in every third a disk covers part of the table. Each version then runs in a process of
-its own. A marker is *missed* if it is in view and not covered but not found, and *wrong* if a
-detection is more than ``WRONG_PX`` from every marker of its id. Accuracy is that of the object's
-pose from a single image, and of the detected corners before they are refined.
+its own. A marker is *missed* if it is visible but not found. A detection is *wrong* if it is more
+than ``WRONG_PX`` from all markers with its id. The reported accuracy is that of the object's pose
+from a single image, and that of the detected corners before refinement.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def _overlay() -> Path:
-    """Return the folder with the oldest versions, installed if necessary."""
+    """Return the folder with the oldest versions; install them if necessary."""
     sys.path.insert(0, str(ROOT / "environment"))
     import overlay
 
@@ -116,7 +116,7 @@ def _is_free(quad: np.ndarray, hidden: np.ndarray) -> bool:
 
 
 def _judge(folder: Path) -> dict[str, Any]:
-    """Return the figures of the OpenCV version of this process."""
+    """Return the figures of the OpenCV version that this process uses."""
     cell = Cell.load()
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     missed = wrong = 0

@@ -56,7 +56,7 @@ def measure(scenes: int) -> dict[str, Any]:
     """Return errors of single frames, normalised errors and times for each object."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
-    keep_memory()  # as the node does
+    keep_memory()  # the node uses this setting as well
     try:
         found = {name: _one([outline] * scenes, PLACES) for name, outline in OBJECTS.items()}
         found["objects of all kinds"] = _one(_of_all_kinds(scenes * PLACES), 1)
@@ -66,8 +66,8 @@ def measure(scenes: int) -> dict[str, Any]:
 
 
 def _of_all_kinds(count: int) -> list[ObjectOutline]:
-    """Disks with a dot, triangles, pentagons and other convex polygons, 30 to 130 mm across and 4
-    to 30 mm high, light and dark."""
+    """Return disks with a dot, triangles, pentagons and other convex polygons, light and dark, with
+    widths of 30 to 130 mm and heights of 4 to 30 mm."""
     random = np.random.default_rng(3)
     made: list[ObjectOutline] = []
     while len(made) < count:
@@ -124,7 +124,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
             fit = fit_surely(image, scene.view, outline, start, blur=USUAL_BLUR)
             follow.append((time.process_time() - begin) * 1e3)
             if fit is None or isinstance(accept(fit, outline), Refused):
-                # In this case the node searches the surroundings.
+                # In this case the node searches near the last pose.
                 fit = fit_closely(image, scene.view, outline, start)
             if isinstance(fit, Refused):
                 missed += 1
@@ -149,7 +149,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
 
 
 def _off(pose: Array, true: Array) -> tuple[float, Array]:
-    """Position error, m, and the complete error (3,)."""
+    """Return the position error, m, and the complete error (3,)."""
     d = pose - true
     d[2] = wrap_angle(d[2])
     return math.hypot(d[0], d[1]), d

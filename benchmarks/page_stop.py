@@ -1,11 +1,11 @@
 """Latency from STOP on the operator's page to a subscriber of ``emergency_stop`` under attack.
 
-The real node runs as a separate process, with its process for STOP. Another process simulates
-``CLIENTS`` hostile clients with 200 messages per second each. They first send drags, commands and
-invalid data to the page, and reconnect when disconnected. Then they send checks and invalid data to
+The real node and its separate process for STOP are running. Another process simulates ``CLIENTS``
+hostile clients with 200 messages per second each. They first send drags, commands and invalid data
+to the page, and reconnect when disconnected. Then they send ``check`` requests and invalid data to
 the port of STOP. The latency includes a browser's request over a new connection, the process, the
-middleware and the subscription here. The peers are the same request without an attack and a message
-published here.
+middleware and the subscription in this process. For comparison, the same request is measured
+without an attack, and a message is published by this process.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 class Listener:
-    """Records the arrival of a stop, and publishes camera data so that drags have their real
-    cost."""
+    """Records the arrival of a stop. It also publishes camera data, so that drags cost the page as
+    much as in a real cell."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("page_stop_bench")
@@ -219,7 +219,7 @@ def _attack(port: int, hello: bytes, messages: list[bytes], sent: Any) -> None:
                 with sent.get_lock():
                     sent.value += BATCH
             except BlockingIOError:
-                continue  # the server has stopped reading, which is its defence
+                continue  # the server defends itself by not reading
             except OSError:
                 if line is not None:
                     line.close()

@@ -1,10 +1,11 @@
-"""Least expected taps of any method for 10 mm and 10 degrees at 0.1 mm and 0.1 degrees.
+"""Lower limit of the expected taps of any method for 10 mm and 10 degrees at 0.1 mm and 0.1
+degrees.
 
 For a round object on an open table, distance and rotation to the goal are the complete state, and a
-tap is a direction, a distance and a rotation. The benchmark solves the shortest path over all of
-them, whereas ``optimal`` taps along the line to the goal only. Near the smallest tap, where the
-expected taps change steeply, the grid is finer than that of ``optimal``. Noise of the camera is
-0.01 mm and 0.01 degrees. The values are accurate to 0.05 taps, which is the difference between two
+tap is given by direction, distance and rotation. The benchmark computes the optimal policy over all
+taps, whereas ``optimal`` only taps along the line to the goal. Near the smallest tap, where the
+expected taps change rapidly, the grid is finer than that of ``optimal``. The camera noise is 0.01
+mm and 0.01 degrees. The values are accurate to 0.05 taps, which is the difference between two
 grids.
 """
 
@@ -36,13 +37,14 @@ LARGEST_TAP = 0.040
 ALL_DIRECTIONS = np.linspace(0.0, math.pi, 9)
 LINE = np.array([0.0, math.pi])
 NEAR = 3.2
-"""Maximum length of taps beside the line to the goal, and maximum distance from the goal at which
-they are considered, in smallest taps."""
+"""Limit for taps that do not follow the line to the goal, in multiples of the smallest tap: their
+maximum length, and the maximum distance from the goal at which they are considered."""
 ITERATIONS, EVALUATIONS, SETTLED = 12, 25, 2e-3
 
 
 def measure() -> dict[str, Any]:
-    """Return the least expected taps for two smallest taps, two boxes and two sets of taps."""
+    """Return the minimum expected taps for two smallest taps, two stopping boxes and two sets of
+    taps."""
     rows = []
     for least in (1.7, 1.0):
         for box in (None, 1.0):
@@ -79,7 +81,8 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def least_taps(settings: PlannerSettings, directions: Array) -> float:
-    """Least expected taps of the task with taps in these directions, rad from that to the goal."""
+    """Return the minimum expected taps of the task if the taps may go in ``directions``, in rad
+    relative to the goal's direction."""
     problem = _Problem(settings, directions)
     guess = nominal_taps(problem.r[:, None], problem.theta[None, :], settings) + 1.0
     value = problem.solved(np.asarray(guess, dtype=np.float32))
@@ -90,7 +93,7 @@ def least_taps(settings: PlannerSettings, directions: Array) -> float:
 
 
 class _Problem:
-    """Grids of states and taps, and transition weights."""
+    """Grids of states and taps, and transition weights between the states."""
 
     def __init__(self, settings: PlannerSettings, directions: Array) -> None:
         box, least = settings.stopping, settings.smallest_distance
@@ -127,7 +130,8 @@ class _Problem:
             self.p_r.append(self._after(r, size, direction))
 
     def _after(self, r: float, size: Array, direction: Array) -> tuple[Array, Array]:
-        """Weights of the distances after taps (n,) from a distance, and their part in the box."""
+        """Return the probabilities of the distances after taps (n,) from distance ``r``, and the
+        probability of ending inside the box."""
         scatter, measurement = self.settings.scatter, 2.0 * self.settings.camera.position**2
         floor = LEAST_DEVIATION * self.settings.stopping.distance
         along = np.sqrt((scatter.distance * size) ** 2 + measurement + floor**2)[:, None]
@@ -152,7 +156,7 @@ class _Problem:
         return interpolation_weights(self.r, cumulative, self.box_r, distribution(edge)[:, 0])
 
     def solved(self, value: Array) -> Array:
-        """Value function of the best policy, by policy iteration."""
+        """Return the value function of the optimal policy, computed by policy iteration."""
         rows, columns = self.r.size, self.theta.size
         both = np.concatenate([self.p_t[0], -self.p_t[1]], axis=-1)
         flat = both.reshape(-1, both.shape[-1]).T.copy()

@@ -1,8 +1,9 @@
-"""Images between two computers, and goals with three computers whose clocks differ.
+"""Images between two computers, and goals in a cell of three computers whose clocks differ.
 
-The computers are network namespaces of this machine (``benchmarks.networks``). Images stay on one
-host or use a link without loss. Goals use a link with 20 ms delay and 1 % packet loss, with camera
-and vision on one computer, the drivers on the second, and planner and recorder on the third.
+The computers are network namespaces of this machine (``benchmarks.networks``). Images are sent
+within one computer and over a link without loss. Goals use a link with 20 ms delay and 1 % packet
+loss; camera and vision run on one computer, the drivers on the second, and planner and recorder on
+the third.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ REFUSED_S = {
     "vision": {"vision": 2.0, "drivers": 0.0, "desk": 0.0},
     "drivers": {"vision": 0.0, "drivers": 2.0, "desk": 0.0},
 }
-"""Offsets of the clocks beyond the limit, with which a goal is refused before its first tap, by the
-computer whose clock is ahead."""
+"""Offsets of the clocks beyond the limit. The goal is refused before its first tap, and the refusal
+names the computer with the wrong clock."""
 PATIENCE_S = 120.0
 SETTLE_S = 3.0
 
@@ -158,7 +159,7 @@ def goals(desk: Computer, own: Mapping[str, str], count: int) -> list[dict[str, 
     return [json.loads(line) for line in output.splitlines()]
 
 
-# Code that runs on the computers.
+# The following code runs on the simulated computers.
 
 
 def _write(transport: str) -> None:
@@ -186,7 +187,7 @@ def _write(transport: str) -> None:
         publisher.publish(picture, CameraInfo())
         due += 1.0 / RATE_HZ
         time.sleep(max(0.0, due - time.monotonic()))
-    time.sleep(PATIENCE_S)  # lost data may be requested again; the reader ends first
+    time.sleep(PATIENCE_S)  # lost data may be requested again; the reader ends before this
 
 
 def _read(transport: str) -> None:

@@ -2,10 +2,10 @@
 
 Ten simulated objects are drawn at random (disks, rings, polygons; friction 0.05 to 0.6, torque
 factor 0.8 to 4; restitution, contact friction and density are also unknown). Each object starts
-with the file that the verb `new-object` makes from its true shape and height. `learn-object` runs
-nine goals, during which the planner learns from each tap, and makes a new file from these taps.
-Further goals are then run with that file and, with the same random numbers, with the true file. The
-camera is perfect.
+with the file that the verb `new-object` makes from its true shape and height. Nine goals are run,
+during which the planner learns from each tap, and `learn-object` makes a new file from these taps.
+Then further goals are run with the learnt file and with the true file, using the same random
+numbers. The camera is perfect.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MARKER = MarkerSection("APRILTAG_36h11", 7, 0.03)
 
 @dataclass(slots=True)
 class Recorded:
-    """A world that records commanded and measured taps in the object's frame before the tap."""
+    """A world that records commanded and measured taps, in the object's frame before the tap."""
 
     world: SimulatedTaps
     commanded: list[Array] = field(default_factory=list)
@@ -49,7 +49,7 @@ class Recorded:
 
     @property
     def model(self) -> Any:
-        """Mechanics with which the planner converts taps."""
+        """The mechanics with which the planner computes taps."""
         return self.world.model
 
     def answer(

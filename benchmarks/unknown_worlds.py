@@ -2,8 +2,9 @@
 
 The worlds are those of ``config/truth`` and random variations of ``everything.yaml``. The latter
 have all effects simultaneously, each of random size up to the value in that file, and errors of
-friction and torque factor up to a given factor. A goal (up to 40 mm and 20 degrees, from anywhere
-on the cell's table) starts only with the object's file. A perfect camera measures after each tap.
+friction and torque factor up to a given factor. At the start of each goal (up to 40 mm and 20
+degrees, from anywhere on the cell's table), the planner only knows the object's file. A perfect
+camera measures after each tap.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ GOALS_A_WORLD = 10
 TASKS = (0.040, math.radians(20.0))
 CAMERA = CameraNoise(0.00005, math.radians(0.05))
 SPREADS = {"as the file": (1.0, 1.0), "within 2": (2.0, 2.0), "within 4 and 2.5": (4.0, 2.5)}
-"""Largest ratios of true to configured friction and torque factor, or the inverse. The first
-group shows how many taps the other effects cost."""
+"""Largest ratios of true to configured friction and torque factor; the ratio or its inverse is
+used. The first group shows how many taps the other effects cost."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:
@@ -139,7 +140,8 @@ def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Resul
 
 
 def figures(results: Results) -> dict[str, Any]:
-    """Summarise a group and count false claims and reached goals."""
+    """Summarise a group; count the reached goals and the goals reported as reached although they
+    were not."""
     done = results.end == End.DONE
     return {
         **summarise(results),
@@ -149,8 +151,8 @@ def figures(results: Results) -> dict[str, Any]:
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Run half of ``count`` goals in the shipped worlds and as many as a quarter in each group of
-    drawn worlds."""
+    """Run half of ``count`` goals in the shipped worlds, and up to a quarter in each group of
+    random worlds."""
     shipped = shipped_worlds()
     goals = max(1, count // 2 // len(shipped))
     report = {

@@ -1,8 +1,8 @@
 """The vision package compared with cv2.aruco and pupil-apriltags on frames with ground truth.
 
-The peers detect corners in the same rendered images. Their poses are computed from those corners
-with the same known camera and plane. pupil-apriltags is measured if it is installed
-(``pip install pupil-apriltags``).
+The other packages detect corners in the same rendered images. Their poses are computed from these
+corners with the same known camera and plane. pupil-apriltags is measured if it is installed (``pip
+install pupil-apriltags``).
 """
 
 from __future__ import annotations
@@ -80,7 +80,8 @@ def _measure(count: int) -> dict[str, Any]:
         assert scene is not None
         true = random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
         image = scene.render(true)
-        # The first method runs with a cold CPU cache, so the methods take turns at going first.
+        # The first method starts with a cold CPU cache. Therefore, a different method is the first
+        # in each image.
         turn = number % len(methods)
         for name in [*methods][turn:] + [*methods][:turn]:
             method = methods[name]
@@ -143,7 +144,7 @@ def _methods(
         return by_edges(image, quad(true + np.array([0.0005, -0.0004, 0.004])))
 
     def settled(image: np.ndarray, true: np.ndarray) -> Pose:
-        # A stationary or well predicted object.
+        # The pose predicted for a stationary object, or a good prediction for a moving one.
         return by_edges(image, quad(true + np.array([2e-5, -2e-5, 2e-4])))
 
     def photometric(image: np.ndarray, true: np.ndarray) -> Pose:
@@ -176,7 +177,7 @@ def _aruco(
     refinement: int,
     region: Callable[[np.ndarray], tuple[int, int, int, int]] | None,
 ) -> Callable[[np.ndarray, np.ndarray], Pose]:
-    """OpenCV's detector with default parameters and one of its corner refinements."""
+    """Detect with OpenCV's default parameters and one of its corner refinements."""
     parameters = aruco.detector_parameters()
     parameters.cornerRefinementMethod = refinement
     book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36H11)
@@ -205,7 +206,8 @@ def _pupil(
     marker: ObjectMarker,
     region: Callable[[np.ndarray], tuple[int, int, int, int]] | None,
 ) -> Callable[[np.ndarray, np.ndarray], Pose]:
-    """The AprilTag library through pupil-apriltags, one thread, no decimation."""
+    """Detect with the AprilTag library through pupil-apriltags, with one thread and without
+    decimation."""
     detector = _pupil_detector()
 
     def method(image: np.ndarray, true: np.ndarray) -> Pose:

@@ -1,4 +1,5 @@
-"""Wrong poses among ten thousand frames in which the arm crosses the object and the references."""
+"""Wrong poses among ten thousand frames in which the arm moves over the object and the
+references."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ DEFAULT_COUNT = 10_000
 
 
 def partial_reports(count: int) -> Iterator[dict[str, Any]]:
-    """Let the arm reach over object and reference markers for at least ``count`` frames."""
+    """Yield the report while the arm reaches over object and reference markers, for at least
+    ``count`` frames."""
     yield from reports_of_cases(ARM_CASES, count)
 
 

@@ -37,8 +37,8 @@ TARGET = Target("charuco", 14, 10, 0.030, 0.022, "4X4_100")
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the scores of ``count`` positions, with a new camera and new photographs for every
-    ten."""
+    """Return the scores of ``count`` positions. After every ten positions, a new camera with new
+    photographs is used."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     names = ("calibrated from photographs", "the same, one frame", "exact files")
@@ -102,13 +102,14 @@ def calibrated(random: np.random.Generator, camera: CameraModel) -> CameraCalibr
 
 
 def _stated(calibration: CameraCalibration) -> tuple[float, ...]:
-    """Standard deviations in the calibration file."""
+    """Return the standard deviations in the calibration file."""
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
     return tuple(calibration.deviations.get(name, 0.0) for name in names)
 
 
 def _board() -> np.ndarray:
-    """Reflectance of the board, one value per texel, blurred as in a well focused image."""
+    """Return the reflectance of the board, one value per texel, blurred as in a well focused
+    image."""
     book = marker_dictionary(TARGET.dictionary)
     each = round(TARGET.square / TEXEL)
     grid = (TARGET.columns, TARGET.rows)

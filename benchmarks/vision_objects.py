@@ -1,7 +1,7 @@
-"""Processor time of an image with 1, 5 and 20 objects on the table, each with a marker of its own.
+"""Processor time per image with 1, 5 and 20 objects on the table, each with a marker of its own.
 
-Every image has new noise and shifts of the objects that keep the tracker from taking it as
-unchanged. All objects are measured in every image; a node measures the further objects in turn.
+In each image, the noise is new and the objects are shifted, so that the tracker measures them
+again. All objects are measured in each image, whereas a node measures the further objects in turn.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ WARM_UP = 5
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return seconds of processor time an image, and how many objects were found, by number."""
+    """Return, for each number of objects, the processor time per image in s and the number of
+    objects found."""
     cv2.setNumThreads(1)
     return {str(number): _measure(number, count) for number in NUMBERS}
 

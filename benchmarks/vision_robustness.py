@@ -1,8 +1,8 @@
 """Wrong poses among ten thousand frames with disturbances over the table.
 
 A frame is wrong if the error of its pose is more than five standard deviations and more than 0.3 mm
-(or 0.3 degrees). Every disturbance must also be recognised: one of its problems or its warning must
-be reported while it lasts.
+(or 0.3 degrees). Each disturbance must also be recognised: while it lasts, one of the expected
+problems or the expected warning must be reported.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WRONG_MM, WRONG_DEG, WRONG_SIGMAS = 0.3, 0.3, 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """An image, the true pose (3,) at the middle of its exposure, and the error of its stamp in s
+    """An image, the true pose (3,) in the middle of its exposure, and the error of its stamp in s
     (None: no error)."""
 
     image: np.ndarray
@@ -59,7 +59,8 @@ class Stage:
     def covered(
         self, middle: np.ndarray, half: tuple[float, float], height: float, frames: int
     ) -> Iterator[Shot]:
-        """An obstacle ``height`` m above the table covers a rectangle around ``middle`` (3,)."""
+        """Generate frames in which an obstacle ``height`` m above the table covers a rectangle
+        around ``middle`` (3,)."""
         corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
         place = transform_points(middle, corners)
         cover = Occluder(np.column_stack([place, np.full(4, height)]), self.random.uniform(20, 160))
@@ -195,7 +196,7 @@ def _arm_over_reference(stage: Stage) -> Iterator[Shot]:
 
 
 def _reach(stage: Stage, place: Pose) -> Iterator[Shot]:
-    """The striker's tip is brought to 70 mm beside a place, and back."""
+    """Move the striker's tip to a point 70 mm from a place, and back."""
     cell = load_cell()
     arm, geometry = cell.arm, cell.arm.geometry()
     directions = stage.random.permutation(np.linspace(-math.pi, math.pi, 24, endpoint=False))
@@ -227,8 +228,8 @@ def _away(stage: Stage) -> Iterator[Shot]:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A disturbance and the report that it requires: one of the problems, or a word of the
-    warning."""
+    """A disturbance and the report that it requires: one of these problems, or a warning with this
+    word."""
 
     play: Callable[[Stage], Iterator[Shot]]
     problems: tuple[Problem, ...] = ()
@@ -355,7 +356,7 @@ def _judge(tally: Tally, seen: Observation, true: np.ndarray) -> None:
 
 
 def _other_resolution(cell: Cell) -> bool:
-    """Return whether a calibration for another resolution causes every frame to be rejected, with a
+    """Use a calibration for another resolution. Return whether each frame is rejected with a
     message that contains both sizes."""
     half = replace(cell.camera, width=cell.camera.width // 2, height=cell.camera.height // 2)
     tracker = PoseTracker(half, cell.table, cell.marker)

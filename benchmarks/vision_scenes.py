@@ -43,8 +43,9 @@ class Cell:
 def random_scene(
     random: np.random.Generator, cell: Cell, seed: int, turn: float = 0.0
 ) -> SceneRenderer:
-    """Draw a scene with a tilt up to 5 degrees, noise of 2 to 4 grey levels and light that falls by
-    up to two thirds. The camera is then turned by ``turn`` rad about its x axis."""
+    """Draw a scene: the camera is tilted by up to 5 degrees, the noise is 2 to 4 grey levels, and
+    the brightness decreases by up to two thirds. The camera is also turned by ``turn`` rad about
+    its x axis."""
     settings = SceneSettings(
         noise=random.uniform(2.0, 4.0),
         light_falloff=random.uniform(0.0, 0.67),
@@ -70,7 +71,7 @@ def miscalibrated(
 ) -> tuple[CameraModel, ReferenceMap]:
     """Draw inaccurate files. The errors of the lens are ``lens`` times the standard deviations that
     OpenCV's calibration reports for twenty views. The reference markers are displaced by
-    ``misprint`` m and rotated such that their corners move by half of that."""
+    ``misprint`` m and rotated so that their corners move by half of that."""
     n = lens * random.standard_normal(8)
     known = cell.camera
     wrong = np.array([0.0015 * n[4], 0.004 * n[5], 1.2e-4 * n[6], 1.2e-4 * n[7], 0.0])
@@ -92,7 +93,7 @@ def miscalibrated(
 
 
 def error_of(observation: Observation, true: np.ndarray) -> np.ndarray:
-    """Error of a valid observation, (3,): m, m, rad."""
+    """Return the error of a valid observation, (3,): m, m, rad."""
     assert observation.pose is not None
     error = np.array(observation.pose) - true
     error[2] = wrap_angle(error[2])
@@ -117,7 +118,8 @@ class Score:
         self.normalised.append(float(error @ np.linalg.solve(observation.covariance, error)))
 
     def figures(self) -> dict[str, Any]:
-        """Mean squared normalised error, share within the 95 % bound, errors in mm and degrees."""
+        """Return the mean squared normalised error, the share within the 95 % bound, and the errors
+        in mm and degrees."""
         errors = np.array(self.errors)
         gaps = np.hypot(errors[:, 0], errors[:, 1]) * 1e3
         turns = np.degrees(np.abs(errors[:, 2]))

@@ -1,10 +1,10 @@
 """The simulated world: agreement with the closed forms and processor time of a tap.
 
-A free striker makes random taps of three bodies without any effects of the ground truth. The launch
-by the contact, integrated in time, is compared with the impulses of the closed form, including the
-loss by the table's friction in the 0.3 ms until the speed is read. The motion from that launch to
-rest is compared with the closed form of the slide. Then the processor time of a tap is measured in
-each supplied world.
+A free striker makes random taps of three bodies in an ideal world. The velocity after the contact,
+which is integrated in time, is compared with the closed form of the impulses. This includes the
+loss by the table's friction in the 0.3 ms until the speed is read. The motion from then on is
+compared with the closed form of the slide. Then the processor time of a tap is measured in each
+supplied world.
 """
 
 from __future__ import annotations
@@ -57,12 +57,14 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def _agreement(content: ObjectFile) -> dict[str, float]:
-    """Largest errors of velocity and of R omega relative to the speed, and those of the slide."""
+    """Return the largest errors of velocity and R omega relative to the speed, and those of the
+    slide."""
     tap = content.tap(_STRIKER)
     random = np.random.default_rng(0)
     launch = slide = 0.0
     radius = tap.body.support_radius
-    # Only one contact, as in the closed form: no second contact if an edge swings back.
+    # Exclude a second contact, which happens if an edge of the rotating object hits the striker
+    # again. The closed form has only one contact.
     plain = TruthFile((0.0, 0.0, 0.0), impact=ImpactTruth(follow_through=0.0))
     for wanted in _displacements(random, tap.cone_slope):
         if not tap.reachable(wanted):

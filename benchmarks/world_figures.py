@@ -80,7 +80,7 @@ def _draw(axis: Axes, name: str, truth: TruthFile) -> None:
 
 
 def _path(truth: TruthFile, heading: float) -> np.ndarray:
-    """Poses of the object during one tap, shape (n, 3)."""
+    """Return the poses of the object during one tap, shape (n, 3)."""
     cell = load_cell()
     tapper = cell.file.tapper
     body = cell.object.body()

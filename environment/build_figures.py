@@ -3,7 +3,7 @@
     python environment/build_figures.py        (or: make reference)
 
 Dimensions come from config/cell.yaml, config/table.yaml, config/camera_info.yaml and the object's
-file, pins from firmware/tapper/board_avr.c. Tests compare the figures with what this draws.
+file, pins from firmware/tapper/board_avr.c. Tests check that the figures are up to date.
 """
 
 from __future__ import annotations
@@ -105,7 +105,8 @@ class Drawing:
             self.text((x0 + x1) / 2, y - 5, words, "middle", color=_BLUE)
 
     def upright(self, x: float, y0: float, y1: float, words: str, left: bool = False) -> None:
-        """Draw a vertical dimension, with its text to the right or to the left."""
+        """Draw a vertical dimension, with its text to the right or, if ``left`` is set, to the
+        left."""
         self.line((x - 6, y0), (x + 6, y0), color=_BLUE, width=1)
         self.line((x - 6, y1), (x + 6, y1), color=_BLUE, width=1)
         self.line((x, y0), (x, y1), color=_BLUE, width=1)
@@ -121,7 +122,7 @@ class Drawing:
         self.text(x, y, words, anchor, color=_INK)
 
     def svg(self) -> str:
-        """Return the file's text."""
+        """Return the text of the SVG file."""
         head = (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {self.width:g} {self.height:g}" '
             'font-family="sans-serif" fill="none" stroke-linejoin="round">\n'
@@ -224,7 +225,7 @@ def board_figure() -> str:
         draw.text(570, y + 5, pin.name, "end", bold=True)
         draw.text(570, y + 21, pin.signal, "end", 10, _GREY)
         draw.line((580, y), (700, y), dash=dash, arrow=True)
-    # Release driver.
+    # The driver of the release output.
     draw.box(700, 90, 130, 62, "#fff")
     draw.text(765, 116, "release driver", "middle", 12)
     draw.text(765, 134, "logic-level MOSFET", "middle", 11, _GREY)
@@ -243,7 +244,7 @@ def board_figure() -> str:
     draw.line((880, 146), (880, 160), color=_RED, width=1)
     draw.line((976, 146), (976, 160), color=_RED, width=1)
     draw.text(928, 175, "D1 across L1", "middle", 11, _RED)
-    # Motor driver.
+    # The motor driver.
     draw.box(700, 168, 130, 180, "#fff", dash="7 4")
     for row, name in enumerate(("STEP", "DIR", "EN")):
         draw.text(710, 193 + 68 * row, name, size=12)
@@ -261,7 +262,7 @@ def board_figure() -> str:
     draw.text(924, 263, "M1", "middle", 14, bold=True)
     draw.line((765, 348), (765, 376), dash="7 4")
     draw.text(765, 392, "motor supply, through contact of K1", "middle", 12, _RED)
-    # Supply and host.
+    # Power supply and host.
     draw.line((580, 470), (700, 470))
     draw.box(700, 446, 276, 48, "#fff")
     draw.text(838, 475, "USB to the computer: 5 V, 115200 baud", "middle", 12)
@@ -303,7 +304,7 @@ def striker_figure(spring: bool) -> str:
     start, back = tip - tapper.tool_start * scale, tip - tapper.tool_length * scale
     edge, end = tip + (tapper.standoff + tapper.tip_radius) * scale, tip + tapper.stroke * scale
     top = axis - 96
-    # Table, object, quill, housing, striker.
+    # Table, object, quill, housing and striker.
     draw.line((40, table), (1000, table), width=2.5)
     draw.text(44, table + 18, "table", color=_GREY)
     height = cell.object.height * scale

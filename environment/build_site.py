@@ -2,7 +2,7 @@
 
     python environment/build_site.py        writes build/site/index.html; any warning is an error
 
-Sphinx and its theme are installed beside .venv the first time; after that no network is needed.
+The first run installs Sphinx and its theme in a folder next to .venv. Later runs need no network.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def write_source() -> None:
             lines += [".. toctree::", "   :maxdepth: 1", ""]
             lines += [f"   {module}" for module in modules]
         if name in packages:
-            # The exports of a package are documented in the module that defines them.
+            # Objects that a package exports are documented in the module that defines them.
             lines.insert(4, "   :no-members:")
         (api / f"{name}.rst").write_text("\n".join(lines) + "\n", encoding="utf-8")
     documents = sorted(

@@ -1,8 +1,7 @@
 """Generate ``tapping_cell/messages/__init__.py``: the messages as plain dataclasses, without ROS.
 
-Run it after a change in ``msg_defs``, in the shell of ``env.sh``:
-``python environment/generate_messages.py``. A test fails while the committed file differs from
-what this program writes.
+After a change in ``msg_defs``, run ``python environment/generate_messages.py`` in a shell with
+``env.sh``. A test fails while the committed file differs from the output.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ HEADER = '''"""The cell's messages as dataclasses that need no ROS; generated, n
 
 ``python environment/generate_messages.py`` writes this file from the installed message packages.
 ``ROS_TYPE`` names the message that a class mirrors; ``nodes/message_conversion.py`` converts.
-Units and meanings stand in ``msg_defs``.
+Units and meanings are documented in ``msg_defs``.
 """
 
 from __future__ import annotations
@@ -99,7 +98,7 @@ def python_type(ros_type: str) -> str:
 
 
 def default(annotation: str, ros_type: str, value: Any) -> str:
-    """Return the default of a field as source text; ``value``: its value in a new ROS message."""
+    """Return the default of a field as source text; ``value`` is its value in a new ROS message."""
     if annotation.startswith("list["):
         fixed = re.search(r"\[(\d+)\]$", ros_type)
         if fixed is None:

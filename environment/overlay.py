@@ -1,4 +1,4 @@
-"""Folder of packages that take precedence over those of .venv."""
+"""A folder of packages that replace those of .venv."""
 
 from __future__ import annotations
 
@@ -22,5 +22,5 @@ def install(versions: Path, folder: Path) -> None:
 
 
 def path(folder: Path) -> str:
-    """Return a PYTHONPATH with which the packages in ``folder`` precede those of .venv."""
+    """Return a PYTHONPATH with which the packages in ``folder`` replace those of .venv."""
     return os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))

@@ -2,7 +2,7 @@
 
     python environment/reference_pages.py        (or: make reference)
 
-Tests compare the pages with what this writes.
+Tests check that the pages are up to date.
 """
 
 from __future__ import annotations
@@ -192,7 +192,8 @@ def configuration_page() -> str:
 
 
 def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str]) -> Iterator[str]:
-    """Yield the table of a section, then those of its subsections; each kind of section once."""
+    """Yield the table of a section and those of its subsections; each kind of section is listed
+    once."""
     hints = typing.get_type_hints(kind)
     inner: list[tuple[str, type]] = []
     yield "\n| key | type | unit and range | default | meaning |\n| --- | --- | --- | --- | --- |\n"

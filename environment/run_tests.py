@@ -1,4 +1,5 @@
-"""Run the rings of the tests, from the pure ones to the whole graph, and add up their results.
+"""Run the groups of tests ("rings"), from the pure ones to the complete graph, and add up their
+results.
 
     python environment/run_tests.py [pytest options]
 
@@ -6,8 +7,8 @@ The pure ring is limited by the processor and does not depend on time. It runs a
 parallel with the other rings. The rings of the drivers and of the nodes mostly wait, so each of
 them distributes its tests to several processes. Tests of nodes that are marked ``alone`` publish or
 process images at the camera's frame rate, and the graph tests run all nodes in real time. These
-tests run one after the other, the graph tests after the pure ring has ended. Every ring runs even
-if an earlier ring failed. The last line contains the counts of all rings.
+tests run one after the other. The graph tests run after the pure ring has ended. Every ring runs
+even if an earlier ring failed. The last line contains the counts of all rings.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import IO
 
 ROOT = Path(__file__).resolve().parent.parent
-# Name of the ring: the folder in test/ and the options with which it is run.
+# Name of the ring, which is its folder in test/, and the options with which it is run.
 RINGS: dict[str, tuple[str, ...]] = {
     "pure": ("pure", "-n", "2"),
     "pty": ("pty", "-n", "4"),
@@ -35,9 +36,9 @@ RINGS: dict[str, tuple[str, ...]] = {
 }
 BESIDE = "pure"  # runs in parallel with the other rings
 ALONE = "graph"  # whole graphs in real time: nothing else runs at the same time
-LOW_PRIORITY = 15  # niceness of the ring that runs beside the others
+LOW_PRIORITY = 15  # niceness of the ring that runs in parallel with the others
 NO_TESTS_COLLECTED = 5  # pytest's exit code
-# The words of pytest's closing line.
+# The words in pytest's closing line.
 OUTCOMES = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "warnings", "errors")
 COUNT = re.compile(rf"(\d+) ({'|'.join(OUTCOMES)}|warning|error)\b")
 
@@ -81,7 +82,8 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
     failed: list[str] = []
 
     def judge(ring: str, status: int) -> None:
-        # A selection (-k, -m) may leave a ring without tests; a whole ring must not be empty.
+        # A selection (-k, -m) may leave a ring without tests. Without a selection, each ring must
+        # have tests.
         if status != 0 and not (status == NO_TESTS_COLLECTED and options):
             failed.append(ring)
 
@@ -94,7 +96,7 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
         if BESIDE in there:
             log = stack.enter_context(tempfile.TemporaryFile("w+"))
             beside = stack.enter_context(started(BESIDE, options, log))
-            stack.callback(beside.terminate)  # does nothing where it has ended
+            stack.callback(beside.terminate)  # has no effect if the process has ended
         for ring in there:
             if ring == BESIDE:
                 continue
@@ -115,7 +117,7 @@ def main(options: Sequence[str]) -> int:
     """Run all rings. Return the exit code: 0 if every ring passed."""
     began = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="tapping_cell-") as cache:
-        # Results that take long to compute (a planner's policy) are shared by the rings.
+        # The rings share results that take long to compute, such as a planner's policy.
         os.environ["XDG_CACHE_HOME"] = cache
         failed, total = run_rings(options)
     if failed:

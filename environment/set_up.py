@@ -1,8 +1,8 @@
-"""Build what env.sh needs and what is missing or stale: .venv, the messages, the package.
+"""Build what env.sh needs if it is missing or out of date: .venv, the messages, the package.
 
-Run by env.sh with the interpreter that .venv is made of, isolated (``-I -S``), so only the standard
-library is at hand. Each stage leaves a fingerprint of everything that it was made from, written
-last: a stage that was interrupted has none and is made again from nothing.
+env.sh runs this file with the interpreter from which .venv is made, in isolated mode (``-I -S``),
+so it uses only the standard library. At its end, each stage writes a fingerprint of all its inputs.
+A stage that was interrupted has no fingerprint and is repeated from the beginning.
 """
 
 from __future__ import annotations
@@ -37,9 +37,11 @@ CMAKE = (3, 20)  # required by msg_defs/CMakeLists.txt
 
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"  # of this interpreter
 
-# Built without pip's isolated build environments, with the setuptools of the lock.
+# These are built without pip's isolated build environments, with the setuptools version of the
+# lock.
 SOURCE_DISTRIBUTIONS = ("empy",)
-# With ROS 2 from apt, these packages also come from apt: its compiled messages need its numpy.
+# With ROS 2 from apt, these packages also come from apt, because its compiled messages need its
+# version of numpy.
 FROM_APT = ("ros-", "colcon-", "numpy", "empy", "lark-parser", "catkin-pkg", "setuptools")
 # Variables that would make pip, CMake or colcon use another environment or another make.
 FOREIGN_VARIABLES = re.compile(
@@ -204,7 +206,7 @@ def ask(python: Path, program: str) -> str:
 
 
 def ros_sourced() -> bool:
-    """Return whether an installed ROS 2 Jazzy is sourced; otherwise ROS is installed as wheels."""
+    """Return whether an installed ROS 2 Jazzy is sourced. Otherwise, ROS is installed as wheels."""
     return os.environ.get("ROS_DISTRO") == "jazzy"
 
 
@@ -311,9 +313,8 @@ def cause_of(text: str) -> str:
 
 
 def pinned(lock: str, sourced: bool) -> list[str]:
-    """Return the lock's requirements to install, one per line with its hashes: all of them, or only
-    those that a ROS from apt does not contain.
-    """
+    """Return the lock's requirements to install, one per line with its hashes. For a ROS from apt,
+    these are only the packages that it does not contain."""
     logical = lock.replace("\\\n", " ").splitlines()
     lines = [line for line in logical if line and not line.startswith("#")]
     return [line for line in lines if not (sourced and line.startswith(FROM_APT))]
@@ -339,7 +340,7 @@ def make_venv(stamp: Path, wanted: str) -> None:
 
     install = [str(VENV / "bin" / "python"), "-m", "pip", "install", "--no-input", "--no-deps"]
     install += ["--progress-bar", "off", "--no-warn-script-location", "--retries", "2"]
-    # Python compiles a file when it is first imported; most of these files never are.
+    # Python compiles a file when it is first imported. Most of these files are never imported.
     install += ["--require-hashes", "--no-compile"]
     from_source = [line for line in lines if line.startswith(SOURCE_DISTRIBUTIONS)]
     wheels = [line for line in lines if line not in from_source]
@@ -359,10 +360,11 @@ def make_venv(stamp: Path, wanted: str) -> None:
 
 
 def repair_exports(prefix: Path) -> None:
-    """Give CMake this interpreter's headers instead of those of the image that built the wheels.
+    """Replace the header folders in the CMake targets of the ROS wheels by those of this
+    interpreter.
 
-    The CMake targets of the interface wheels contain the include folders of that image's Python and
-    numpy. A build against them fails because these folders do not exist.
+    The CMake targets of the interface wheels contain the include folders of the Python and numpy
+    with which the wheels were built. A build against them fails because these folders do not exist.
     """
     python = prefix / "bin" / "python"
     include = ask(python, "import sysconfig; print(sysconfig.get_path('include'))")
@@ -372,7 +374,7 @@ def repair_exports(prefix: Path) -> None:
 
 
 def replace_image_paths(text: str, include: str, numpy: str) -> str:
-    """Return the text with the header folders of the build image's numpy and Python replaced."""
+    """Return the text with the header folders of the wheels' numpy and Python replaced."""
     image = r"/opt/python/cp3\d+-cp3\d+"
     text = re.sub(rf"{image}/lib/python3\.\d+/site-packages/numpy/_?core/include", numpy, text)
     return re.sub(rf"{image}/include/python3\.\d+", include, text)

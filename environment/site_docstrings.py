@@ -1,7 +1,7 @@
-"""Convert the lists of fields and the commands in docstrings to lists and blocks of the site.
+"""Convert the lists of fields and the commands in docstrings to lists and code blocks of the site.
 
-In the source a field stands as ``name: meaning`` and a command is indented by two spaces, which
-reads well there and in a terminal, but is no markup.
+In the source, a field is written as ``name: meaning``, and a command is indented by two spaces.
+This is easy to read in the source and in a terminal, but it is not markup.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ def lists_and_commands(
     listed = block = False
     for line in lines:
         if "``" not in line:
-            line = line.replace("|", "\\|")  # a bar is an absolute value here, not a substitution
+            # here, a bar means an absolute value, not a substitution
+            line = line.replace("|", "\\|")
         field = _FIELDS.match(line)
         before = made[-1] if made else ""
         if block and line.startswith("  "):

@@ -1,18 +1,19 @@
-"""Every test process talks to itself alone: a ROS domain of its own, this machine only."""
+"""Every test process is isolated: it has its own ROS domain and communicates only on this
+computer."""
 
 import os
 from pathlib import Path
 
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from tapping_cell.cli.graph import own_domain
 
-# How long an example takes says more of what else the machine does than of the code.
-settings.register_profile("patient", deadline=None)
+# The duration of an example depends mainly on the load of the machine, so it is not limited.
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 
-# A domain that the caller's shell has may be that of a real cell, so it does not count here. Each
-# process takes its own (the workers of pytest-xdist too) and holds it until it ends.
+# ROS_DOMAIN_ID of the caller's shell may be that of a real cell, so it is ignored. Each process
+# (also each worker of pytest-xdist) reserves a domain of its own until it ends.
 os.environ.pop("ROS_DOMAIN_ID", None)
 _DOMAIN = own_domain()
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN.number)

@@ -1,4 +1,4 @@
-"""Minimal example of a planning method in a package of its own."""
+"""Minimal example of a planning method in a separate package."""
 
 import numpy as np
 
@@ -6,7 +6,8 @@ from tapping_cell.planning import Taps
 
 
 class PatientPlanner:
-    """If one tap cannot rotate enough, tap away from the goal with rotation, then tap to it."""
+    """If one tap cannot rotate enough, first tap away from the goal with a rotation, then tap to
+    it."""
 
     name = "patient"
 

@@ -23,7 +23,7 @@
 #define DRIVE_WAKE_TICKS 80u    /* from enabling the motor to its first step: 10 ms */
 
 enum drive_status {
-    DRIVE_THERE,  /* stands at its target, at a known position */
+    DRIVE_THERE,  /* at its target, at a known position */
     DRIVE_MOVING,
     DRIVE_UNKNOWN /* motor off, position unknown */
 };

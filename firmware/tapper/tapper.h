@@ -14,7 +14,7 @@
 #include "drive.h"
 
 #define TAPPER_VERSION "2.1.0"
-#define TAPPER_SILENCE_MS 500u        /* a charged tapper discharges after this silence */
+#define TAPPER_SILENCE_MS 500u        /* time without messages after which a tapper discharges */
 #define TAPPER_LONGEST_WINDOW_MS 100u /* a FIRE with a later deadline is refused */
 #define TAPPER_PRESS_MS 500u          /* shortest valid press of the clear button */
 #define TAPPER_CLEAR_WINDOW_MS 10000u /* time for which a press is valid */
@@ -51,7 +51,7 @@ struct tapper {
     uint16_t sequence;
     bool has_sequence;
     bool setup;             /* set-up mode: limited energy unless the enabling switch is held */
-    uint64_t shot;          /* shot charged last, also in earlier boots; the greatest number used */
+    uint64_t shot;          /* shot charged last, even before a reset; the greatest number used */
     uint64_t fired;         /* shot fired last in this boot; 0: none */
     uint8_t channel;        /* channel of `shot` */
     uint32_t energy_uj;

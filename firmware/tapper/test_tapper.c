@@ -131,7 +131,7 @@ static void test_one_shot(void)
     strcpy(first, fire(9, 40));
     CHECK(strstr(first, ",FIRED,RELEASING,9,12500,1,0,9,0,3,"));
     pass(200);
-    CHECK(strcmp(send(again), first) == 0); /* from memory, although the deadline has passed */
+    CHECK(strcmp(send(again), first) == 0); /* the stored answer, although the deadline passed */
     CHECK(strstr(fire(9, 40), ",FIRED,"));
     CHECK(host_releases() == before + 1);
     host_measured(350000);
@@ -161,7 +161,7 @@ static void test_window(void)
     CHECK(strstr(fire(9, 1), ",FIRED,"));
     charged(9);
     CHECK(strstr(fire(9, 100), ",FIRED,"));
-    /* Repeating a request does not change its deadline: the same frame is late. */
+    /* Repeating a request does not change its deadline, so the same frame is refused as late. */
     charged(9);
     char body[80];
     snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", (unsigned)++sequence, (unsigned long)(now + 30));
@@ -189,7 +189,7 @@ static void test_sequence(void)
     charged(9);
     uint32_t before = host_releases();
     snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", (unsigned)sequence, (unsigned long)(now + 50));
-    CHECK(*send(body) == 0); /* the sequence number of the last STATUS with another command */
+    CHECK(*send(body) == 0); /* the last sequence number, but with another command */
     snprintf(body, sizeof body, "7,%u,FIRE,9,%lu", sequence - 1u, (unsigned long)(now + 50));
     CHECK(*send(body) == 0); /* an older sequence number */
     snprintf(body, sizeof body, "8,%u,FIRE,9,%lu", sequence + 1u, (unsigned long)(now + 50));
@@ -203,7 +203,7 @@ static void test_sequence(void)
 
 static void test_discharging(void)
 {
-    charged(9); /* silence */
+    charged(9); /* discharged after 0.5 s without messages */
     pass(499);
     CHECK(host_state() == TAPPER_CHARGED);
     pass(1);
@@ -211,27 +211,27 @@ static void test_discharging(void)
     pass(600);
     CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
 
-    charged(9); /* time-out */
+    charged(9); /* time-out of the charge */
     keep(2590);
     CHECK(host_state() == TAPPER_CHARGED);
     keep(20);
     CHECK(host_state() == TAPPER_DISCHARGING);
 
-    charged(9); /* interlock */
+    charged(9); /* discharged by the interlock */
     host_interlock(0);
     pass(2);
     CHECK(host_state() == TAPPER_DISCHARGING);
     CHECK(strstr(ask("CHARGE,10,1000,3000"), ",INTERLOCK,"));
     CHECK(strstr(ask("HOME"), ",INTERLOCK,"));
 
-    charged(9); /* request of the host */
+    charged(9); /* discharged at the host's request */
     CHECK(strstr(ask("DISCHARGE"), ",OK,DISCHARGING,"));
     CHECK(strstr(ask("CHARGE,10,1000,3000"), ",BUSY,DISCHARGING,9,"));
 
-    charged(9); /* another session */
+    charged(9); /* discharged by another session */
     CHECK(strstr(send("11,0,HELLO"), "@11,0,WELCOME,DISCHARGING,"));
 
-    homed(); /* while charging */
+    homed(); /* discharged while charging */
     CHECK(strstr(ask("CHARGE,9,800000,3000"), ",CHARGING,"));
     pass(300);
     CHECK(strstr(ask("DISCHARGE"), ",OK,DISCHARGING,"));
@@ -241,7 +241,7 @@ static void test_discharging(void)
 
 static void test_stop_and_clear(void)
 {
-    /* The stop byte, at any position in the stream: the motor relaxes the spring. */
+    /* The stop byte is detected at any position in the stream, and the motor relaxes the spring. */
     charged(9);
     host_receive((const uint8_t *)"@7,2,FI!RE,9", 12, now);
     CHECK(host_state() == TAPPER_STOPPED);
@@ -278,7 +278,8 @@ static void test_stop_and_clear(void)
     host_button(0);
     pass(2);
     CHECK(strstr(ask("CLEAR"), ",NEEDS_PERSON,"));
-    /* Nor does a press after an earlier stop, which began before this one. */
+    /* The button is pressed after one stop and released after another: this does not clear the
+     * stop. */
     host_button(1);
     pass(300);
     host_receive((const uint8_t *)"!", 1, now);
@@ -356,7 +357,7 @@ static void test_shot_numbers(void)
     press_button(5200);
     CHECK(host_kept() == 1);
     CHECK(strstr(ask("CLEAR"), ",OK,"));
-    /* Nor by a press during which the board is stopped. */
+    /* The count is not reset by a press during which the board is stopped either. */
     keep(600);
     host_button(1);
     pass(100);
@@ -392,7 +393,7 @@ static void test_homing(void)
     CHECK(strstr(ask("HOME"), ",OK,HOMING,"));
     keep(300);
     CHECK(host_state() == TAPPER_SAFE && fabs(host_carriage()->place) < 1.5);
-    /* Homing ended by the host, by its silence, by the interlock. */
+    /* Homing is ended by the host, by missing messages, and by the interlock. */
     for (int how = 0; how < 3; how++) {
         host_start(3, 0, now, 6000.0, 1);
         greet();
@@ -408,7 +409,7 @@ static void test_homing(void)
         }
         CHECK(host_state() == TAPPER_UNHOMED);
     }
-    /* A motor without power, a switch that is stuck. */
+    /* A motor without power, and a switch that is stuck. */
     static const double PLACES[] = {0.0, 2000.0};
     for (int fault = 0; fault < 3; fault++)
         for (int place = 0; place < 2; place++) {

@@ -1,9 +1,10 @@
-"""What the operator's page costs and how old its picture is; run by hand, not by pytest.
+"""Measure the load of the operator's page and the age of its image; run by hand, not by pytest.
 
     . ./env.sh; python test/graph/measure_operator_page.py
 
-Starts the simulated graph with the page, and measures the node's processor time without a page and
-with one in headless Chromium, and the time from a picture's stamp to its drawing in the browser.
+Starts the simulated graph with the node operator_page. Measures the node's processor time with no
+browser connected and with the page open in headless Chromium, and the time from an image's stamp
+until the browser has drawn it.
 """
 
 from __future__ import annotations
@@ -25,13 +26,14 @@ PORT = 8765
 
 
 def cpu_seconds(process: int) -> float:
-    """User and system time that a process has used, in s."""
+    """Return the user and system time that a process has used, in s."""
     fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def watch(process: int, sample: object = None) -> tuple[float, list[float]]:
-    """Per cent of a core, and what ``sample`` said every tenth of a second."""
+    """Return the process's load in per cent of a core, and the results of ``sample``, called every
+    0.1 s."""
     began, used, seen = time.monotonic(), cpu_seconds(process), []
     while time.monotonic() < began + SECONDS:
         time.sleep(0.1)
@@ -41,7 +43,7 @@ def watch(process: int, sample: object = None) -> tuple[float, list[float]]:
 
 
 def main() -> int:
-    """Measure and print."""
+    """Run the measurements and print them."""
     os.environ["ROS_DOMAIN_ID"] = str(own_domain().number)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     folder = Path(tempfile.mkdtemp(prefix="operator_page-"))

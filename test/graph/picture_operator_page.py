@@ -1,10 +1,10 @@
-"""Pictures of the operator's page for docs/images; run by hand, not by pytest.
+"""Make the screenshots of the operator's page for docs/images; run by hand, not by pytest.
 
     . ./env.sh; python test/graph/picture_operator_page.py [FOLDER]
 
 Starts the simulated graph with the page in headless Chromium and sends a goal with *Ask before
-every tap*. While a further tap waits for its answer, the page is pictured as wide as on a desktop
-and on a phone. FOLDER: where the pictures are written, docs/images if none is named.
+every tap*. While a tap after the first waits for confirmation, the page is captured at the width of
+a desktop and of a phone. FOLDER is where the screenshots are written; the default is docs/images.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tapping_cell.cli.graph import own_domain
 
 
 def picture(page: Page, width: int, height: int, path: Path) -> None:
-    """Write a picture of the page in a window of this size in pixels."""
+    """Save a screenshot of the page in a window of this size in pixels."""
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
     page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     page.driver.execute_script("scrollTo(0, 0)")
@@ -28,7 +28,7 @@ def picture(page: Page, width: int, height: int, path: Path) -> None:
 
 
 def main() -> int:
-    """Write both pictures."""
+    """Make both screenshots."""
     os.environ["ROS_DOMAIN_ID"] = str(own_domain().number)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     images = Path(__file__).resolve().parents[2] / "docs" / "images"
@@ -43,7 +43,7 @@ def main() -> int:
         page.element("send").click()
         rows = "return document.querySelectorAll('#taps tbody tr').length"
         while not page.driver.execute_script(rows):
-            # On a busy machine a tap is given up because a picture came late, and proposed anew.
+            # On a busy machine, a late image can end a tap, which is then proposed again.
             page.answer_proposal(confirm=True)
             page.wait(
                 lambda: page.driver.execute_script(rows)

@@ -1,8 +1,8 @@
-"""axe-core finds no serious problem on the page and in the reports, in light, in dark and on a
-phone.
+"""Check with axe-core that the page and the reports have no serious accessibility problem, in light
+and dark colours and on a phone.
 
-axe-core is not a dependency: `npm install --no-save axe-core` in the root of the repository, or
-TAPPING_CELL_AXE=/path/of/axe.min.js. Without it, these tests are skipped.
+axe-core is not a dependency. Install it with `npm install --no-save axe-core` in the root of the
+repository, or set TAPPING_CELL_AXE=/path/of/axe.min.js. Without it, these tests are skipped.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ SQUARE = ((-0.02, -0.02), (0.02, -0.02), (0.02, 0.02), (-0.02, 0.02))
 
 
 def problems(driver: webdriver.Chrome) -> list[str]:
-    """The serious problems that axe-core finds in the document, each with its first element."""
+    """Return the serious problems that axe-core finds in the document, each with its first
+    element."""
     driver.execute_script(AXE.read_text(encoding="utf-8"))
     found: dict[str, Any] = driver.execute_async_script(
         "const done = arguments[arguments.length - 1];"
@@ -53,8 +54,8 @@ def problems(driver: webdriver.Chrome) -> list[str]:
     ]
 
 
-def looks(driver: webdriver.Chrome) -> Iterator[str]:
-    """Show the document in both colour schemes, as wide as on a desktop and on a phone."""
+def appearances(driver: webdriver.Chrome) -> Iterator[str]:
+    """Show the document in both colour schemes, each at the width of a desktop and of a phone."""
     for width, height in (DESKTOP, PHONE):
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
@@ -65,14 +66,14 @@ def looks(driver: webdriver.Chrome) -> Iterator[str]:
 
 
 def audit(driver: webdriver.Chrome, what: str) -> dict[str, list[str]]:
-    """The serious problems of the document, by what is shown and how."""
-    found = {f"{what}, {look}": problems(driver) for look in looks(driver)}
+    """Return the serious problems of the document for each colour scheme and width."""
+    found = {f"{what}, {appearance}": problems(driver) for appearance in appearances(driver)}
     folder = os.environ.get("TAPPING_CELL_PICTURES")
     if folder:
-        for look in looks(driver):
-            name = f"{what} {look}".replace(",", "").replace(" ", "_")
+        for appearance in appearances(driver):
+            name = f"{what} {appearance}".replace(",", "").replace(" ", "_")
             driver.save_screenshot(str(Path(folder) / f"{name}.png"))
-    return {look: each for look, each in found.items() if each}
+    return {appearance: each for appearance, each in found.items() if each}
 
 
 @pytest.fixture
@@ -126,7 +127,7 @@ def test_the_page_and_the_report_of_its_run(tmp_path: Path) -> None:
 
 
 def asked(page: Page) -> dict[str, list[str]]:
-    """Audit the page while a planned tap waits for its answer; then let it be made."""
+    """Audit the page while a planned tap waits for confirmation; then confirm the tap."""
     page.element("ask").click()
     page.wait(lambda: "is on" in page.text("settings-answer"), "the planner asks from now on")
     seen = page.client.object_pose()
@@ -138,7 +139,7 @@ def asked(page: Page) -> dict[str, list[str]]:
     page.wait(lambda: "is off" in page.text("settings-answer"), "the planner asks no more")
 
     def reached() -> bool:
-        # The tap that is shown still waits for its answer; taps after it are not asked for.
+        # Confirm the tap that is shown. Later taps need no confirmation.
         answer = page.element("planned-yes")
         if answer.is_displayed() and answer.is_enabled():
             answer.click()
@@ -149,7 +150,8 @@ def asked(page: Page) -> dict[str, list[str]]:
 
 
 def stopped(page: Page) -> dict[str, list[str]]:
-    """Audit the page after STOP, with the steps back and with the question before one of them."""
+    """Audit the page after STOP: with the recovery steps, and with the confirmation dialog of one
+    of them."""
     page.element("stop").click()
     page.wait(lambda: page.mode() == "stopped", "the stop")
     found = audit(page.driver, "stopped")

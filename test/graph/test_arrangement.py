@@ -1,4 +1,5 @@
-"""Two objects exchange their places in the whole cell, as a user of the demo runs it."""
+"""Two objects exchange their places in the complete simulated cell, started with the verb
+`demo`."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ import pytest
 from tapping_cell.report.arrangement_run import moves_of, read_arrangement
 
 PATIENCE_S = 900
-"""Longer than the goals' own time limit on any computer that runs the cell at all."""
+"""Longer than the time limits of the goals, even on a slow computer."""
 
 
 @pytest.mark.timeout(PATIENCE_S + 60)
@@ -38,7 +39,7 @@ def test_two_objects_exchange_their_places_without_a_contact(tmp_path: Path) -> 
         assert one.goal is not None and other.start is not None and one.end_true is not None
         assert one.goal.distance_to(other.start) < 0.0005
         assert one.end_true.distance_to(one.goal) <= run.tolerance[0]
-    # Neither goal is free at first, so one object makes way for the other.
+    # Each object stands at the goal of the other, so one of them must move out of the way first.
     first, second = moves_of(run)[:2]
     assert f" makes way: it is in the way of '{second.name}'" in first.purpose
     assert f"'{second.name}' goes to its goal" in second.purpose

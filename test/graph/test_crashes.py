@@ -1,7 +1,7 @@
-"""Each node killed in the course of a goal: nothing unsafe happens and the goal is reached.
+"""Kill each node while a goal is being executed: nothing unsafe happens and the goal is reached.
 
 ``python -m tapping_cell faults --crashes`` kills every node at every phase of a tap; ``faults
---goals`` does so, and freezes them, in virtual time.
+--goals`` kills and freezes nodes at random times, in virtual time.
 
 ``TAPPING_CELL_FREEZES=100:7 pytest --timeout 0`` freezes planner and camera node 100 times each, at
 moments drawn from the seed 7 (``test/nodes/test_frozen_tapper.py`` does so with tapper and arm).
@@ -78,7 +78,8 @@ def test_nothing_is_struck_on_the_word_of_a_frozen_planner_or_camera(
 def test_a_strike_on_the_word_of_a_frozen_node_is_noticed(
     struck: float, frozen_until: float, unsafe: bool
 ) -> None:
-    """The trials above can fail: this is how they judge a strike."""
+    """The judgement used by the tests above detects a strike that is based on messages of a frozen
+    node."""
     tap = TapCommand(request=TapCommand.TAP, striker_speed=0.3)
     tap.header.stamp = Time(sec=9)
     seen = Observed(commands=[tap], struck=[struck])

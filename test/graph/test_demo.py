@@ -1,4 +1,5 @@
-"""The demo as a user runs it: as a process, to its exit, leaving a run folder and nothing else."""
+"""The verb `demo` in a process of its own: it runs to its end and leaves nothing but a run
+folder."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ def start(folder: Path, *options: str) -> subprocess.Popen[str]:
 
 
 def children_of(folder: Path) -> dict[str, int]:
-    """Process ids of the nodes whose parameters name this run's ports, by node name."""
+    """Return the process ids of the nodes whose parameters contain this run's ports, by node
+    name."""
     found = {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
@@ -63,7 +65,7 @@ def wait_for_nodes(folder: Path, process: subprocess.Popen[str]) -> dict[str, in
 
 
 def wait_for_record(folder: Path, process: subprocess.Popen[str]) -> None:
-    """Wait until the planner's state is written in the bag; it is written to twice a second."""
+    """Wait until the bag contains a state of the planner. The bag is written twice a second."""
 
     def written() -> bool:
         try:
@@ -110,7 +112,8 @@ def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
 
 
 def check_bag(folder: Path, taps: int) -> None:
-    """The bag opens with ROS's types and holds the run from before its first tap."""
+    """Check that the bag can be read with ROS's types and that the recording begins before the
+    first tap."""
     with AnyReader([folder / "bag"]) as reader:
         first = {}
         counts: dict[str, int] = {}
@@ -124,7 +127,8 @@ def check_bag(folder: Path, taps: int) -> None:
     assert counts["/tap_command"] >= taps and counts["/goal_report"] >= 1
     for topic in ("/object_state", "/arm_state", "/tapper_state", "/plan_state"):
         assert first[topic] < first["/tap_command"], topic
-    # Subscribed to when the goal begins: the planner may command the first tap at the same moment.
+    # The recorder subscribes to this topic only when the goal begins, and the first tap may be
+    # commanded at the same time.
     assert first["/ground_truth"] < charged
     assert {"/joint_states", "/markers", "/diagnostics", "/camera/camera_info"} <= set(counts)
     assert counts["/camera/image_annotated/compressed"] >= taps
@@ -145,9 +149,9 @@ def test_ctrl_c_in_a_goal_leaves_its_record(folder: Path) -> None:
 
 
 def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
-    """It is started again, and records the rest beside what it had.
+    """A killed recorder is restarted and adds the rest of the run to what it had recorded.
 
-    The goal takes four taps and more: it is still under way when the recorder is back.
+    The goal takes at least four taps, so it is still being executed when the recorder is back.
     """
     process = start(folder, "--seed", "5", "--move", "100", "0", "90")
     nodes = wait_for_nodes(folder, process)
@@ -163,7 +167,7 @@ def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
 
 
 def test_ctrl_c_ends_every_node_of_a_background_job(folder: Path) -> None:
-    """A shell starts its background jobs with the signal ignored."""
+    """A shell starts its background jobs with SIGINT ignored."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         process = start(folder, "--move", "100", "0", "90")

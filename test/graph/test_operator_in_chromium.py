@@ -1,4 +1,4 @@
-"""The operator's page in a real browser on the whole simulated graph: seen, clicked and dragged."""
+"""The operator's page in Chromium, connected to the complete simulated graph."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ demanding = pytest.mark.skipif(
 
 @dataclass
 class Page:
-    """The page in the browser, and the cell behind it."""
+    """The page in the browser and the cell that it shows."""
 
     driver: webdriver.Chrome
     graph: Graph
@@ -76,7 +76,8 @@ class Page:
         return str(self.element(name).text)
 
     def node_row(self, name: str) -> tuple[str, str] | None:
-        """Life cycle with level, and sentence, of a node in the list; None if it is not there."""
+        """Return life cycle state with level, and message, of a node in the list; None if it is not
+        listed."""
         script = """
             const row = [...document.querySelectorAll("#nodes li")].find(
                 (each) => each.querySelector(".name").textContent === arguments[0]);
@@ -111,8 +112,9 @@ class Page:
         self.wait(lambda: self.mode() == "ready", "the cell is ready", patience)
 
     def way_back(self) -> None:
-        """Follow the numbered steps after a stop until the cell is ready."""
-        # The tapper wants the word of a person at the cell, and holds it good for 10 s only.
+        """Follow the numbered recovery steps after a stop until the cell is ready."""
+        # The tapper requires the clear button at the cell to be pressed, and accepts a press for 10
+        # s only.
         for _ in range(5):
             self.element("step-press-button").click()
             self.element("step-clear").click()
@@ -123,7 +125,7 @@ class Page:
             if self.mode() != "stopped":
                 break
         assert self.mode() != "stopped", self.text("attention")
-        # A stopped arm does not know where it is, and homes only when a person says so.
+        # After a stop, the arm's position is unknown, and it homes only when a person requests it.
         self.wait(
             lambda: self.client.arm_state.state == ArmState.NOT_HOMED, "the arm asks to be homed"
         )
@@ -133,7 +135,7 @@ class Page:
         self.ready()
 
     def answer_proposal(self, confirm: bool) -> str:
-        """Answer for the tap that waits for it; its id."""
+        """Confirm or reject the tap that waits for confirmation; return its id."""
         self.wait(lambda: self.element("planned-yes").is_displayed(), "a tap is proposed")
         button = self.element("planned-yes" if confirm else "planned-no")
         self.wait(button.is_enabled, "the buttons belong to the tap that is shown")
@@ -142,13 +144,13 @@ class Page:
         return tap_id
 
     def proposed(self) -> str:
-        """Id of the tap whose words are shown."""
+        """Return the id of the tap whose description is shown."""
         return str(self.element("planned").get_attribute("data-tap"))
 
 
 @contextmanager
 def opened(folder: Path, **more: object) -> Iterator[Page]:
-    """A cell with its page in a browser; ``more``: parameters of arm and tapper."""
+    """Start a cell with its page in a browser; ``more``: parameters of arm and tapper."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -156,7 +158,7 @@ def opened(folder: Path, **more: object) -> Iterator[Page]:
         "sim_world": {"arm_port": folder / "arm", "tapper_port": folder / "tapper", "seed": 3},
         "scara_arm": {"port": folder / "arm", "home_on_activate": True, **more},
         "tapper_trigger": {"port": folder / "tapper", **more},
-        # On a busy machine taps are given up, because pictures come late; they are planned again.
+        # On a busy machine, late images can end taps, which are then planned again.
         "tap_planner": {"attempts": 20},
         "operator_page": {"port": port, "stop_port": 0, "runs": folder / "runs"},
         RECORDER: {"folder": folder / "runs", "pictures": False},
@@ -193,7 +195,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
     page.ready()
     names = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
-    # On a busy machine a node may warn that it cannot keep up: the page must show what it says.
+    # On a busy machine a node may warn that it cannot keep up. The page must show the node's own
+    # message.
     logged: dict[str, set[tuple[str, str]]] = {name: set() for name in names}
 
     def on_diagnostics(message: DiagnosticArray) -> None:
@@ -213,7 +216,8 @@ def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
         lambda: all(page.node_row(name) in logged[name] for name in names),
         "every node is active, with its own words",
     )
-    # In the client's own thread: another one destroys it under the hands of the executor.
+    # Destroy the subscription in the client's own thread; any other thread would race with its
+    # executor.
     page.client.in_executor(lambda: node.destroy_subscription(listener))
     page.wait(lambda: page.element("picture").get_attribute("data-number"), "a picture")
     width, height = (page.element("picture").get_property(n) for n in ("width", "height"))
@@ -224,7 +228,7 @@ def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
     )
     assert page.element("stop").is_enabled() and not page.element("attention").is_displayed()
     assert not page.element("cancel").is_enabled() and not page.element("download").is_displayed()
-    # Nothing was blocked by the page's own content policy, and nothing failed.
+    # The page's content security policy blocked nothing, and there were no script errors.
     complaints = [entry for entry in page.driver.get_log("browser") if entry["level"] == "SEVERE"]
     assert complaints == []
 
@@ -237,7 +241,8 @@ def test_the_dragged_ghost_is_the_goal_and_the_taps_are_told(page: Page) -> None
     before = page.fields()
     shown = page.element("picture").rect["width"]
     page.drag("ghost-outline", 60, 24)
-    # About 0.61 mm a pixel of the camera, seen at the size at which the page shows it.
+    # A camera pixel is about 0.61 mm on the table; the image is scaled to the size at which the
+    # page shows it.
     scale = 0.61 * 1280 / shown
     wanted = [before[0] + 60 * scale, before[1] - 24 * scale]
     page.wait(lambda: page.fields()[:2] == pytest.approx(wanted, abs=3.0), f"{wanted}")
@@ -407,7 +412,8 @@ def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
     while page.mode() != "lost":
         assert time.monotonic() < end
         time.sleep(0.1)
-    # Nothing may be pressed that would not be received; STOP has a connection of its own.
+    # Buttons whose requests would not be received are disabled. STOP stays enabled: it has its own
+    # connection.
     for name in ("send", "cancel", "goal-x", "home-ghost"):
         assert not page.element(name).is_enabled(), name
     end = time.monotonic() + 90
@@ -457,7 +463,7 @@ def test_set_up_mode_moves_only_while_the_key_is_held(tmp_path: Path) -> None:
         page.wait(lambda: page.client.arm_state.enabled, "the arm hears the key", 5.0)
         time.sleep(1.0)
         assert page.client.arm_state.enabled, "held on"
-        # Both hands: the key stays held by the mouse, the other button is pressed by keys.
+        # The mouse holds the enabling button, so the other buttons are clicked by script.
         page.driver.execute_script("document.getElementById('step-home').click()")
         page.driver.execute_script("document.getElementById('confirm-yes').click()")
         page.wait(lambda: arm() == ArmState.HOMING, "the arm homes while the key is held", 10.0)
@@ -467,7 +473,7 @@ def test_set_up_mode_moves_only_while_the_key_is_held(tmp_path: Path) -> None:
         assert time.monotonic() - released < 2.0
         page.wait(lambda: not page.client.arm_state.enabled, "the arm hears the release")
         assert not page.client.arm_state.homed
-        # A page that is closed with the key held holds nothing any more.
+        # Closing the page while the enabling button is held releases the button.
         hands = webdriver.ActionChains(page.driver, duration=50)
         hands.click_and_hold(page.element("enable")).perform()
         page.wait(lambda: page.client.arm_state.enabled, "held again", 5.0)

@@ -1,4 +1,4 @@
-"""The positioning cell as a user runs it: every node a process, no arm."""
+"""The positioning cell, which has no arm, with each node in its own process."""
 
 from __future__ import annotations
 
@@ -23,6 +23,6 @@ def test_the_demo_reaches_a_goal_without_an_arm(tmp_path: Path) -> None:
     assert summary["true_residual"]["distance_mm"] <= 1.0
     assert abs(summary["true_residual"]["rotation_deg"]) <= 1.0
     assert not (folder / "logs" / "scara_arm.log").exists()
-    # On a busy machine the emulated board may answer late, which is told and recovered from.
+    # On a busy machine the emulated board may answer late; this is reported, and the cell recovers.
     for log in (folder / "logs").glob("*.log"):
         assert "Traceback" not in log.read_text(encoding="utf-8"), log

@@ -1,4 +1,4 @@
-"""A graph started by `up` with one parameter file: every goal sent to it leaves a run folder."""
+"""A graph started by `up` with one parameter file: each goal sent to it leaves a run folder."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def a_second_cell_is_refused(folder: Path) -> None:
 
 
 def test_goals_of_a_graph_that_stays_are_recorded(folder: Path) -> None:
-    """And nobody starts a second cell of the same domain and namespace beside it."""
+    """While this graph runs, no second cell can be started in the same domain and namespace."""
     status, words = goal("-25", "0", "0")
     assert status == 0 and "goal reached" in words, words
     a_second_cell_is_refused(folder)

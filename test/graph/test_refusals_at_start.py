@@ -1,4 +1,4 @@
-"""A node that is told nonsense says so, names it, and does not stay up half-configured."""
+"""A node with an invalid parameter reports it by name and does not keep running half-configured."""
 
 from __future__ import annotations
 

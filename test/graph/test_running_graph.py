@@ -1,7 +1,7 @@
-"""The whole graph as processes, spoken to over its topics and its action as a user would.
+"""The complete graph as processes, used through its topics and its action as a client would.
 
-What a second goal, a hand on the object or a hanging node does to a goal is shown in virtual time
-(``test/pure/verification/test_scenarios.py``).
+How a goal reacts to a second goal, a person who moves the object, or a frozen node is tested in
+virtual time (``test/pure/verification/test_scenarios.py``).
 """
 
 from __future__ import annotations
@@ -150,7 +150,8 @@ def test_a_bad_goal_on_the_topic_is_refused_in_words_and_moves_nothing(
 
 
 def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
-    """The default transport loses best-effort pictures of 1.3 MB; the shipped profile does not."""
+    """The default transport loses best-effort images of 1.3 MB; the profile of this repository does
+    not."""
     counts: dict[str, list[tuple[float, int]]] = {"/sim_world": [], "/camera_pose": []}
 
     def count(message: DiagnosticArray) -> None:
@@ -165,15 +166,16 @@ def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
     def since_start(node: str) -> int:
         return counts[node][-1][1] - counts[node][0][1] if counts[node] else 0
 
-    # On a slow machine the world sends fewer pictures a second; waiting takes no processor here.
+    # On a slow machine the simulated world sends fewer images per second. Waiting longer costs no
+    # processor time.
     deadline = time.monotonic() + 120.0
     time.sleep(8.0)
     while since_start("/sim_world") <= 150 or len(counts["/camera_pose"]) < 6:
         assert time.monotonic() < deadline, counts
         time.sleep(1.0)
     cell.client.node.destroy_subscription(subscription)
-    # The two nodes count at different moments of a second. On a busy machine a picture may wait
-    # for its turn, which makes the difference larger for a while; a lost one is lost for good.
+    # The two nodes publish their counts at different times. On a busy machine an image can wait in
+    # a queue, which increases the difference for a while. A lost image increases it permanently.
     times, sent = np.array(counts["/sim_world"]).T
     ahead = [np.interp(at, times, sent) - taken for at, taken in counts["/camera_pose"]]
     assert min(ahead[len(ahead) // 2 :]) - min(ahead) <= 4, counts
@@ -204,7 +206,7 @@ def test_canceling_withdraws_the_arm_and_disarms_the_tapper(cell: Cell) -> None:
 
 
 def test_the_emergency_stop_ends_the_goal_and_latches_every_actor(cell: Cell) -> None:
-    """The last test of this graph: it stays stopped."""
+    """This must be the last test of the graph, because the graph stays stopped."""
     cell.place(Pose(-0.05, 0.0, 0.0))
     cell.client.send(Pose(0.05, 0.0, 1.0))
     cell.wait(
@@ -213,7 +215,8 @@ def test_the_emergency_stop_ends_the_goal_and_latches_every_actor(cell: Cell) ->
     )
     cell.stop.publish(Bool(data=True))
     ends = [event for event in cell.client.events() if isinstance(event, Finished)]
-    # The stop itself or the first actor that it stopped, whichever the planner hears first.
+    # The planner reports the code of the stop itself or of the first stopped node, whichever it
+    # receives first.
     stopped = (ErrorCode.EMERGENCY_STOP, ErrorCode.ARM_STOPPED, ErrorCode.TAPPER_STOPPED)
     assert ends[0].error_code in stopped
     cell.wait(

@@ -1,4 +1,4 @@
-"""The verb single-tap as a user runs it: stopped in the middle, resumed, and its records read."""
+"""The verb single-tap as a user runs it: interrupted, resumed, and its records read."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tapping_cell.cli import main
 from tapping_cell.report.bag import read_bag
 
 TINY = ("--speeds", "600", "--incidences", "25", "--trials", "2", "--seed", "3")
-SLOW = ("--slow-motion", "8", "--json")  # however busy the machine is, no picture is lost
+SLOW = ("--slow-motion", "8", "--json")  # so slow that no image is lost even on a busy machine
 
 
 def start(*options: str) -> subprocess.Popen[str]:
@@ -62,7 +62,8 @@ def test_an_experiment_is_stopped_resumed_and_read(tmp_path: Path) -> None:
     assert len(used) == 2
     for trial in used:
         assert trial.striker_speed == 0.6
-        # As read back from the arm, whose own errors are not in it.
+        # The incidence is computed from the joints that the arm reports, so the arm's own errors do
+        # not affect it.
         assert trial.incidence == pytest.approx(math.radians(25.0), abs=0.01)
         assert 0.015 < trial.displacement < 0.04 and trial.rotation < 0
         assert trial.track is not None
@@ -70,7 +71,8 @@ def test_an_experiment_is_stopped_resumed_and_read(tmp_path: Path) -> None:
         assert isinstance(found_slide, Slide), found_slide
         assert found_slide.moving >= 4
         assert found_slide.displacement == pytest.approx(trial.displacement, abs=2e-4)
-        # Friction 0.17, restitution 0.86: a launch at 0.54 times the striker's speed.
+        # With friction 0.17 and restitution 0.86 the object starts with 0.54 times the striker's
+        # speed.
         moving = (found_slide.along > 0.05 * trial.displacement) & (
             found_slide.along < 0.7 * trial.displacement
         )
@@ -89,7 +91,8 @@ def test_an_experiment_is_stopped_resumed_and_read(tmp_path: Path) -> None:
 
 @pytest.fixture
 def own_signals() -> Iterator[None]:
-    """A verb that runs in this process takes Ctrl-C for itself."""
+    """Restore the signal handlers, because a verb that runs in this process replaces the handler of
+    Ctrl-C."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield
     for number, handler in before.items():

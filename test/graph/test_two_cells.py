@@ -1,4 +1,4 @@
-"""Two simulated cells of one account at the same time: each has its own world and devices."""
+"""Two simulated cells of one user account at the same time: each has its own world and devices."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CELL = (sys.executable, "-m", "tapping_cell")
 
 @contextmanager
 def cell(folder: Path, domain: int, namespace: str, seed: int) -> Iterator[dict[str, str]]:
-    """A cell as ``up`` starts it; gives the environment in which it is spoken to."""
+    """Start a cell with `up`; yield the environment variables for clients of this cell."""
     environment = {**os.environ, "HOME": str(folder), "ROS_DOMAIN_ID": str(domain)}
     command = (*CELL, "up", "--no-record", "--seed", str(seed), "--namespace", namespace)
     process = subprocess.Popen(
@@ -36,7 +36,7 @@ def cell(folder: Path, domain: int, namespace: str, seed: int) -> Iterator[dict[
 
 
 def arm_terminals() -> dict[int, str]:
-    """The terminal that each running scara_arm has open, by process."""
+    """Return the terminal that each running scara_arm has open, by process id."""
     found = {}
     for entry in Path("/proc").iterdir():
         try:
@@ -54,7 +54,7 @@ def arm_terminals() -> dict[int, str]:
 def test_two_cells_of_one_account_reach_their_own_goals(
     names: tuple[str, str], tmp_path: Path
 ) -> None:
-    """In two domains, and in two namespaces of one domain."""
+    """The cells run in two domains, or in two namespaces of one domain."""
     domain = own_domain_beside()
     domains = (domain, domain if names[0] else own_domain_beside())
     goals = (("40", "30", "20"), ("-30", "20", "-10"))
@@ -85,7 +85,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(
 
 
 def own_domain_beside() -> int:
-    """A further domain that this process holds, beside that of the tests."""
+    """Reserve a further domain for this process, in addition to the domain of the tests."""
     chosen = os.environ.pop("ROS_DOMAIN_ID")
     try:
         held = own_domain()

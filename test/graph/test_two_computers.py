@@ -1,4 +1,4 @@
-"""The cell over three computers on a link that delays and loses, with clocks that differ."""
+"""The cell on three computers with different clocks, over a link that delays and loses packets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from benchmarks import networks, two_computers
 from tapping_cell.cli.graph import own_domain
 
 TRIES = 3
-"""Goals: a link that loses packets may end one in words, never wrongly."""
+"""Number of goals. A link that loses packets may end a goal with an error, but never with a wrong
+result."""
 
 
 @pytest.mark.skipif(bool(networks.why_not()), reason=networks.why_not() or "possible")

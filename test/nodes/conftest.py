@@ -1,4 +1,5 @@
-"""Nodes under test keep goals and stops in a folder of the test, not of this account's cells."""
+"""Nodes under test store goals and stops in a folder of the test, not in that of the user's
+cells."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,8 +17,8 @@ def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def own_graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A domain without nodes of earlier tests in this process, which may not be gone yet; the graph
-    confuses nodes of one name."""
+    """Use a fresh domain: nodes of earlier tests in this process may still be listed, and the ROS
+    graph confuses nodes of the same name."""
     monkeypatch.delenv("ROS_DOMAIN_ID")
     domain = own_domain()
     assert domain.held is not None

@@ -1,8 +1,9 @@
-"""Arm and tapper with their boards over real DDS, attacked during a tap.
+"""Arm and tapper with their emulated boards over real DDS, disturbed by other publishers and
+services during a tap.
 
-The same attacks run in virtual time by the thousand (``verification/faults.py``). Only real nodes
-show that a service has two servers, what a hundred messages a second do to an executor, and how a
-life-cycle transition ends the work of a thread.
+The same disturbances run thousands of times in virtual time (``verification/faults.py``). Only real
+nodes show what happens if a service has two servers, how a hundred messages per second affect an
+executor, and how a life-cycle transition ends the work of a thread.
 """
 
 from __future__ import annotations
@@ -37,25 +38,27 @@ from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.simulation.truth import ArmTruth
 
-pytestmark = pytest.mark.alone  # a hundred messages a second starve what runs beside them
+# a hundred messages per second would delay tests that run in parallel
+pytestmark = pytest.mark.alone
 STRIKE = Pose(-0.08, 0.02, 0.3)
 RATE_HZ = 100.0
 TRIES = 10
 SLOW = TapperMachine(SpringMechanism(step_rate=400.0))
-"""A spring that takes 2 s to charge, so that who wants to come in between does."""
+"""This spring takes 2 s to charge, so that a disturbance can happen while it is being charged."""
 CARRYING = (
     arms.State.HOMING,
     arms.State.LEAVING,
     arms.State.WITHDRAWING,
     arms.State.FOLLOWING,
 )
-"""States in which a motion carries the striker. Not among them: the arm may go to a strike pose
-with a charged striker, and a move that it has begun there ends after the node was deactivated."""
+"""States in which a motion carries a charged striker away. Motions to a strike pose are not among
+them, because they are allowed with a charged striker. Such a motion is completed even if the node
+is deactivated meanwhile."""
 
 
 @dataclass
 class Cell:
-    """The two nodes, their boards, and what was seen of them."""
+    """The two nodes, their boards, and the recorded states and shots."""
 
     bench: Bench
     arm: ScaraArm
@@ -64,9 +67,9 @@ class Cell:
     arm_states: list[ArmState]
     tapper_states: list[TapperState]
     releases: list[tuple[int, bool]] = field(default_factory=list)
-    """Shot number, and whether the arm moved."""
+    """Shot number, and whether the arm was moving."""
     carried: int = 0
-    """How often the arm began a motion that carries a charged striker."""
+    """Number of forbidden motions: the arm began to carry a charged striker away."""
 
     def __post_init__(self) -> None:
         assert self.bench.probe is not None
@@ -74,14 +77,13 @@ class Cell:
         self.commands = self.node.create_publisher(TapCommand, "tap_command", COMMAND)
         self.tap_id = int(time.time())
         self.last = TapCommand()
-        # A motion begins with bytes for the arm's controller. Samples would miss some, and see
-        # others late, when the state has changed.
+        # A motion begins when its bytes reach the arm's controller. Polling would miss some motions
+        # and see others only after the state has changed.
         self._receive = self.mechanics.receive
         self.mechanics.receive = self._watch
 
     def _watch(self, data: bytes, now: float) -> None:
-        """Let the controller receive bytes, and note a motion that begins with a charged striker,
-        not down to its pose."""
+        """Pass bytes to the controller and count motions that carry a charged striker away."""
         moved = self.mechanics.moving(now)
         away = self.arm.logic.state in CARRYING
         self._receive(data, now)
@@ -113,12 +115,13 @@ class Cell:
         return self.arm_states[-1].state == ArmState.IDLE and resting
 
     def end(self) -> None:
-        """End the tap, and let the arm leave."""
+        """Withdraw the tap and wait until the arm has left."""
         self.withdraw()
         self.wait(self.at_rest, "arm and tapper are at rest")
 
     def fire(self) -> None:
-        """Tap until one is fired: where the arm's last reading is late, a tap is given up."""
+        """Repeat taps until one is fired. A tap is not fired if the arm's last position report is
+        late."""
         for _ in range(TRIES):
             self.tap()
             self.wait(self.over, "an ordinary tap")
@@ -181,7 +184,7 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
 
 @contextmanager
 def flood(cell: Cell, kind: type, topic: str, make: Callable[[], Any], qos: Any) -> Iterator[None]:
-    """Publish a message a hundred times a second."""
+    """Publish a message a hundred times per second."""
     publisher = cell.node.create_publisher(kind, topic, qos)
     ended = threading.Event()
 
@@ -264,7 +267,7 @@ def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
 
     other = cell.node.create_service(HoldStill, "hold_still", grant)
     cell.bench.wait(lambda: cell.node.count_services("hold_still") == 2, "both are known")
-    for _ in range(TRIES):  # a tap that is given up before the arm is asked says nothing of it
+    for _ in range(TRIES):  # a tap that ends before the arm is asked does not test this case
         cell.tap()
         cell.wait(cell.over, "the tap ends")
         last = cell.tapper_states[-1]
@@ -281,8 +284,8 @@ def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
 
 
 def test_no_line_that_somebody_injects_on_the_arms_port_fires_at_a_moving_arm(cell: Cell) -> None:
-    """Before every output of the arm's controller its node receives a forged line. A report that
-    the arm stands at its strike pose is the one that an earlier tap really received."""
+    """Inject a forged line before each output of the arm's controller. One of them is a copy of the
+    report, received during an earlier tap, that the arm is at its strike pose."""
     said, forged, honest = list[bytes](), [b""], cell.mechanics.take_output
 
     def take_output(now: float) -> bytes:

@@ -1,4 +1,4 @@
-"""The seeing node: from rendered pictures over real DDS to a pose, and trouble said in words."""
+"""The node camera_pose over real DDS: from rendered images to poses, and its error reports."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ pytestmark = pytest.mark.alone
 
 TRUE = Pose(0.06, -0.04, 0.8)
 TRIES = 20
-"""Pictures may be lost on their way: best effort."""
+"""Maximum number of repetitions: images are sent best-effort, so some may be lost."""
 
 
 @dataclass
 class Cell:
-    """The node and hands to play the camera."""
+    """The node under test, and publishers that replace the camera."""
 
     bench: Bench
     states: list[ObjectState]
@@ -67,17 +67,19 @@ class Cell:
             ),
             "the node listens",
         )
-        # Stamps at the camera's rate, whatever the machine's: half a minute ago begins the film.
+        # The stamps advance at the camera's rate regardless of the machine's speed, starting half a
+        # minute ago.
         self.stamp = self.node.get_clock().now() - Duration(seconds=30.0)
 
     def publish(self, picture: Image, stamp: Time) -> None:
-        """A picture with its calibration; whether it arrives is not known."""
+        """Publish an image with its calibration, without waiting for its reception."""
         self.info.header.stamp = picture.header.stamp = stamp.to_msg()
         self.infos.publish(self.info)
         self.images.publish(picture)
 
     def send(self, picture: Image) -> ObjectState:
-        """Show a picture and wait for what the node says of it."""
+        """Send an image, again if it is lost, and return the state that the node publishes for
+        it."""
         stamps = []
         for _ in range(TRIES):
             self.stamp += Duration(seconds=1 / 30)
@@ -92,7 +94,7 @@ class Cell:
         raise AssertionError(f"none of {TRIES} pictures was answered")
 
     def show(self, frames: int, pose: Pose = TRUE) -> list[ObjectState]:
-        """The answers to so many pictures of the object at a pose."""
+        """Return the states published for ``frames`` images of the object at a pose."""
         return [
             self.send(images.to_message(self.renderer.render(pose), "mono8")) for _ in range(frames)
         ]
@@ -268,7 +270,7 @@ def test_a_second_copy_of_the_objects_marker_is_told_by_the_state(cell: Cell) ->
 
 
 def test_two_objects_in_one_picture() -> None:
-    """The object of the cell and, pasted into the same pictures, another one."""
+    """The cell's object, and another one pasted into the same images."""
     folder = shared_folder() / "objects"
     plain = load_object(folder / "plain_disk_with_dot.yaml")
     configuration = load_cell()
@@ -314,7 +316,7 @@ def test_pictures_that_waited_long_are_passed_over_for_the_newest(cell: Cell) ->
     def answers() -> list[Stamp]:
         return [state.header.stamp for state in cell.states if state.header.stamp in stamps]
 
-    # In the executor that the node spins in: as on a busy machine, no picture is taken up.
+    # Block the executor of the node, as a busy machine does, so that images queue up.
     for _ in range(TRIES):
         held.clear()
         release.clear()
@@ -331,7 +333,7 @@ def test_pictures_that_waited_long_are_passed_over_for_the_newest(cell: Cell) ->
         if answers()[0] == stamps[-1]:
             break
     else:
-        # Pictures may be lost on their way, but not the last one of eight every time.
+        # Single images may be lost, but it is unlikely that every attempt loses its last image.
         raise AssertionError(f"none of {TRIES} times was the newest picture answered first")
     assert cell.show(5)[-1].visible
 

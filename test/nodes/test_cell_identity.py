@@ -1,4 +1,4 @@
-"""No two cells of a machine share a name, and a name is held by one process at a time."""
+"""Each cell of a computer has a unique name, and only one process at a time holds a name."""
 
 from __future__ import annotations
 
@@ -68,7 +68,8 @@ def test_own_domains_differ_and_a_chosen_one_is_kept(monkeypatch: pytest.MonkeyP
 def test_a_domain_with_nodes_is_not_chosen(
     participant: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nodes that ``ros2 run`` started hold no reservation, but each has its discovery port."""
+    """Nodes started with ``ros2 run`` hold no reservation, but each node occupies a discovery
+    port."""
     monkeypatch.delenv("ROS_DOMAIN_ID")
     free = own_domain()
     assert free.held is not None

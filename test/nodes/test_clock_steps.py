@@ -1,4 +1,5 @@
-"""A computer's clock that is set back or replaced while a node runs stops no timer of the node."""
+"""A node's timers keep running when its clock is set back, and its time source cannot be changed
+while it runs."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ def test_timers_go_on_when_the_clock_is_set_back_and_it_cannot_be_replaced(tmp_p
         b.wait(lambda: stamped(START), "the node takes this time")
         back = START - Duration(seconds=3600)
         b.wait(lambda: stamped(back), "the node takes the earlier time")
-        # A timer on the node's own time would be silent for an hour.
+        # A timer that used the node's clock would not fire for an hour.
         before = len(states)
         b.wait(lambda: len(states) >= before + 5, "timers go on")
 

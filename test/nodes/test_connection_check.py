@@ -1,4 +1,4 @@
-"""A node reports the endpoints of other nodes that can never connect to its topics."""
+"""A node reports endpoints of other nodes that can never connect to its topics."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def wait(condition: Callable[[], object]) -> None:
 
 
 def test_exactly_the_endpoints_that_do_not_connect_are_reported(ros: None) -> None:
-    """The middleware itself is the reference: it counts the subscriptions that a publisher has."""
+    """The reference is the middleware's own count of the subscriptions connected to a publisher."""
     other, own = rclpy.create_node("other"), rclpy.create_node("own")
     pairs = [*enumerate(itertools.product(PROFILES, PROFILES))]
     publishers = {
@@ -65,7 +65,7 @@ def test_exactly_the_endpoints_that_do_not_connect_are_reported(ros: None) -> No
     assert 0 < len(apart) < len(publishers)
     assert {sentence.split()[4] for sentence in sentences} == apart
     assert not list(check.new_mismatches()), "reported twice"
-    # Seen from the publishers' side they are the same.
+    # The publishers' side reports the same mismatches.
     found = list(ConnectionCheck(other).new_mismatches())
     assert {sentence.split()[2] for sentence in found} == apart
     for node in (other, own):
@@ -84,7 +84,7 @@ CASES: list[tuple[Callable[[Node], Any], str]] = [
         "nothing on /markers reaches the node /probe: the publisher has the type "
         "visualization_msgs/msg/MarkerArray, but the subscription has std_msgs/msg/String",
     ),
-    # The planner has two subscriptions to each of these, of which one is compatible.
+    # The planner has two subscriptions on each of these topics, and one of them is compatible.
     (lambda probe: probe.create_publisher(PoseStamped, "goal_pose", BEST_EFFORT), ""),
     (lambda probe: probe.create_publisher(PoseStamped, "goal_pose", RELIABLE), ""),
     (lambda probe: probe.create_publisher(Bool, "emergency_stop", RELIABLE), ""),
@@ -102,7 +102,8 @@ CASES: list[tuple[Callable[[Node], Any], str]] = [
 def test_the_planner_tells_what_cannot_reach_it_and_costs_no_events(ros: None) -> None:
     planner = TapPlanner()
     assert not [each for each in planner.waitables if isinstance(each, EventHandler)]
-    # A process cannot have two types on one topic, so the probe is like one of another process.
+    # One participant cannot use two types on one topic, so the probe has its own context, like
+    # another process.
     with rclpy.context.Context() as context:
         probe = rclpy.create_node("probe", context=context)
         endpoints = [make(probe) for make, _ in CASES]
@@ -116,7 +117,7 @@ def test_the_planner_tells_what_cannot_reach_it_and_costs_no_events(ros: None) -
 
 
 def _has_endpoint(node: Node, topic: str) -> bool:
-    """Whether ``node`` has discovered the probe's endpoint."""
+    """Return whether ``node`` has discovered the probe's endpoint."""
     infos = (
         *node.get_publishers_info_by_topic(topic),
         *node.get_subscriptions_info_by_topic(topic),

@@ -1,4 +1,5 @@
-"""Pictures that come faster than they are answered: the newest is taken, jams are worked off."""
+"""If images arrive faster than they are processed, the node takes only the newest one. After a
+short delay, it processes all images."""
 
 from __future__ import annotations
 
@@ -10,8 +11,8 @@ from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S, Backlog
 def film(
     period: float, each: float, pictures: int, jam: float = 0.0
 ) -> tuple[Backlog, list[float]]:
-    """Pictures every ``period`` s into a node that takes ``each`` s for one, and the ages of the
-    answers; a ``jam`` (s) holds the node up halfway."""
+    """Simulate images every ``period`` s and a node that needs ``each`` s per image and is blocked
+    once for ``jam`` s. Return the backlog and the ages of the results."""
     backlog, queue, ages = Backlog(), [period * k for k in range(pictures)], []
     now, jammed = 0.0, False
     while queue:
@@ -33,8 +34,8 @@ def film(
 @pytest.mark.parametrize(("rate", "each"), [(30.0, 0.060), (120.0, 0.011), (60.0, 0.2)])
 def test_an_answer_is_not_older_than_it_needs_to_be(rate: float, each: float) -> None:
     backlog, ages = film(1.0 / rate, each, 400)
-    # Once it is known that the node cannot keep up: its own time, and what came meanwhile.
-    # The film's last picture has none behind it.
+    # Once the node knows that it cannot keep up, a result is at most as old as the processing time
+    # plus one period. The last image is excluded because none follows it.
     assert max(ages[20:-1]) < each + 1.0 / rate + 0.005
     assert len(ages) + backlog.passed_over == 400
     assert "only the newest" in backlog.sentence

@@ -1,4 +1,4 @@
-"""Frames on /tf, and goals in other frames than ``table``, judged by the real tf2."""
+"""Frames on /tf, and goals in frames other than ``table``, checked with the real tf2."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ tf2_ros = pytest.importorskip("tf2_ros", reason="tf2_ros is not installed; apt's
 
 
 class Listener:
-    """A buffer of tf2 that hears what the nodes under test send."""
+    """A tf2 buffer that receives the transforms published by the nodes under test."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
@@ -43,7 +43,8 @@ class Listener:
         self._listener = tf2_ros.TransformListener(self._buffer, bench.probe)
 
     def wait(self, parent: str, child: str, at: Time | None = None) -> tuple[float, ...]:
-        """x, y, z and yaw of ``child`` in ``parent``, as soon as it is known."""
+        """Return x, y, z and yaw of ``child`` in ``parent`` as soon as the transform is
+        available."""
         time = at or Time()
         self._bench.wait(
             lambda: self._buffer.can_transform(parent, child, time), f"{child} in {parent}"
@@ -125,7 +126,8 @@ def goal(frame: str, pose: Pose, stamp: Stamp | None = None) -> PoseStamped:
 
 
 def send_until(actors: Actors, message: PoseStamped, done: Any) -> None:
-    """Frames travel apart from goals: the goal is sent again until its frame was received, too."""
+    """Transforms and goals use different topics, so the goal is repeated until its frame is
+    known."""
     actors.bench.wait(lambda: actors.goals.get_subscription_count() == 2, "the planner is up")
 
     def sent() -> bool:

@@ -1,7 +1,7 @@
-"""S1: no striker is released after the arm's promise, or while the arm moves, if the process of
-tapper or arm is frozen in a tap.
+"""If the process of tapper or arm is frozen during a tap, no striker is fired after the arm's
+promise to stand still has ended, or while the arm moves.
 
-``TAPPING_CELL_FREEZES=100:7`` freezes each process 100 times, at moments drawn from the seed 7.
+``TAPPING_CELL_FREEZES=100:7`` freezes each process 100 times, at random times with seed 7.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
 
         def hold(request: HoldStill.Request, response: HoldStill.Response) -> HoldStill.Response:
             promised[request.tap_id] = time.monotonic() + request.duration
-            # Frozen at some moment between the grant and the release.
+            # Freeze the process at a random time between the arm's promise and the shot.
             freeze_at[:] = [time.monotonic() + draw.uniform(0.0, 0.03)]
             response.granted, response.duration = True, request.duration
             return response
@@ -66,7 +66,8 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
         node.create_service(HoldStill, "hold_still", hold)
         try:
             b.wait(lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe")
-            # On a busy machine a tap may be given up before the arm is asked: it was not frozen.
+            # On a busy machine a tap may end before the arm is asked. In this case nothing is
+            # frozen, and the tap does not count.
             for tap_id in range(100, 100 + 6 * FREEZES):
                 if len(promised) == FREEZES:
                     break
@@ -153,7 +154,7 @@ def test_a_frozen_arm_does_not_move_before_the_striker_has_landed(tmp_path: Path
 
         try:
             b.wait(at_rest, "arm and tapper are ready", 60.0)
-            # On a busy machine a tap may be given up before the arm is asked: no freeze counts.
+            # On a busy machine a tap may end before the arm is asked. Such a tap does not count.
             for tap_id in range(100, 100 + 3 * ARM_FREEZES):
                 if frozen == ARM_FREEZES:
                     break
@@ -177,7 +178,7 @@ def test_a_frozen_arm_does_not_move_before_the_striker_has_landed(tmp_path: Path
                     f"tap {tap_id} ends",
                 )
                 command(TapCommand.WITHDRAW, tap_id)
-                # A node that was frozen or starved may report a fault, which is no unsafe shot.
+                # A node that was frozen may report a fault. This is allowed.
                 b.wait(lambda: at_rest() or places[-1].state == ArmState.FAULT, "all at rest")
                 if tap_id in fired:
                     released, moving = fired[tap_id]

@@ -1,4 +1,4 @@
-"""The generated dataclasses are what the installed messages are."""
+"""The generated dataclasses have the same fields as the installed messages."""
 
 import importlib.util
 import subprocess
@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_committed_messages_are_what_the_generator_writes() -> None:
-    """Run ``python environment/generate_messages.py`` after a change in msg_defs."""
+    """If this fails after a change in msg_defs, run ``python environment/generate_messages.py``."""
     program = ROOT / "environment" / "generate_messages.py"
     specification = importlib.util.spec_from_file_location("generate_messages", program)
     assert specification is not None and specification.loader is not None

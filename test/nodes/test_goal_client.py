@@ -1,4 +1,5 @@
-"""The client of the verb ``goal`` with a real planner: confirmations, and a planner that ends."""
+"""The client of the verb ``goal`` with a real planner: confirmations, and the end of the
+planner."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ def client_of_a_cell() -> Iterator[GoalClient]:
 
 
 def follow(client: GoalClient, typed: Callable[[], str], words: io.StringIO) -> Finished:
-    """Follow the goal with a person at a pipe, who types where a tap was proposed."""
+    """Follow the goal. ``typed`` returns what the user types when a tap is proposed."""
     reader, writer = os.pipe()
     console = Console(file=words, width=200)
     with os.fdopen(reader) as answers:
@@ -72,7 +73,7 @@ def test_a_goal_that_is_cancelled_in_the_terminal_makes_no_tap() -> None:
 
 def test_a_goal_that_is_sent_again_does_not_end_the_wait_for_it() -> None:
     with acted(), client_of_a_cell() as client:
-        # As session.send does where the answer to the first is late.
+        # session.send repeats a request like this if the response to the first one is late.
         client.send(GOAL)
         session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
         finished = session.follow(client, lambda: None, Console(quiet=True))
@@ -96,6 +97,7 @@ def test_a_planner_that_is_killed_in_mid_goal_ends_the_wait() -> None:
             planner.kill()
     assert finished.error_code == ErrorCode.NOT_READY, finished.error_msg
     assert "sent no message" in finished.error_msg
-    # Not a measure of speed: it does not wait for the 120 s that the goal may wait for the cell.
+    # The bound does not measure speed. It shows that the client does not wait for the 120 s that a
+    # goal may wait for the cell.
     assert took < RETURN_S + SILENCE_S + 30.0
     assert "waiting for it to return" in words.getvalue()

@@ -1,4 +1,4 @@
-"""Between image messages and grey pictures, for every encoding that is taken."""
+"""Conversion between image messages and grey images, for all accepted encodings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tapping_cell.nodes.camera import images
 
 HEIGHT, WIDTH = 24, 32
 RANDOM = np.random.default_rng(5)
-# Smooth, so that a Bayer pattern can be undone.
+# The colours vary smoothly, so that they can be reconstructed from a Bayer pattern.
 COLOUR = np.clip(
     np.stack(np.meshgrid(np.linspace(20, 200, WIDTH), np.linspace(30, 220, HEIGHT)), -1).sum(-1)[
         ..., None
@@ -24,12 +24,12 @@ COLOUR = np.clip(
     0,
     255,
 ).astype(np.uint8)
-"""B, G, R."""
+"""Channels in the order blue, green, red."""
 LUMA = COLOUR @ np.array([0.114, 0.587, 0.299])
 
 
 def message(pixels: np.ndarray, encoding: str, padding: int = 0) -> Image:
-    """By hand: rows one after the other, with some bytes of padding."""
+    """Build a message by hand: the rows in order, each followed by ``padding`` bytes."""
     rows = pixels.reshape(HEIGHT, -1).view(np.uint8)
     padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
     made = Image(height=HEIGHT, width=WIDTH, encoding=encoding, step=padded.shape[1])
@@ -38,7 +38,8 @@ def message(pixels: np.ndarray, encoding: str, padding: int = 0) -> Image:
 
 
 def bayer(first: str, second: str) -> np.ndarray:
-    """One colour a pixel: the names of the first two pixels of the first and second row."""
+    """Return a Bayer image. The arguments name the colours of the first two pixels of the first and
+    the second row."""
     index = {"b": 0, "g": 1, "r": 2}
     mosaic = np.zeros((HEIGHT, WIDTH), np.uint8)
     for row, letters in enumerate((first, second)):
@@ -75,7 +76,7 @@ CASES = {
 def test_every_encoding_becomes_the_same_grey(encoding, padding):
     grey = images.to_grey(message(CASES[encoding], encoding, padding))
     assert grey.shape == (HEIGHT, WIDTH) and grey.dtype == np.uint8
-    inner = np.s_[2:-2, 2:-2]  # a Bayer pattern is guessed at the rim
+    inner = np.s_[2:-2, 2:-2]  # values at the border of a Bayer pattern are extrapolated
     assert np.abs(grey.astype(float) - LUMA)[inner].max() <= 3.0
 
 
@@ -112,7 +113,8 @@ def test_a_message_is_made_of_any_picture():
 
 
 def test_a_pictures_memory_is_not_given_back_and_cleared_anew() -> None:
-    """Page faults of a hundred pictures, in a process of its own: the setting is the process's."""
+    """Count the page faults while a process repeatedly allocates and frees images. The process is a
+    separate one because the setting applies to a whole process."""
     script = """
 import ctypes, resource
 from tapping_cell.nodes.memory import keep_memory
@@ -129,7 +131,7 @@ print(faults(100) if hasattr(ctypes.CDLL(None), 'mallopt') else 0)
     ended = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=120
     )
-    # Given back, each of the 300 pieces would meet its 320 pages anew.
+    # If the memory were returned to the system, each of the 300 blocks would cause 320 page faults.
     assert int(ended.stdout) < 1000
 
 

@@ -1,4 +1,4 @@
-"""What a crash leaves on disk: a file that holds nothing usable never keeps a node down."""
+"""A stored file that a crash has left unusable never prevents a node from starting."""
 
 from __future__ import annotations
 

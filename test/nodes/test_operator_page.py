@@ -1,4 +1,5 @@
-"""The operator's page over real DDS: planted messages, a real planner, and a browser's socket."""
+"""The operator's page over real DDS, with made-up messages, a real planner, and a WebSocket
+client."""
 
 from __future__ import annotations
 
@@ -60,7 +61,7 @@ PARAMETERS: dict[str, dict[str, object]] = {"operator_page": {"port": 0, "stop_p
 
 @dataclass
 class Cell:
-    """The node under test, and hands to play the rest of the cell."""
+    """The node under test, and publishers that replace the rest of the cell."""
 
     bench: Bench
     page: OperatorPage
@@ -79,7 +80,7 @@ class Cell:
         self.publishers[topic].publish(message)
 
     def plant(self) -> None:
-        """An arm, a tapper and an object that are well."""
+        """Publish the states of an arm, a tapper and an object without faults."""
         self.publish("arm_state", ArmState(state=ArmState.IDLE, homed=True, clear_of_camera=True))
         self.publish("tapper_state", TapperState(state=TapperState.SAFE, interlock_closed=True))
         seen = ObjectState(visible=True, at_rest=True, frames_fused=30)
@@ -89,7 +90,7 @@ class Cell:
 
     @contextlib.asynccontextmanager
     async def open(self) -> AsyncIterator[Browser]:
-        """A page that was let in."""
+        """Connect a page with the right token."""
         asked = HTTPRequest(
             f"ws://{self.address}/live", headers={"Origin": f"http://{self.address}"}
         )
@@ -103,17 +104,17 @@ class Cell:
 
 @dataclass
 class Browser:
-    """What a page says and hears."""
+    """The browser's end of the WebSocket."""
 
     connection: WebSocketClientConnection
     answers: list[Any] = field(default_factory=list)
-    """Answers that came before they were asked for: their order is nobody's promise."""
+    """Answers that were received before they were requested; their order is not guaranteed."""
 
     async def send(self, content: dict[str, object]) -> None:
         await self.connection.write_message(json.dumps(content))
 
     async def receive(self, wanted: Callable[[Any], bool]) -> Any:
-        """The next message that is wanted; texts as objects, pictures as bytes."""
+        """Return the next message that ``wanted`` accepts; text as an object, images as bytes."""
 
         for content in self.answers:
             if wanted(content):
@@ -133,14 +134,14 @@ class Browser:
         return await asyncio.wait_for(search(), PATIENCE_S)
 
     async def state(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-        """The next state for which the condition holds."""
+        """Return the next state for which the condition holds."""
         found: dict[str, Any] = await self.receive(
             lambda m: isinstance(m, dict) and m["type"] == "state" and bool(wanted(m))
         )
         return found
 
     async def answer(self, to: str) -> dict[str, Any]:
-        """The next answer to a request."""
+        """Return the next answer to a request."""
         found: dict[str, Any] = await self.receive(
             lambda m: isinstance(m, dict) and m["type"] == "answer" and m.get("to") == to
         )
@@ -274,7 +275,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
             cell.publish(topic, message, profile)
 
     async def pictures(page: Browser) -> bytes:
-        """Show until one arrives."""
+        """Publish images until one arrives."""
         while True:
             show()
             try:
@@ -292,7 +293,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
             picture = cv2.imdecode(np.frombuffer(frame[20:], np.uint8), cv2.IMREAD_COLOR)
             assert picture.shape == colours.shape and 0.0 <= age < 10.0
             assert np.abs(picture[500, 600].astype(int) - colours[0, 0]).max() < 12
-            for _ in range(5):  # not drawn yet: no other picture comes
+            for _ in range(5):  # until the page reports the image as drawn, no other image is sent
                 show()
                 await asyncio.sleep(0.1)
             with pytest.raises(asyncio.TimeoutError):
@@ -304,7 +305,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
         cell.bench.wait(lambda: subscribers() == 0, "nobody listens when nobody looks")
 
     async def ghost(page: Browser) -> None:
-        """A pixel of the picture is the place on the table that the camera sees there."""
+        """A pixel of the image corresponds to the place on the table that the camera sees there."""
         wanted = Pose(0.08, -0.05, 0.6)
         pixel = view.project([[wanted.x, wanted.y]], height)[0]
         u, v = (pixel + 0.5) / (camera.width, camera.height)
@@ -389,13 +390,13 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
                 await page.send({"do": "cancel"})
                 assert "no goal of an action" in (await page.answer("cancel"))["text"]
                 await page.send({"do": "goal", "x": 50, "y": 0, "angle": 10})
-                # The planner's state may arrive before or after this answer.
+                # The planner's state may be received before or after this answer.
                 assert (await page.answer("goal"))["text"] == "goal sent"
                 await page.state(lambda s: s["plan"]["busy"])
                 await page.send({"do": "cancel"})
                 assert (await page.answer("cancel"))["ok"]
                 ended = await page.answer("goal")
-                if ended["text"] == "goal sent":  # the state may have been received before
+                if ended["text"] == "goal sent":  # an earlier answer may not have been read yet
                     ended = await page.answer("goal")
                 assert ended["text"] == f"the goal was canceled ({ErrorCode.GOAL_CANCELED})"
 
@@ -403,7 +404,7 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
 
 
 def several(folder: Path) -> Path:
-    """The shipped cell with a second disk; the path of its cell file."""
+    """Write a copy of the shipped cell with a second disk; return the path of its cell file."""
     content = yaml.safe_load((shared_folder() / "cell.yaml").read_text(encoding="utf-8"))
     for key in ("reference_markers", "camera_info", "object"):
         content[key] = str((shared_folder() / str(content[key])).resolve())
@@ -452,7 +453,8 @@ def test_several_objects_are_placed_preset_and_sent_as_one_arrangement(tmp_path:
                 assert preset["goals"] == [[own, 100.0, 50.0, 57.3], [other, -100.0, 0.0, 0.0]]
                 await page.send({"do": "preset", "preset": "star", "objects": [own, other]})
                 assert "known are line" in (await page.answer("arrange"))["text"]
-                # Two goals in one place: the planner's own refusal, with both names.
+                # Two goals at the same place: the answer is the planner's own refusal, which names
+                # both objects.
                 goals = [{"object": n, "x": 20, "y": 0, "angle": 0} for n in (own, other)]
                 await page.send({"do": "arrange", "goals": goals})
                 assert (await page.answer("arrange"))["text"] == "arrangement sent"
@@ -508,14 +510,14 @@ def test_recorded_runs_are_listed_but_nothing_outside_the_folder(tmp_path: Path)
 
 
 def stop_port(cell: Cell) -> int:
-    """Where STOP is served; waits until it is."""
+    """Return the port of the STOP server after waiting until it is ready."""
     cell.bench.wait(lambda: cell.page._stop and cell.page._stop.ready.is_set(), "STOP is served")
     with urllib.request.urlopen(f"http://{cell.address}/stop-port", timeout=PATIENCE_S) as answer:
         return int(answer.read())
 
 
 def press_stop(cell: Cell, port: int) -> int:
-    """STOP as a browser sends it; the status of the answer."""
+    """Press STOP as a browser does; return the HTTP status."""
     asked = urllib.request.Request(
         f"http://localhost:{port}/",
         data=b'{"do": "stop"}',
@@ -541,7 +543,7 @@ def test_stop_has_a_path_that_full_and_busy_pages_cannot_block(cell: Cell) -> No
             for page in opened:
                 for number in range(50):
                     await page.send({"do": "place", "number": number, "x": 0, "y": 0, "angle": 0})
-            async with cell.open() as late:  # there is no room for another page
+            async with cell.open() as late:  # the maximum number of pages is already connected
                 assert await late.connection.read_message() is None
             assert await asyncio.to_thread(press_stop, cell, port) == 200
             cell.bench.wait(lambda: received and received[0].data, "the stop")
@@ -560,7 +562,8 @@ def test_the_stop_is_held_for_late_joiners_and_by_the_next_process(cell: Cell) -
     assert link._process is not None
     link._process.kill()
     cell.bench.wait(lambda: [m.data for m in late] == [True, True], "the next process holds it")
-    # It publishes before it takes requests; until then a release is refused, and tried again.
+    # The process publishes before it accepts requests. Until then, a release is refused and
+    # repeated.
     cell.bench.wait(link.release, "the next process takes the release")
     cell.bench.wait(lambda: [m.data for m in late] == [True, True, False], "it is released")
     assert not link.held
@@ -591,7 +594,8 @@ def test_on_the_network_the_page_wants_its_token_and_other_sites_are_kept_out() 
             )
             with pytest.raises(HTTPClientError, match="403"):
                 await websocket_connect(asked)
-            async with cell.open() as page:  # refused as well: the page says hello without it
+            # also refused: this page sends no token when it connects
+            async with cell.open() as page:
                 with contextlib.suppress(WebSocketClosedError):
                     await page.send({"do": "hello", "token": token})
                 assert await page.connection.read_message() is None

@@ -1,4 +1,4 @@
-"""The planning node keeps clear of the other objects that the camera sees."""
+"""The planner avoids the other objects that the camera sees."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ PATIENT = {
         30.0,
     ),
 }
-"""No test here is about time, and a busy machine may stop a process for seconds."""
+"""Long time limits: these tests do not check them, and a busy machine may pause a process for
+seconds."""
 NAME, RADIUS = "plain disk with dot", 0.048
 START, GOAL = Pose(-0.10, 0.0, 0.0), Pose(0.12, 0.0, 0.3)
 BETWEEN = Pose(0.01, 0.02, 0.0)
 
 
 class Other:
-    """Says where the other object is seen, ten times a second."""
+    """Publishes the pose of the other object ten times per second."""
 
     def __init__(self, bench: Bench, pose: Pose | None) -> None:
         assert bench.probe is not None
@@ -58,7 +59,8 @@ class Other:
 
 
 def gap(command: TapCommand, other: Pose) -> float:
-    """Least distance of the two disks' rims on the straight way of a tap."""
+    """Return the smallest distance between the edges of the two disks along the straight path of a
+    tap."""
     start, end = from_message(command.object_pose), from_message(command.predicted_pose)
     ways = [start.x + s * (end.x - start.x) for s in (0.0, 0.25, 0.5, 0.75, 1.0)]
     sides = [start.y + s * (end.y - start.y) for s in (0.0, 0.25, 0.5, 0.75, 1.0)]

@@ -1,4 +1,4 @@
-"""The tapper's node in front of a robot's digital output, over DDS."""
+"""The tapper's node with a robot's digital output, over DDS."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from tapping_cell.nodes.cell_node import COMMAND, LATCHED
 from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
 
 pytestmark = pytest.mark.alone
-"""A pulse of some milliseconds must not wait for a processor."""
+"""The pulses last a few milliseconds and must not be delayed by other tests."""
 TRIES = 5
-"""A measure of time: the curve gives 20 mJ for 0.6 m/s, and the table 12 ms for 20 mJ. The stand-in
-notes when each command arrives, which a busy machine may delay by more, but not at each of five
-taps."""
+"""Number of attempts to measure a pulse. The curve gives 20 mJ for 0.6 m/s, and the table 12 ms for
+20 mJ. The emulated robot notes when each command arrives. A busy machine may delay a command, but
+hardly in each of five taps."""
 
 
 def output_cell(folder: Path, interface: str, reads_back: bool) -> Path:
-    """The package's cell file with a tapper that an output fires."""
+    """Write a copy of the package's cell file whose tapper is fired by a digital output."""
     shutil.copytree(shared_folder(), folder / "config")
     path = folder / "config" / "cell.yaml"
     content = yaml.safe_load(path.read_text())
@@ -61,7 +61,7 @@ def output_cell(folder: Path, interface: str, reads_back: bool) -> Path:
 
 @dataclass
 class Cell:
-    """The node, the robot's output, and hands to play planner, camera and arm."""
+    """The node, the robot's output, and publishers that replace planner, camera and arm."""
 
     bench: Bench
     robot: RosOutput
@@ -100,7 +100,7 @@ class Cell:
         )
 
     def tap(self, tap_id: int) -> None:
-        """Command a tap and let arm, planner and camera tell that all is well, until it ends."""
+        """Command a tap and publish valid states of arm, planner and camera until it ends."""
         message = TapCommand(request=TapCommand.TAP, tap_id=tap_id, striker_speed=0.6)
         message.header.frame_id = "table"
         message.expiry = (self.node.get_clock().now() + Duration(seconds=20)).to_msg()

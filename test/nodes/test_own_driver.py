@@ -1,4 +1,4 @@
-"""The arm's node in front of an arm that has a ROS driver of its own."""
+"""The arm's node with an arm that has its own ROS driver."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 from tapping_cell.se2 import Pose
 
 pytestmark = pytest.mark.alone
-"""Joint states at 50 Hz must not wait for a processor."""
+"""Joint states at 50 Hz must not be delayed by other tests."""
 
 STRIKE = Pose(-0.08, 0.02, 0.3)
 NAMES = ("joint_1", "joint_2", "joint_3", "joint_4")
 
 
 def own_driver_cell(folder: Path) -> Path:
-    """The package's cell file with an arm that has its own driver."""
+    """Write a copy of the package's cell file for an arm that has its own driver."""
     shutil.copytree(shared_folder(), folder / "config")
     cell_file = folder / "config" / "cell.yaml"
     content = yaml.safe_load(cell_file.read_text())
@@ -105,7 +105,7 @@ class Cell:
         self.bench.wait(lambda: self.commands.get_subscription_count() == 1, "the node listens")
 
     def true_tip(self) -> tuple[Pose, float]:
-        """By the emulated arm and forward kinematics, not by what anybody says."""
+        """Return the true pose, computed from the emulated arm by forward kinematics."""
         configuration = load_cell(self.file)
         with self.controller.lock:
             joints, _ = self.controller.controller.state(time.monotonic())
@@ -149,7 +149,8 @@ def test_a_tap_and_back_with_the_arms_own_driver(cell: Cell) -> None:
     tip, height = cell.true_tip()
     assert tip.distance_to(STRIKE) < 5e-4 and height == pytest.approx(0.006, abs=2e-4)
     assert not cell.moving()
-    # The promise begins after this time, and a motion that is seen before its end broke it.
+    # The promise begins after ``until`` is computed, so a motion that is seen before ``until``
+    # breaks it.
     until = time.monotonic() + 0.2
     held = cell.call("hold_still", HoldStill.Request(tap_id=100, duration=0.2))
     assert held.granted
@@ -207,7 +208,7 @@ def test_the_doctor_hears_it_and_moves_nothing(cell: Cell) -> None:
 
 
 def doctor_in_a_process(file: Path) -> list[dict[str, Any]]:
-    """The findings of the verb."""
+    """Return the findings of the verb `doctor`, run in a process of its own."""
     ran = subprocess.run(
         [sys.executable, "-m", "tapping_cell", "doctor", "--cell", str(file), "--json"],
         capture_output=True,

@@ -1,6 +1,6 @@
-"""The arm's node in front of a controller's action follow_joint_trajectory, over DDS.
+"""The arm's node with a controller that offers the action follow_joint_trajectory, over DDS.
 
-Skipped where control_msgs is not installed, as in the wheels.
+Skipped if control_msgs is not installed, which is the case for the ROS wheels.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The numbered way back on the operator's page ticks itself off."""
+"""The numbered recovery steps on the operator's page are marked as done automatically."""
 
 from __future__ import annotations
 

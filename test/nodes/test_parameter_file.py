@@ -1,4 +1,5 @@
-"""One parameter file serves every node of a cell, in any namespace; an unknown name is refused."""
+"""One parameter file configures all nodes of a cell, in any namespace; an unknown name is
+refused."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ EXAMPLE = shared_folder() / "parameters.yaml"
 
 @contextmanager
 def started(node: str, file: Path, namespace: str = "/") -> Iterator[Any]:
-    """A node that was given a parameter file, not spun."""
+    """Create a node with a parameter file, without spinning it."""
     rclpy.init(args=["--ros-args", "-r", f"__ns:={namespace}", "--params-file", str(file)])
     made = None
     try:

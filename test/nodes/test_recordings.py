@@ -1,4 +1,4 @@
-"""Records that `calibrate arm` and `calibrate tapper` make with a running cell."""
+"""The records that `calibrate arm` and `calibrate tapper` make with a running cell."""
 
 from __future__ import annotations
 
@@ -43,16 +43,17 @@ BASE = CELL.arm_base @ Pose(0.002, -0.001, 0.01)
 
 @dataclass
 class HeldMarker:
-    """An arm and a camera played by hand: what the arm holds is seen where it takes it."""
+    """Simulated arm and camera: the marker that the arm holds is seen at the pose to which the arm
+    moved."""
 
     bench: Bench
     blind: bool = False
     refuses: bool = False
     unseen: int = 0
-    """Of the next postures, so many are out of the camera's view."""
+    """Number of coming postures at which the camera does not see the marker."""
     joints: Joints = field(default_factory=lambda: Joints(0.4, 0.8, -0.02, 0.0))
     other_file: float = 0.0
-    """The running cell's own file has the tip so many m away."""
+    """Error of the tip in the cell file that the running cell uses, in m."""
     visits: int = 0
     _visible: bool = True
     _error: str = ""
@@ -172,14 +173,14 @@ def test_energies_are_within_the_tapper_and_mixed_over_the_range() -> None:
     assert all(curve.slowest <= curve.speed_for(energy) <= curve.fastest for energy in energies)
     every = list(tapper_recording.order(energies, 30, []))
     assert tuple(Counter(every)[energy] for energy in energies) == SHARES
-    # A third of them already tells of the whole range.
+    # The first third of the taps already contains all energies.
     assert len(set(every[:10])) == len(SHARES)
     rest = list(tapper_recording.order(energies, 30, [1.001 * energy for energy in every[:12]]))
     assert Counter(rest) == Counter(every) - Counter(every[:12])
 
 
 class ScriptedTapClient(ScriptedClient):
-    """As told; what a recording asks besides."""
+    """A client with scripted taps that also provides what a recording needs."""
 
     simulated = True
 

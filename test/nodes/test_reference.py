@@ -1,4 +1,4 @@
-"""docs/nodes.md tells of every parameter, topic, service and error code, and of no other."""
+"""docs/nodes.md lists each parameter, topic, service and error code, and no others."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NODES = (
 
 
 def section(title: str) -> str:
-    """The text under a heading, up to the next heading."""
+    """Return the text under a heading, up to the next heading."""
     found = re.search(rf"^#+ {re.escape(title)}$(.*?)(?=^#|\Z)", PAGE, re.MULTILINE | re.DOTALL)
     assert found, f"docs/nodes.md has no heading '{title}'"
     return found[1]

@@ -1,4 +1,4 @@
-"""Nodes with another name (``__node:=``) are found by clients, and keep their stop."""
+"""Clients find nodes with another name (``__node:=``), and such nodes keep their stop."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_renamed_arm_is_listed_stopped_and_remembers_its_stop(
         b.wait(lambda: rows(client)["camera_pose"]["life"] == "active", "the camera is listed")
         names = [row["name"] for row in client.state()["nodes"]]
         assert "scara_arm" not in names and len(names) == len(set(names))
-        # Published, served and stored under the name of the executable, not of the node.
+        # The stop's topic, service and file are named after the executable, not after the node.
         b.wait(lambda: client._stop["scara_arm"].service_is_ready(), "STOP finds the arm")
         answered = client._call(client._stop["scara_arm"], "scara_arm")
         assert answered[0], answered

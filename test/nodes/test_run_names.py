@@ -1,4 +1,4 @@
-"""The recorder takes no name or folder that is none."""
+"""The recorder refuses invalid names and folders."""
 
 from __future__ import annotations
 

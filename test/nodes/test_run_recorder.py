@@ -1,4 +1,4 @@
-"""The recorder hears what the cell says and leaves one folder for every goal, or says why not."""
+"""The recorder writes one folder for each goal, or reports why it cannot."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ START, GOAL = Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)
 
 
 class FakeCell:
-    """Publishes as planner, camera and arm do."""
+    """Publishes the messages of planner, camera and arm."""
 
     def __init__(self, made: Bench, plan: str = "plan_state") -> None:
         self.bench = made
@@ -76,7 +76,7 @@ class FakeCell:
         made.wait(lambda: self.health()[0] == DiagnosticStatus.OK, "the recorder is active")
 
     def health(self) -> tuple[bytes, str]:
-        """Level and sentence of the recorder's last diagnostics."""
+        """Return the level and the message of the recorder's last diagnostics."""
         for message in reversed(self.diagnostics):
             for status in message.status:
                 if status.name in ("/run_recorder", "/notes"):
@@ -84,7 +84,7 @@ class FakeCell:
         return DiagnosticStatus.STALE, ""
 
     def stamp(self, message: Any) -> Any:
-        """The message with the present time."""
+        """Return the message with the current time as its stamp."""
         message.header.stamp = self.node.get_clock().now().to_msg()
         message.header.frame_id = "table"
         return message
@@ -109,7 +109,7 @@ class FakeCell:
         self.reports.publish(self.stamp(report))
 
     def follow(self, goal: PoseStamped) -> None:
-        """A goal of one tap from its beginning to its end."""
+        """Publish a goal of one tap from beginning to end."""
         self.see(START)
         time.sleep(0.2)
         self.plan(goal, PlanState.LOOKING)
@@ -126,7 +126,7 @@ class FakeCell:
         self.plan(goal, PlanState.REACHED, taps=1)
 
     def recorded(self, number: int) -> list[Run]:
-        """The runs, once there are so many."""
+        """Return the runs as soon as there are ``number`` of them."""
         self.bench.wait(lambda: len(self.runs) >= number, f"{number} runs are recorded")
         return [read_run(Path(message.data)) for message in self.runs]
 
@@ -139,15 +139,16 @@ def cell(tmp_path: Path, **parameters: object) -> Iterator[FakeCell]:
 
 
 def is_written(runs: Path) -> bool:
-    """Whether a bag holds something: a recorder that is still opening it has less of the few
-    seconds that it is given at its end."""
+    """Return whether a bag contains data. A recorder that is stopped while it still opens its bag
+    may not have enough time to close it."""
     return any(file.stat().st_size > 0 for file in runs.glob("*/bag/*"))
 
 
 def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> None:
     with cell(tmp_path, seed=3, pictures=True) as fake:
         fake.arms.publish(fake.stamp(ArmState(state=ArmState.IDLE)))
-        time.sleep(2.5)  # the lead: what is latched must stand in the bag all the same
+        # longer than the lead before a goal; latched messages must be in the bag all the same
+        time.sleep(2.5)
         fake.follow(fake.goal())
         (run,) = fake.recorded(1)
         folder = Path(fake.runs[0].data)
@@ -161,7 +162,7 @@ def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> No
     assert "/camera/image_annotated/compressed" in names
     first = next(stamp for stamp, _ in bag.of("plan_state"))
     assert min(stamp for stamp, _ in bag.of("object_state")) < first
-    # Also from topics that are read only during a goal.
+    # The same holds for topics that the recorder subscribes to only during a goal.
     assert min(stamp for stamp, _ in bag.of("ground_truth")) < first
     stamps = [message.stamp for message in bag.messages]
     assert stamps == sorted(stamps)
@@ -174,7 +175,7 @@ PLACES = {"disk": (Pose(0.0, 0.0, 0.0), Pose(0.02, 0.0, 0.1)), "bar": (START, Po
 
 
 class FakeArrangement:
-    """Publishes as the planner, the camera and the simulated world do in an arrangement."""
+    """Publishes the messages of planner, camera and simulated world during an arrangement."""
 
     def __init__(self, fake: FakeCell) -> None:
         self.fake = fake
@@ -210,7 +211,7 @@ class FakeArrangement:
 
 
 def test_an_arrangement_is_one_run_with_its_objects_taps_and_contacts(tmp_path: Path) -> None:
-    """Every move is a goal of the planner, but the whole arrangement is one folder."""
+    """Each move is a goal of the planner, but the arrangement is recorded in a single folder."""
     with cell(tmp_path, pictures=True) as fake:
         both = FakeArrangement(fake)
         starts = {name: start for name, (start, _) in PLACES.items()}
@@ -241,7 +242,7 @@ def test_an_arrangement_is_one_run_with_its_objects_taps_and_contacts(tmp_path: 
         fake.plan(fake.goal(goals["bar"]), PlanState.REACHED, taps=2)
         fake.bench.wait(lambda: len(fake.runs) >= 1, "the arrangement is recorded")
         folder = Path(fake.runs[0].data)
-        # The goal after it has its own folder again.
+        # The next goal has its own folder again.
         fake.follow(fake.goal(Pose(0.03, 0.0, 0.0)))
         fake.bench.wait(lambda: len(fake.runs) >= 2, "the next goal is recorded")
     assert folder.name.endswith("arrange_2_objects")
@@ -282,7 +283,7 @@ def test_refused_replaced_and_lost_goals_are_told_truly(
     monkeypatch.setattr(run_recorder, "SILENCE_S", 5.0)
     with cell(tmp_path) as fake:
         off = fake.goal(Pose(0.9, 0.0, 0.0))
-        for _ in range(3):  # the same refusal again and again makes one folder
+        for _ in range(3):  # a repeated refusal makes only one folder
             fake.report(
                 off,
                 PlanState.FAILED,
@@ -299,7 +300,7 @@ def test_refused_replaced_and_lost_goals_are_told_truly(
             first, PlanState.CANCELED, error_code=ErrorCode.GOAL_REPLACED, error_msg="newer"
         )
         fake.plan(second, PlanState.WAITING_FOR_CELL)
-        runs = fake.recorded(3)  # the second one's planner says nothing any more
+        runs = fake.recorded(3)  # the planner publishes nothing more about the second goal
     assert [run.outcome for run in runs] == ["refused", "canceled", "unfinished"]
     assert runs[1].error_code == ErrorCode.GOAL_REPLACED
     assert runs[2].error_code == ErrorCode.SHUTTING_DOWN
@@ -399,14 +400,14 @@ def test_a_recorder_that_cannot_write_says_so_and_goes_on(
 def test_messages_of_another_version_are_reported_and_do_not_end_the_recorder(
     topic: str, tmp_path: Path
 ) -> None:
-    """The middleware delivers messages of one type name whatever their definition."""
+    """The middleware matches messages by the name of their type, regardless of its definition."""
     with cell(tmp_path) as fake:
         fake.arrangements = fake.node.create_publisher(
             ArrangementState, "arrangement_state", LATCHED
         )
         fake.bench.wait(lambda: fake.arrangements.get_subscription_count() == 1, "a third topic")
         publisher = getattr(fake, topic)
-        # A definition with fewer fields, such as that of an older version.
+        # A definition with fewer fields, like that of an older version.
         publisher.publish(serialize_message(Header(frame_id="table")))
         fake.bench.wait(lambda: fake.health()[0] == DiagnosticStatus.WARN, "it says so")
         sentence = fake.health()[1]

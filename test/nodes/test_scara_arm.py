@@ -1,6 +1,6 @@
 """The arm's node over DDS and a pseudo-terminal: topics, services, life cycle, cable.
 
-What it decides is tested in virtual time (``test/pure/logic/test_arm_with_its_controller.py``).
+Its decisions are tested in virtual time (``test/pure/logic/test_arm_with_its_controller.py``).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ JOINT_NAMES = ["shoulder", "elbow", "quill", "tool"]
 
 @dataclass
 class Cell:
-    """The node, its emulated controller, and hands to play the planner."""
+    """The node, its emulated controller, and publishers that replace the planner."""
 
     bench: Bench
     device: GrblEmulator | MarlinEmulator
@@ -81,18 +81,18 @@ class Cell:
         self.commands.publish(TapCommand(request=TapCommand.WITHDRAW, tap_id=tap_id))
 
     def call(self, service: str) -> Any:
-        """The answer of one of the arm's services."""
+        """Return the answer of one of the arm's services."""
         future = self.services[service].call_async(Trigger.Request())
         self.bench.wait(future.done, f"{service} answers")
         return future.result()
 
     def moving(self) -> bool:
-        """Whether the emulated arm moves now."""
+        """Return whether the emulated arm moves now."""
         with self.terminal.lock:
             return self.device.moving(time.monotonic())
 
     def moves(self, seconds: float) -> bool:
-        """Whether the emulated arm moves at any time in the next seconds."""
+        """Return whether the emulated arm moves at any time in the next ``seconds`` s."""
         end = time.monotonic() + seconds
         moved = False
         while time.monotonic() < end:
@@ -147,7 +147,8 @@ def test_it_homes_by_itself_and_reports_joints_only_then(cell: Cell) -> None:
     assert not any(state.homed for state in unhomed)
     assert cell.last.homed and cell.last.clear_of_camera
     park = pytest.approx(load_cell().file.arm.park, abs=2e-3)
-    # Topics are not ordered: joints of its way may come after the state that says it has arrived.
+    # Messages on different topics are not ordered: joint states of the motion may arrive after the
+    # state that reports its end.
     cell.bench.wait(
         lambda: cell.joints and list(cell.joints[-1].position) == park, "the joints where it parks"
     )
@@ -161,7 +162,7 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
     tip = from_message(cell.last.tip_pose)
     assert tip.distance_to(STRIKE) < 0.0005 and abs(tip.rotation_to(STRIKE)) < 0.002
     assert cell.last.tip_pose.position.z == pytest.approx(0.006, abs=2e-4)
-    # Where the arm truly is, by the emulator and forward kinematics, not by what it says.
+    # The arm's true pose, from the emulator by forward kinematics, not from its messages.
     configuration = load_cell()
     with cell.terminal.lock:
         joints = cell.device.joints(time.monotonic())
@@ -190,7 +191,8 @@ def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> 
     )
     assert cell.last.state == ArmState.STOPPED
     cell.stop.publish(Bool(data=False))
-    # Topics and services are not ordered: the clear may overtake the release, and is refused.
+    # Messages and service requests are not ordered: the clear may be processed before the release,
+    # and is then refused.
     cell.bench.wait(lambda: cell.call("clear_fault").success, "the stop is cleared")
     cell.wait_state(ArmState.NOT_HOMED)
     assert not cell.moves(0.3)
@@ -201,7 +203,7 @@ def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> 
 
 
 def test_a_stop_outlives_its_node_and_homes_nothing(tmp_path: Path) -> None:
-    """S5: killed and started again after a stop, the arm must not home by itself."""
+    """After a stop, an arm whose node was killed and restarted must not home by itself."""
     with arm_cell(tmp_path) as cell:
         cell.wait_state(ArmState.IDLE)
         assert cell.call("stop").success
@@ -216,7 +218,8 @@ def test_a_stop_outlives_its_node_and_homes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
-    """S4: who clears must have seen what became of the panel that stopped the cell."""
+    """If the panel that stopped the cell disappears, a person must confirm that they have checked
+    it before the stop can be cleared."""
     panel = Node("panel")
     lost = panel.create_publisher(Bool, "emergency_stop", LATCHED)
     cell.bench.wait(lambda: lost.get_subscription_count() >= 1, "the panel is known")
@@ -232,7 +235,8 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
 
 
 def test_a_source_that_does_not_repeat_its_level_asks_for_a_confirmation(cell: Cell) -> None:
-    """S4: the release of one source is not that of another, whose level nobody can query."""
+    """Some sources do not repeat their level, so nobody can check whether they still hold the stop.
+    The release of one source must not release the stop of such a source."""
     panel = Node("panel")
     held = panel.create_publisher(Bool, "emergency_stop", COMMAND)
     cell.bench.wait(lambda: held.get_subscription_count() >= 1, "the panel is known")
@@ -288,7 +292,7 @@ def test_a_stop_is_sent_before_anything_is_asked_of_the_graph(
 def test_an_arm_whose_stop_could_not_be_stored_does_not_start(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """S5: its restart would forget the stop."""
+    """If the stop is not stored, a restarted node does not know of it."""
     (tmp_path / "file").touch()
     monkeypatch.setattr(cell_identity, "STATE", tmp_path / "file")
     with arm_cell(tmp_path) as cell:

@@ -1,4 +1,4 @@
-"""The SROS 2 policy grants each node what it opens, and nothing else."""
+"""The SROS 2 policy grants each node exactly the topics, services and actions that it opens."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ SENT = ("feedback", "status")
 DISCOVERY_S = 60.0
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
-    # With image_transport:=compressed.
+    # Used with image_transport:=compressed.
     "camera_pose": {"subscribe": {"/camera/image_raw/compressed"}},
-    # While somebody looks at the page.
+    # Used while a page is open.
     "operator_page": {
         "subscribe": {
             "/arm_state",
@@ -46,7 +46,7 @@ OPENED_LATER: dict[str, dict[str, set[str]]] = {
         },
         "request": {f"/{name}/get_state" for name in MODULES},
     },
-    # For each node that is found.
+    # Used for each node that is found.
     "cell_client": {"request": {f"/{name}/get_state" for name in MODULES}},
 }
 
@@ -60,7 +60,7 @@ Endpoints = dict[str, set[str]]
 
 
 def granted() -> dict[str, Endpoints]:
-    """Full names by kind, by node."""
+    """Return the granted names by node and kind."""
     found: dict[str, Endpoints] = {}
     for enclave in ElementTree.parse(FOLDER / "cell.policy.xml").iter("enclave"):
         (profile,) = enclave.iter("profile")
@@ -98,8 +98,8 @@ def _grant(rules: Endpoints, kind: str, name: str) -> None:
 def opened(node: Any, name: str, expected: Endpoints) -> Endpoints:
     """Return what a node has opened in the running middleware.
 
-    The middleware's graph follows a little later than the calls that open something. Therefore,
-    this waits until everything expected is there, for ``DISCOVERY_S`` at most.
+    The middleware lists an endpoint shortly after it was created. Therefore, this waits until all
+    expected endpoints are listed, for at most ``DISCOVERY_S``.
     """
     end = time.monotonic() + DISCOVERY_S
     while True:
@@ -204,7 +204,7 @@ def test_a_middleware_without_security_is_refused_in_a_sentence(tmp_path: Path) 
 def test_the_permissions_that_sros2_makes_forbid_what_the_policy_does_not_grant(
     tmp_path: Path,
 ) -> None:
-    """The permissions are evaluated as DDS Security demands: what no rule allows is denied."""
+    """The permissions are evaluated as DDS Security specifies: what no rule allows is denied."""
     generation = pytest.importorskip("sros2.api._artifact_generation")
     generation.generate_artifacts(tmp_path, [], [FOLDER / "cell.policy.xml"])
     folder = tmp_path / "enclaves" / "tapping_cell"
@@ -241,6 +241,7 @@ def test_the_permissions_that_sros2_makes_forbid_what_the_policy_does_not_grant(
 
 
 def test_only_the_planner_subscribes_to_goals() -> None:
-    """``ros2 topic pub --once`` publishes as soon as one subscription is connected, then ends."""
+    """``ros2 topic pub --once`` publishes and ends as soon as a single subscription is connected.
+    If another node subscribed to goals, the planner could miss the goal."""
     subscribers = {name for name, rules in granted().items() if "/goal_pose" in rules["subscribe"]}
     assert subscribers == {"tap_planner"}

@@ -1,4 +1,5 @@
-"""The action single_tap: the planner's own safety, one tap, and a record of it whatever happens."""
+"""The action single_tap makes one tap with the planner's safety checks and always returns a
+record."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ SPEED, INCIDENCE = 0.6, math.radians(20.0)
 
 @dataclass
 class Experiment:
-    """The planner with its actors, and the client of the experiments."""
+    """The planner with simulated devices, and the client for experiments."""
 
     actors: Actors
     client: SingleTapClient
@@ -33,7 +34,7 @@ class Experiment:
         return self.client.tap(speed, incidence, math.nan, slack, lambda: None)
 
     def begin(self) -> tuple[threading.Thread, list[SingleTap.Result]]:
-        """A tap in the background."""
+        """Start a tap in the background."""
         results: list[SingleTap.Result] = []
         thread = threading.Thread(target=lambda: results.append(self.tap()), daemon=True)
         thread.start()
@@ -63,10 +64,10 @@ def test_a_tap_is_made_once_and_recorded(experiment: Experiment) -> None:
     assert command.striker_speed == record.striker_speed == SPEED
     assert from_message(record.object_pose).distance_to(before) < 1e-6
     assert from_message(record.measured_pose.pose).distance_to(actors.pose) < 1e-6
-    # Towards the middle, as nothing else was asked for.
+    # Without a given direction, the tap goes towards the middle.
     assert math.hypot(actors.pose.x, actors.pose.y) < math.hypot(before.x, before.y)
     ends = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]
-    assert set(ends) == {command.tap_id}  # the second one parks the arm
+    assert set(ends) == {command.tap_id}  # the second withdrawal parks the arm
     actors.bench.wait(lambda: actors.plans[-1].state == PlanState.IDLE, "it ends in idle")
 
 
@@ -144,7 +145,7 @@ def test_a_tap_that_is_surely_not_fired_is_tried_three_times_under_new_ids(
     actors = experiment.actors
     actors.tapper_answers = TapperState.NOT_FIRED
     result = experiment.tap()
-    # This tapper complains of nothing: somebody else must have ended its taps.
+    # The tapper reports no error, so another node must have ended its taps.
     assert result.error_code == ErrorCode.NOT_READY and result.record.tap_id == 0
     ids = [command.tap_id for command in actors.taps()]
     assert len(ids) == len(set(ids)) == 3

@@ -1,4 +1,4 @@
-"""The arm's node in front of a six-axis arm with its own driver, over DDS."""
+"""The arm's node with a six-axis arm that has its own driver, over DDS."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tapping_cell.nodes.drivers.scara_arm import ScaraArm
 from tapping_cell.se2 import Pose
 
 pytestmark = pytest.mark.alone
-"""Joint states at 50 Hz must not wait for a processor."""
+"""Joint states at 50 Hz must not be delayed by other tests."""
 
 ROOT = Path(__file__).parents[2]
 STRIKE = Pose(-0.08, 0.02, 0.3)

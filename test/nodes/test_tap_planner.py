@@ -1,6 +1,6 @@
-"""The planning node over DDS: topics, its kept goal, its end.
+"""The planning node over DDS: its topics, its stored goal, and its shutdown.
 
-What it decides is tested in virtual time (``test/pure/logic/test_planner_with_played_devices.py``).
+Its decisions are tested in virtual time (``test/pure/logic/test_planner_with_played_devices.py``).
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ FAST = {
     "withdraw_deadline": 4.0,
     "silence_limit": 4.0,
 }
-"""Quicker than a cell, so that what never comes is soon given up, and slow enough for a busy
-machine: what is played here is due every 30 ms."""
+"""Shorter than in a cell, so that missing messages are soon detected, but long enough for a busy
+machine: the simulated devices publish every 30 ms."""
 
 
 @dataclass
 class Actors:
-    """Camera, arm and tapper played by hand; each behaves unless a test says otherwise."""
+    """Simulated camera, arm and tapper. Each behaves normally unless a test changes it."""
 
     bench: Bench
     pose: Pose = START
@@ -99,7 +99,7 @@ class Actors:
                     fired = self.tapper_answers != TapperState.NOT_FIRED
                     if fired and self.moves_when_fired:
                         self.pose = from_message(command.predicted_pose)
-                    # At once: a picture of the object after the tap would be one too many.
+                    # At once: otherwise an image would still show the object after the tap.
                     self.visible = self.visible and not (fired and self.lost_when_fired)
             elif self.arm_withdraws:
                 self.arm_state = ArmState.IDLE
@@ -171,12 +171,13 @@ def actors() -> Iterator[Actors]:
 
 
 def test_a_planner_that_has_ended_serves_nothing() -> None:
-    # Else clients that come next would wait for one of which a half is still there.
+    # If some services of an ended planner stayed visible, new clients would wait for its action
+    # server.
     context = Context()
     rclpy.init(context=context)
     watcher = Node("watcher", context=context)
     service = "/position_object/_action/send_goal"
-    gc.disable()  # what is only garbage would go at some time
+    gc.disable()  # garbage collection could remove such services at any time and hide the defect
     try:
         with acted() as actors:
             actors.bench.wait(lambda: watcher.count_services(service) == 1, "the planner")
@@ -193,7 +194,8 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg
     assert end.taps == len(actors.taps()) >= 1
-    # Every tap is ended by a withdrawal, the last by a second one that parks the arm; ids rise.
+    # Each tap is ended by a withdrawal, and the last one by a second withdrawal that parks the arm.
+    # The ids increase.
     ids = [command.tap_id for command in actors.taps()]
     assert ids == sorted(set(ids))
     ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]

@@ -1,4 +1,4 @@
-"""The trials of an experiment against a client that is told what to answer."""
+"""The trials of an experiment, with a client whose answers are scripted."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FRICTION = 1.7
 
 @dataclass
 class ScriptedClient:
-    """A client whose taps end as told: "ok", "miss", "lost", or with a code and no tap."""
+    """A client whose taps end as scripted: "ok", "miss", "lost", or an error code without a tap."""
 
     answers: list[str | int]
     pose: Pose = field(default_factory=lambda: Pose(0.0, 0.0, 0.0))
@@ -123,7 +123,7 @@ def test_each_trial_is_on_disk_before_the_next(tmp_path: Path) -> None:
         assert done.trial.trial == number
         assert len(read_trials(tmp_path).trials) == number
     assert number == 3 and client.goals == []
-    # Out, and back towards the middle.
+    # The first tap goes away from the middle and the second one back towards it.
     assert math.remainder(client.directions[1] - client.directions[0], math.pi) == pytest.approx(
         0.0, abs=1e-6
     )

@@ -1,6 +1,6 @@
 """The tapper's node over DDS and a pseudo-terminal: topics, services, life cycle, cable.
 
-What it decides is tested in virtual time (``test/pure/logic/test_tapper_with_its_board.py``).
+Its decisions are tested in virtual time (``test/pure/logic/test_tapper_with_its_board.py``).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachin
 
 @dataclass
 class Cell:
-    """The node, its emulated device, and hands to play planner and arm."""
+    """The node, its emulated device, and publishers that replace planner and arm."""
 
     bench: Bench
     device: TapperEmulator
@@ -91,18 +91,18 @@ class Cell:
         self.arm.publish(message)
 
     def publish_until(self, condition: Callable[[], bool], what: str, **arm: object) -> None:
-        """Let the arm speak until the condition holds."""
+        """Publish the arm's state until the condition holds."""
         self.bench.wait(lambda: (self.publish_arm(**arm), time.sleep(0.03), condition())[2], what)  # type: ignore[arg-type]
 
     def fire(self, tap_id: int) -> None:
-        """Command a tap, let the arm stand there, wait for the release."""
+        """Command a tap, publish that the arm is in position, and wait for the shot."""
         self.command(tap_id)
         self.publish_until(
             lambda: self.outcome(tap_id) == TapperState.FIRED, f"tap {tap_id} fired", tap_id=tap_id
         )
 
     def cleared(self) -> bool:
-        """Ask for the fault to be cleared; whether it is."""
+        """Request that the fault is cleared; return whether it was."""
         answer = self.clear.call_async(Trigger.Request())
         self.bench.wait(answer.done, "clear_fault answers")
         return bool(answer.result().success)
@@ -121,8 +121,8 @@ PATIENT: dict[str, object] = {
     "unseen_limit": 10.0,
     "needs_camera": False,
 }
-"""A busy machine must not make those that are played here too silent to fire. These limits are
-tested in virtual time."""
+"""Limits long enough that the simulated arm and planner are not timed out on a busy machine. The
+limits are tested in virtual time."""
 
 
 @contextmanager
@@ -168,7 +168,8 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     assert cell.shots() == []
     cell.publish_until(lambda: cell.outcome(100) == TapperState.FIRED, "fired", tap_id=100)
     assert cell.shots() == [100]
-    # The same command again, and the arm still in position: answered, not fired.
+    # The same command again while the arm is still in position: it is answered, but nothing is
+    # fired.
     cell.command(100)
     keep_publishing(cell, 0.5, tap_id=100)
     assert cell.shots() == [100]
@@ -184,7 +185,8 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
     assert cell.states[-1].state == TapperState.STOPPED
     with cell.terminal.lock:
         cell.device.press_clear_button(time.monotonic())
-    # Topics and services are not ordered: the clear may overtake the release, and is refused.
+    # Messages and service requests are not ordered: the clear may be processed before the release,
+    # and is then refused.
     cell.bench.wait(cell.cleared, "the stop is cleared")
     cell.bench.wait(lambda: cell.states[-1].state == TapperState.SAFE, "safe again")
     cell.fire(101)
@@ -211,7 +213,8 @@ def test_a_cable_pulled_at_the_release_leaves_an_unknown_outcome_and_a_working_n
 
 DISCHARGED = ("DISCHARGING", "SAFE")
 SLOW = TapperMachine(SpringMechanism(step_rate=100.0))
-"""A spring that takes so long to charge that whoever falls silent does so in mid-draw."""
+"""This spring takes so long to charge that each interruption in these tests happens while it is
+charged."""
 
 
 def test_deactivating_in_mid_draw_lets_the_striker_down(tmp_path: Path) -> None:
@@ -224,13 +227,13 @@ def test_deactivating_in_mid_draw_lets_the_striker_down(tmp_path: Path) -> None:
         )
         nodes[0].trigger_deactivate()
         cell.bench.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
-        # Not for want of anybody's word, nor because the draw took too long.
+        # The cause is neither a message timeout nor the time limit for charging.
         assert cell.states[-1].error_code == ErrorCode.NOT_ACTIVE
         assert cell.device.state in DISCHARGED and cell.shots() == []
 
 
 class Bootloader(TapperEmulator):
-    """A board whose bootloader listens for a while, whenever the port is opened."""
+    """A board whose bootloader listens for ``seconds`` s whenever the port is opened."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
@@ -272,7 +275,7 @@ def test_a_stop_published_before_the_node_was_there_holds(tmp_path: Path) -> Non
         cell = Cell(b, device, None, b.listen(TapperState, "tapper_state", LATCHED))  # type: ignore[arg-type]
         cell.stop.publish(Bool(data=True))
         b.wait(lambda: nodes[0].stopped, "the stop is received")
-        # A configuration that meets a slow board fails and is tried again, as autostart does.
+        # Configuring fails while the board is still booting, and is repeated, as autostart does.
         b.wait(lambda: (nodes[0].trigger_configure(), nodes[0].configured)[1], "configured")
         nodes[0].trigger_activate()
         b.wait(lambda: device.state == "STOPPED", "the board is stopped as well")

@@ -1,4 +1,4 @@
-"""Pictures go through shared memory; what is killed and restarted in mid-tap keeps off it."""
+"""Images use shared memory. Nodes that may be killed and restarted during a tap do not use it."""
 
 from __future__ import annotations
 

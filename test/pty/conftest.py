@@ -1,4 +1,4 @@
-"""Devices on real pseudo-terminals."""
+"""Fixture for emulated devices on real pseudo-terminals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ Plug = Callable[..., PseudoTerminal]
 
 @pytest.fixture
 def plug(tmp_path: Path) -> Iterator[Plug]:
-    """Plugs an emulator in; its path is ``plug(...).path``."""
+    """Return a function that connects an emulator to a pseudo-terminal; its ``path`` is the
+    port."""
     with ExitStack() as stack:
 
         def put(emulator: DeviceEmulator, name: str = "device", **options: bool) -> PseudoTerminal:

@@ -1,4 +1,4 @@
-"""The arm's driver against the emulated Grbl controller on a real pseudo-terminal."""
+"""The arm's driver with the emulated Grbl controller on a real pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def emulated(
     expected: dict[int, float] | None = None,
     **options: bool,
 ) -> EmulatedArm:
-    """One emulated Grbl arm and its driver."""
+    """Return an emulated Grbl arm and its driver."""
     emulator = GrblEmulator(machine, seed=1, now=time.monotonic())
     port = plug(emulator, **options)
     transport = SerialTransport(str(port.path))
@@ -67,7 +67,7 @@ def test_home_move_read_back(plug: Callable[..., PseudoTerminal]) -> None:
 def test_a_path_ends_on_the_strike_pose_and_rests_there(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
-    """What the driver adds to the time of the moves is measured by benchmarks/drivers.py."""
+    """The time that the driver adds to the moves is measured by benchmarks/drivers.py."""
     cell = emulated(plug)
     driver = cell.ready()
     tip = TipPose(0.40, 0.35, 0.01, 0.6)
@@ -154,7 +154,7 @@ def test_stop_waits_for_nobody(plug: Callable[..., PseudoTerminal]) -> None:
         assert driver.stop()
         delays.append(time.monotonic() - before)
         driver.clear_fault()
-    # A measure of time, with a bound that a slow and busy machine meets; it is 1 ms here.
+    # The delay is about 1 ms; the bound is met even on a slow and busy machine.
     assert statistics.median(delays) < 0.05
 
 
@@ -192,7 +192,8 @@ def test_homing_survives_a_pulled_cable_but_not_a_reset(
 
 
 def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerminal]) -> None:
-    """The controller counts a push as no motion; only a jump of its own count can be seen."""
+    """The controller does not notice if somebody pushes the arm. The driver only notices that the
+    reported position has changed; a move of another program causes this here."""
     cell = emulated(plug)
     driver = cell.ready()
     with cell.port.lock:
@@ -230,8 +231,8 @@ def test_settings_that_differ_are_refused_by_name(plug: Callable[..., PseudoTerm
     assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
-class Babbler:
-    """A device that is no Grbl."""
+class NoisyDevice:
+    """A device that is not a Grbl controller."""
 
     def __init__(self) -> None:
         self.out = b""
@@ -252,7 +253,7 @@ class Babbler:
 
 
 def test_unknown_firmware_is_refused(plug: Callable[..., PseudoTerminal]) -> None:
-    port = plug(Babbler())
+    port = plug(NoisyDevice())
     transport = SerialTransport(str(port.path))
     driver = ArmDriver(transport, GrblDialect(transport), ScaraGeometry())
     with pytest.raises(HardwareFault, match="check the port, the baud") as caught:
@@ -261,7 +262,7 @@ def test_unknown_firmware_is_refused(plug: Callable[..., PseudoTerminal]) -> Non
 
 
 def test_a_homing_that_did_not_run_is_not_believed(plug: Callable[..., PseudoTerminal]) -> None:
-    """One wrong bit makes $X of $H, which an unlocked Grbl answers with ok."""
+    """A single wrong bit turns $H into $X, which an unlocked Grbl answers with ok."""
     cell = emulated(plug)
     cell.driver.connect()
     cell.driver.clear_fault()
@@ -283,7 +284,8 @@ def test_homing_without_switches(
     plug: Callable[..., PseudoTerminal], strategy: HomingStrategy
 ) -> None:
     settings = dict(MACHINE.settings) | {22: 0.0}
-    # The marked pose; the controller counts from zero there.
+    # MANUAL_POSE homes at the marked pose. With NONE, the controller counts from zero where it
+    # starts.
     place = HOME if strategy is HomingStrategy.MANUAL_POSE else (0.0, 0.0, 0.0, 0.0)
     cell = emulated(plug, GrblMachine(start_joints=place, settings=settings))
     cell.driver.connect()

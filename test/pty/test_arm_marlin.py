@@ -1,4 +1,4 @@
-"""The arm's driver in Marlin's dialect, on the emulator and on OctoPrint's virtual printer."""
+"""The arm's driver with Marlin, tested with the emulator and with OctoPrint's virtual printer."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Plug = Callable[..., PseudoTerminal]
 
 
 def emulated(plug: Plug, parser: bool = True, **options: bool) -> EmulatedArm:
-    """One emulated Marlin arm and its driver."""
+    """Return an emulated Marlin arm and its driver."""
     machine = MarlinMachine(start_joints=NEAR_HOME, home_joints=HOME, emergency_parser=parser)
     emulator = MarlinEmulator(machine, seed=1, now=time.monotonic())
     port = plug(emulator, **options)
@@ -38,7 +38,8 @@ def test_home_move_read_back(plug: Plug) -> None:
     assert driver.firmware is not None and driver.firmware.version.startswith("2.1.2")
     goal = Joints(0.3, 1.2, -0.02, -0.5)
     reading = driver.move_to(goal, speed=0.8)
-    # Step counts, not the commanded values that M114 begins with.
+    # The position comes from the step counts, not from the commanded values at the start of the
+    # M114 report.
     assert reading.measured and not reading.moving
     assert np.allclose(reading.joints, goal, atol=1e-3)
     assert np.allclose(cell.truth(), goal, atol=1e-3)
@@ -83,9 +84,10 @@ def test_stop_is_unnumbered_and_acts_at_once(plug: Plug, parser: bool) -> None:
     here = cell.truth()
     assert here.shoulder < 1.4
     time.sleep(0.2)
-    # M112 takes the motors' power: the quill sinks.
+    # M112 switches the motors off, so the quill sinks.
     assert cell.truth()[:2] == here[:2] and (cell.truth() == here) is parser
-    # Without the emergency parser the firmware is dead until its board is reset: the port's DTR.
+    # Without the emergency parser the firmware stays halted until the port's DTR signal resets the
+    # board.
     driver.clear_fault()
     assert not driver.homed
     driver.home(HomingStrategy.FIRMWARE)
@@ -122,11 +124,12 @@ def test_a_restart_during_a_move_is_noticed(plug: Plug) -> None:
 
 
 class OctoPrintPort:
-    """OctoPrint's virtual printer as a device on our pseudo-terminal.
+    """OctoPrint's virtual printer as a device on a pseudo-terminal of the test.
 
-    It is a peer written by others, not a real board: it answers a repeated line number with
-    ``Resend`` and ``ok`` where real Marlin stays silent, it has an axis E instead of a fourth arm
-    axis, its step counts are not steps, and the ``ok`` of ``M114`` stands on the position's line.
+    It is an independent implementation, but not a real board. It answers a repeated line number
+    with ``Resend`` and ``ok``, where real Marlin does not answer. It has an axis E instead of a
+    fourth arm axis, its reported step counts are not those of motors, and the ``ok`` of ``M114`` is
+    on the same line as the position.
     """
 
     def __init__(self, printer: object) -> None:
@@ -156,7 +159,7 @@ class OctoPrintPort:
 
 
 class Peer:
-    """OctoPrint's virtual printer and the arm's driver on it."""
+    """OctoPrint's virtual printer and the arm's driver connected to it."""
 
     def __init__(self, printer: Any, driver: ArmDriver) -> None:
         self.printer = printer
@@ -168,13 +171,14 @@ class Peer:
         return self.driver
 
     def inject(self, name: str) -> None:
-        """One of the printer's own ways to misbehave."""
+        """Switch on one of the virtual printer's own faults."""
         self.printer.write(f"!!DEBUG:{name}\n".encode())
 
 
 @pytest.fixture(scope="module")
 def octoprint(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Any]:
-    """Makes virtual printers; OctoPrint's own settings can be made only once in a process."""
+    """Return a function that makes virtual printers. OctoPrint's settings can be created only once
+    per process."""
     pytest.importorskip("octoprint", reason="OctoPrint is not installed here")
     from octoprint.plugin import PluginSettings, plugin_manager
     from octoprint.plugins.virtual_printer import VirtualPrinterPlugin

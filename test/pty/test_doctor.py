@@ -1,4 +1,5 @@
-"""doctor against emulated devices on pseudo-terminals: what it finds, stores, and leaves alone."""
+"""`doctor` with emulated devices on pseudo-terminals: its findings, what it stores, and what it
+must not change."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ Plug = Callable[..., PseudoTerminal]
 
 
 def a_cell(folder: Path, plug: Plug, dialect: str) -> tuple[Path, GrblEmulator | MarlinEmulator]:
-    """A cell file whose two devices are plugged in."""
+    """Write a cell file whose two devices are connected; return its path and the arm's emulator."""
     shutil.copytree(shared_folder(), folder / "config")
     path = folder / "config" / "cell.yaml"
     document = yaml.safe_load(path.read_text())

@@ -1,4 +1,5 @@
-"""A few taps over bad lines on real pseudo-terminals; ``faults --pty`` runs as many as wanted."""
+"""A few taps over disturbed lines on real pseudo-terminals; ``faults --pty`` runs any number of
+them."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
 
 
 def pull_a_cable(cell: TrialCell) -> None:
-    """By turns the arm's and the tapper's, in the middle of what a tap says on it."""
+    """Alternately disconnect the cable of the arm and of the tapper in the middle of a tap's
+    messages."""
     line = cell.arm_line if cell.tally.taps % 2 else cell.tapper_line
     middle = line.count(Direction.TO_HOST) + 150
     line.add(LineFault(FaultKind.HANG_UP, Direction.TO_HOST, middle, duration=0.3))

@@ -1,4 +1,5 @@
-"""The serial port: exclusive, unplugged in every way, found again by its path, stopped at once."""
+"""The serial port: exclusive access, disconnection in several ways, reconnection by path, and an
+immediate stop."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator
 
 
 class RawTerminal:
-    """A bare pseudo-terminal, held by the test itself."""
+    """A plain pseudo-terminal whose other end the test holds."""
 
     def __init__(self, link: Path) -> None:
         self.link = link
@@ -115,7 +116,7 @@ def test_unplugged_while_waiting(terminal: RawTerminal) -> None:
 def test_a_full_line_is_written_in_pieces(terminal: RawTerminal) -> None:
     transport = SerialTransport(str(terminal.link))
     transport.open(1)
-    data = bytes(range(256)) * 400  # 100 kB, far beyond what a terminal holds
+    data = bytes(range(256)) * 400  # 100 kB, far more than a terminal buffers
     received = bytearray()
 
     def drain() -> None:
@@ -153,8 +154,8 @@ def test_stop_goes_out_at_once_and_nothing_after_it(terminal: RawTerminal) -> No
     worker = threading.Thread(target=wait)
     worker.start()
     time.sleep(0.05)
-    # The other thread waits for ten seconds; benchmarks/drivers.py measures how little
-    # this does.
+    # The other thread waits for 10 s, and the stop must not wait for it. benchmarks/drivers.py
+    # measures the delay of a stop.
     assert transport.stop(b"!\x18")
     assert os.read(terminal.master, 10) == b"!\x18"
     assert not failures or failures[0].reason is FaultReason.STOPPED
@@ -212,7 +213,7 @@ def test_a_port_that_vanishes_while_it_is_set_up_is_missing(
 
 
 def test_however_connecting_fails_nothing_stays_open_or_locked(tmp_path: Path) -> None:
-    """Cables pulled at random moments of forty connects, and boards that say nothing."""
+    """Disconnect cables at random times of forty connects, also with boards that do not answer."""
     draw = random.Random(5)
     path = tmp_path / "device"
     board = TapperEmulator(now=time.monotonic())
@@ -235,7 +236,7 @@ def test_however_connecting_fails_nothing_stays_open_or_locked(tmp_path: Path) -
                 with pytest.raises(HardwareFault):
                     driver.status()
             port.plug_in()
-            # Whoever else wants the port gets it.
+            # Another program can open the port.
             other = SerialTransport(str(path))
             other.open(0)
             other.close()
@@ -260,7 +261,8 @@ with PseudoTerminal(TapperEmulator(now=time.monotonic()), {path!r}):
 
 
 def test_the_link_of_a_killed_owner_leads_nowhere(tmp_path: Path) -> None:
-    """Its terminal's number is soon somebody else's, whose lines a driver must not touch."""
+    """The terminal's number may soon be reused by another program, which a driver must not
+    disturb."""
     path = tmp_path / "device"
     root = str(Path(__file__).resolve().parents[2])
     script = OWNER.format(root=root, path=str(path))
@@ -286,7 +288,7 @@ def test_the_link_of_a_killed_owner_leads_nowhere(tmp_path: Path) -> None:
 
 
 class Silent:
-    """An emulator that never says anything."""
+    """An emulator that sends nothing."""
 
     def receive(self, data: bytes, now: float) -> None: ...
 

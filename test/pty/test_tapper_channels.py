@@ -1,4 +1,5 @@
-"""Several tappers on one board: firmware and emulator answer alike, and the driver on a line."""
+"""Several tappers on one board: firmware and emulator give the same answers, and the driver works
+over a line."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ COILS = 4
 FLIGHT_MS = 300
 START_MS = 5000
 EDGE_MS = 12
-"""Nothing is compared so near to a change of state: the boards' loops run once a millisecond."""
+"""Replies are not compared this close to a change of state, because both boards update once per
+millisecond."""
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +56,8 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
 
 
 class BoardPair:
-    """The firmware's logic and the emulated board, both with coils, told the same."""
+    """The firmware's logic and the emulated board, both with coils, which receive the same
+    inputs."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self.library = library
@@ -71,7 +74,7 @@ class BoardPair:
         self.sequence = 10
 
     def run(self, duration: int) -> None:
-        """Let time pass, and more until neither board is about to change."""
+        """Let time pass, extended until neither board is about to change its state."""
         end = self.now + duration
         while self.now < end:
             before = self.emulator.state
@@ -85,7 +88,7 @@ class BoardPair:
         self.library.host_run(START_MS + self.now)
 
     def ask(self, words: str) -> tuple[list[str], list[str]]:
-        """What both answer, without checksum and version."""
+        """Return both answers without checksum and version."""
         self.library.host_forget_output()
         self.emulator.take_output(self.now / 1e3 + 1e-6)
         self.sequence += 1
@@ -154,7 +157,7 @@ def test_firmware_and_emulator_answer_alike_with_channels(
             case ("say", words):
                 firmware, emulated = boards.ask(str(words))
             case ("fail", kind, channel, on):
-                if boards.emulator.coils.next_event() is None:  # not in mid-flight
+                if boards.emulator.coils.next_event() is None:  # not while a striker is moving
                     boards.fail(str(kind), int(str(channel)), bool(on))
                 continue
             case _:
@@ -163,7 +166,7 @@ def test_firmware_and_emulator_answer_alike_with_channels(
 
 
 class Line:
-    """A board on a pseudo-terminal and its driver."""
+    """A board on a pseudo-terminal with its driver."""
 
     def __init__(self, plug: Callable[..., PseudoTerminal], machine: TapperMachine) -> None:
         self.emulator = TapperEmulator(

@@ -1,4 +1,4 @@
-"""The tapper's driver against the emulated board on a real pseudo-terminal."""
+"""The tapper's driver with the emulated board on a real pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def fire(driver: TapperDriver, shot: int, window: float = 0.1) -> FireResult:
 
 
 class Cell:
-    """One emulated tapper and its driver."""
+    """An emulated tapper and its driver."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ def test_a_shot_is_never_fired_twice(plug: Callable[..., PseudoTerminal]) -> Non
         with pytest.raises(HardwareFault) as caught:
             call()
         assert caught.value.reason is FaultReason.SHOT_SPENT
-    # A new driver knows nothing: the board refuses by itself.
+    # A new driver has no memory of earlier shots, so the board itself must refuse.
     driver.close()
     second = TapperDriver(SerialTransport(str(cell.port.path)))
     second.connect()
@@ -207,14 +207,14 @@ def test_unplugged_at_the_shot_is_unknown_and_waits_out_the_danger(
     assert cell.shots() == [6]
 
 
-# The window.
+# Time window of a shot.
 
 
 @pytest.mark.parametrize("held_up", [0.12, 0.25, 1.5])
 def test_a_fire_that_was_held_up_after_the_last_check_releases_nothing(
     plug: Callable[..., PseudoTerminal], held_up: float
 ) -> None:
-    """What a process does that is frozen between its last check and FIRE."""
+    """Simulate a process that is frozen between its last check and FIRE."""
     cell = Cell(plug)
     driver = cell.connected()
     driver.charge(5, 0.01)
@@ -228,11 +228,11 @@ def test_a_fire_that_was_held_up_after_the_last_check_releases_nothing(
     took = time.monotonic() - began
     assert result.outcome is FireOutcome.NOT_FIRED and result.released_by is None
     assert cell.shots() == []
-    # A busy machine that adds a quarter of a second makes it a silence, which discharges.
+    # On a busy machine the delay can reach the 0.5 s after which the board discharges.
     if held_up > 0.5 or took < 0.45:
         assert ("after its deadline" in result.sentence) == (held_up < 0.5)
         assert driver.counters.late == (held_up < 0.5)
-    # The shot is over, the next one is not.
+    # The shot number is used up, but the next one can be fired.
     driver.charge(6, 0.01)
     assert fire(driver, 6).outcome is FireOutcome.FIRED
 
@@ -265,7 +265,8 @@ def test_each_repetition_of_fire_is_checked_and_keeps_the_deadline(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = Cell(plug)
-    # Three checks within the window of 100 ms, also on a busy machine.
+    # The timeout is short enough for three checks within the window of 100 ms, even on a busy
+    # machine.
     settings = TapperSettings(fire_reply_timeout=0.01)
     cell.driver = TapperDriver(SerialTransport(str(cell.port.path)), settings)
     driver = cell.connected()
@@ -314,7 +315,7 @@ def test_a_window_out_of_range_is_refused(
         fire(driver, 5, window)
 
 
-# Homing, set-up mode, shot numbers.
+# Homing, set-up mode and shot numbers.
 
 
 def test_charging_homes_a_carriage_whose_place_is_unknown(
@@ -369,7 +370,7 @@ def test_set_up_mode_limits_the_energy_unless_the_switch_is_held(
     assert caught.value.reason is FaultReason.NOT_ENABLED
     driver.charge(1, 0.005)
     assert fire(driver, 1).outcome is FireOutcome.FIRED
-    # The mode survives a new session, though the board forgets it.
+    # The driver sets the mode again in a new session, because the board does not keep it.
     driver.close()
     assert driver.connect().mode is Mode.SETUP
     with cell.port.lock:
@@ -427,7 +428,7 @@ def test_a_board_with_the_old_protocol_is_refused_by_name(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     class OldBoard:
-        """Answers every greeting as version 1 did."""
+        """Answer every greeting as protocol version 1 did."""
 
         def __init__(self) -> None:
             self.output = b""
@@ -461,7 +462,7 @@ def test_another_session_takes_over(plug: Callable[..., PseudoTerminal]) -> None
     driver = cell.connected()
     driver.charge(5, 0.01)
     with cell.port.lock:
-        # Checksum by hand: binascii.crc_hqx(b"77,0,HELLO", 0xFFFF).
+        # The expected checksum is computed independently: binascii.crc_hqx(b"77,0,HELLO", 0xFFFF).
         check = binascii.crc_hqx(b"77,0,HELLO", 0xFFFF)
         cell.emulator.receive(b"@77,0,HELLO*%04X\n" % check, time.monotonic())
     with pytest.raises(HardwareFault, match="another session") as caught:

@@ -1,4 +1,5 @@
-"""The tapper's real firmware: its logic on the host, its AVR binary in simavr with the driver."""
+"""The tapper's real firmware: its logic compiled for this computer, and its AVR binary in simavr
+with the driver."""
 
 from __future__ import annotations
 
@@ -63,7 +64,8 @@ def test_it_builds_for_the_board(tmp_path: Path, drive: str) -> None:
     assert (tmp_path / "tapper.hex").stat().st_size > 0
 
 
-# The firmware and the emulated tapper, written apart, must answer alike.
+# The firmware and the emulated tapper are independent implementations and must give the same
+# answers.
 
 
 @pytest.fixture(scope="module")
@@ -111,11 +113,12 @@ events = st.one_of(
 )
 START_MS = 2**32 - 2000
 EDGE_MS = 8
-"""Nothing is compared so near to a change of state: the boards' loops run once a millisecond."""
+"""Replies are not compared this close to a change of state, because both boards update once per
+millisecond."""
 
 
 class BoardPair:
-    """The firmware's logic and the emulated tapper, told the same."""
+    """The firmware's logic and the emulated tapper, which receive the same inputs."""
 
     def __init__(self, library: ctypes.CDLL, place: int) -> None:
         self.library = library
@@ -137,7 +140,7 @@ class BoardPair:
         return (START_MS + self.now - self.started) % 2**32
 
     def run(self, duration: int) -> None:
-        """Let so many milliseconds pass, and more until neither board is about to change."""
+        """Let ``duration`` ms pass, extended until neither board is about to change its state."""
         end = self.now + duration
         while self.now < end:
             before = self.emulator.state
@@ -178,7 +181,7 @@ class BoardPair:
                 self.library.host_enabling(held)
                 self.emulator.set_enabling_switch(bool(held), now)
             case ("motor" | "switch" | "lose", _) if self.emulator.drive.status is Status.MOVING:
-                pass  # both know what fails in mid-movement, but not to the same step
+                pass  # both detect a failure during a motion, but not at the same step
             case ("motor", powered):
                 self.library.host_motor(powered)
                 self.emulator.drive.set_power(bool(powered), now)
@@ -231,16 +234,16 @@ def compare(boards: BoardPair, event: tuple[object, ...]) -> None:
 
 
 def strip_version(text: str) -> list[str]:
-    """Replies without checksum, and without the version of a WELCOME."""
+    """Return replies without checksum, and without the version of a WELCOME."""
     bodies = [line.split("*")[0] for line in text.splitlines()]
     return [body.rsplit(",", 1)[0] if "WELCOME" in body else body for body in bodies]
 
 
-# The AVR binary.
+# The AVR binary in simavr.
 
 
 class Board:
-    """The firmware in simavr, with handles on its inputs and an eye on its release output."""
+    """The firmware in simavr, with access to its inputs and to its release output."""
 
     def __init__(self, folder: Path, place: int = 300, elf: str = "tapper.elf") -> None:
         self.process = subprocess.Popen(
@@ -255,7 +258,7 @@ class Board:
         self.port = next(line.split()[1] for line in lines if line.startswith("PORT"))
         self.edges: list[tuple[int, int]] = []
         self.places: list[float] = []
-        """Where the carriage was at each release, steps."""
+        """Position of the carriage at each release, in steps."""
         self.times: queue.Queue[tuple[int, float]] = queue.Queue()
         self._reader = threading.Thread(target=self._read)
         self._reader.start()
@@ -273,7 +276,7 @@ class Board:
                 self.times.put((int(at), float(place)))
 
     def command(self, order: str) -> None:
-        """An order, which has been obeyed when this returns."""
+        """Give an order to the simulated board; it has been executed when this returns."""
         assert self.process.stdin is not None
         self.process.stdin.write(order + "\n")
         self.clock()
@@ -284,21 +287,21 @@ class Board:
         return self.times.get(timeout=20.0)
 
     def clock(self) -> float:
-        """The board's own time, s: behind the wall's where the machine is busy."""
+        """Return the board's own time, s. On a busy machine it is later than real time."""
         return self._ask()[0] * 1e-6
 
     def place(self) -> float:
-        """Where the carriage truly is, steps from its front switch."""
+        """Return the true position of the carriage, in steps from its front switch."""
         return self._ask()[1]
 
     def rest(self, duration: float) -> None:
-        """Wait until so much of the board's own time has passed, s."""
+        """Wait until ``duration`` s of the board's own time have passed."""
         end = self.clock() + duration
         while self.clock() < end:
             time.sleep(0.005)
 
     def pulses(self) -> list[int]:
-        """Lengths of the release pulses, us."""
+        """Return the lengths of the release pulses, us."""
         ups = [at for level, at in self.edges if level]
         downs = [at for level, at in self.edges if not level and ups and at > ups[0]]
         return [down - up for up, down in zip(ups, downs, strict=False)]
@@ -338,7 +341,7 @@ def press_clear(board: Board, duration: float = 0.6) -> None:
 
 
 PATIENT = TapperSettings(attempts=50, charge_timeout=60.0, home_timeout=60.0)
-"""The simulated board falls behind the wall's clock on a machine with much to do."""
+"""The simulated board runs slower than real time on a busy machine."""
 
 
 def connected(board: Board, mode: Mode = Mode.RUN) -> TapperDriver:
@@ -355,12 +358,12 @@ def fault(reason: FaultReason) -> Iterator[None]:
 
 
 NEAR = 4
-"""How far from its front switch a carriage may stand that has been sent there, steps: the switch
-bounces."""
+"""Tolerance of the carriage's position after it was sent to its front switch, in steps, because the
+switch bounces."""
 
 
 def stored(place: float) -> float:
-    """Energy in J of 500 N/m at ``place`` steps of 5 um."""
+    """Return the energy in J of a spring of 500 N/m at ``place`` steps of 5 um."""
     return float(0.5 * 500.0 * (place * 5e-6) ** 2)
 
 
@@ -393,7 +396,7 @@ def test_the_real_firmware_does_not_move_before_it_is_asked_and_homes_truly(boar
     assert abs(board.place()) <= NEAR
     driver.charge(1, 0.01)
     assert stored(board.place()) == pytest.approx(0.01, rel=0.03)
-    # A reset with the spring drawn: the place is unknown, whatever the steps counted.
+    # A reset while the spring is charged: the position is unknown, regardless of the counted steps.
     board.command("reset")
     with fault(FaultReason.BOARD_RESET):
         driver.status()
@@ -439,7 +442,7 @@ def test_the_real_firmware_notices_missed_steps(board: Board) -> None:
 def test_the_real_firmware_discharges(board: Board) -> None:
     driver = connected(board)
     driver.charge(1, 0.002)
-    board.rest(0.8)  # silence
+    board.rest(0.8)  # long enough without messages for the board to discharge
     assert driver.status().state is State.SAFE and abs(board.place()) <= NEAR
     assert fire(driver, 1).outcome is FireOutcome.NOT_FIRED
     driver.charge(2, 0.002)
@@ -463,21 +466,22 @@ def test_the_real_firmware_discharges(board: Board) -> None:
 def test_the_real_firmwares_stop_wants_a_press_after_it(board: Board) -> None:
     driver = connected(board)
     driver.charge(1, 0.002)
-    press_clear(board)  # before the stop: for nothing
+    press_clear(board)  # a press before the stop has no effect
     assert driver.stop()
     with fault(FaultReason.NEEDS_PERSON):
         driver.clear()
-    press_clear(board, 0.2)  # too short
+    press_clear(board, 0.2)  # pressed too briefly
     with fault(FaultReason.NEEDS_PERSON):
         driver.clear()
     board.command("clear 1")
     board.rest(0.7)
-    with fault(FaultReason.NEEDS_PERSON):  # held down
+    with fault(FaultReason.NEEDS_PERSON):  # the button is still pressed
         driver.clear()
     board.command("clear 0")
     board.rest(0.01)
     assert driver.clear().state is State.SAFE
-    # By wire: no press counts while it is open, and the carriage is homed again.
+    # The stop input: presses do not count while its circuit is open, and afterwards the carriage is
+    # homed again.
     driver.charge(2, 0.002)
     board.command("stop 1")
     press_clear(board)
@@ -513,7 +517,7 @@ def test_the_real_firmware_keeps_shot_numbers_until_a_person_forgets_them(board:
     with fault(FaultReason.SHOT_SPENT):
         second.charge(8, 0.002)
     press_clear(board, 5.2)
-    board.rest(1.5)  # 320 bytes of EEPROM
+    board.rest(1.5)  # time to write 320 bytes of EEPROM
     with fault(FaultReason.BOARD_RESET):
         second.status()
     assert second.connect().boot == first + 2
@@ -538,7 +542,7 @@ def test_the_real_firmware_in_set_up_mode(board: Board) -> None:
 
 @needs_simavr
 def test_the_real_firmware_refuses_every_late_fire(board: Board) -> None:
-    """FIRE is held up for a random time after the last check, as by a process that is frozen."""
+    """FIRE is delayed by a random time after the last check, as if the process were frozen."""
     driver = connected(board)
     random = Random(1)
     late = 0

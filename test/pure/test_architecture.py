@@ -1,4 +1,5 @@
-"""Imports between subpackages point one way; outside libraries are imported where they belong."""
+"""Imports between subpackages follow one direction, and each external library is imported only by
+the subpackages that need it."""
 
 import ast
 import sys
@@ -10,8 +11,8 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "tapping_cell"
 
-# What each subpackage may import of ours: a subpackage, or one module of it. A subpackage may
-# import itself.
+# What each subpackage may import from this package: subpackages, or single modules of them. A
+# subpackage may import itself.
 ARROWS = {
     "se2": set(),
     "messages": set(),
@@ -20,7 +21,7 @@ ARROWS = {
     "hardware": {"se2"},
     "planning": {"se2", "mechanics"},
     "configuration": {"se2", "mechanics", "vision", "hardware", "planning"},
-    # The world speaks the devices' bytes and draws what the camera sees.
+    # The simulation uses the protocols of the devices and renders the camera's images.
     "simulation": {
         "se2",
         "mechanics",
@@ -74,7 +75,7 @@ ARROWS = {
     "__main__": {"cli"},
 }
 ROS_SUBPACKAGES = {"nodes", "cli"}
-# Outside libraries that only these subpackages import.
+# External libraries that only these subpackages import.
 HOMES = {
     "serial": {"hardware"},
     "matplotlib": {"report"},
@@ -84,14 +85,14 @@ HOMES = {
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
 }
-# These open real ports; the simulated world must never do that, so it gets none of them.
+# These modules open real ports. The simulated world must never do that, so it may not import them.
 DRIVERS = {"serial_transport", "arm", "tapper"}
-# Everything else that may be imported at all, by the subpackages that may.
+# Other external libraries that may be imported by the subpackages that need them.
 COMMON = {"numpy", "scipy", "cv2", "yaml", "ament_index_python"}
 
 
 class Import(NamedTuple):
-    """One import statement of a module: ``subpackage`` is the importing subpackage."""
+    """An import statement of a module in ``subpackage``."""
 
     subpackage: str
     file: str
@@ -103,7 +104,7 @@ class Import(NamedTuple):
 
 
 def imports_of(package: Path) -> Iterator[Import]:
-    """Every import below the package, wherever in a module it stands."""
+    """Return all imports in the package, at any place in a module."""
     for file in sorted(package.rglob("*.py")):
         place = file.relative_to(package)
         subpackage = place.parts[0].removesuffix(".py")
@@ -126,25 +127,25 @@ def imports_of(package: Path) -> Iterator[Import]:
 
 
 def is_ros(name: str) -> bool:
-    """Whether the module is ROS's client library or its messages."""
+    """Return whether the module is ROS's client library or one of its message packages."""
     top = name.split(".")[0]
     return top in {"rclpy", "launch", "launch_ros", "tf2_ros"} or top.endswith(
         ("_msgs", "_srvs", "_interfaces")
     )
 
 
-# Documented although they begin with an underscore.
+# These names are documented although they begin with an underscore.
 PUBLIC_UNDERSCORES = {"_fields", "_replace", "_asdict", "_make", "_SubParsersAction"}
 
 
 def is_private(name: str) -> bool:
-    """Whether a name tells others to keep off."""
+    """Return whether a name is private by convention."""
     return name.startswith("_") and not name.endswith("__") and name not in PUBLIC_UNDERSCORES
 
 
 def foreign_privates(package: Path) -> list[str]:
-    """Private members and modules of other packages that the code uses: names with an underscore
-    that the package defines nowhere itself."""
+    """Return private members and modules of other packages that the code uses: names with an
+    underscore that the package does not define itself."""
     own: set[str] = set()
     used: list[tuple[str, str]] = []
     for file in sorted(package.rglob("*.py")):
@@ -156,7 +157,7 @@ def foreign_privates(package: Path) -> list[str]:
             elif isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Load):
                 own.add(node.id)
             elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-                # What an object of ours stores in itself is its own.
+                # Attributes assigned to self or cls belong to this package.
                 if isinstance(node.ctx, ast.Store) and node.value.id in ("self", "cls"):
                     own.add(node.attr)
                 else:
@@ -172,7 +173,7 @@ def foreign_privates(package: Path) -> list[str]:
 
 
 def against_the_arrows(imports: list[Import], package: str) -> list[Import]:
-    """Imports of ours that no arrow allows."""
+    """Return imports of this package that ARROWS does not allow."""
     wrong = []
     for found in imports:
         parts = found.name.split(".")
@@ -183,13 +184,13 @@ def against_the_arrows(imports: list[Import], package: str) -> list[Import]:
         if {".".join(parts[1:end]) for end in range(2, len(parts) + 1)} & allowed:
             continue
         if target not in ARROWS and target != "":
-            continue  # a plain name of the package, such as __version__
+            continue  # a name in the package itself, such as __version__
         wrong.append(found)
     return wrong
 
 
 def strangers(imports: list[Import], package: str) -> list[Import]:
-    """Imports of outside libraries in subpackages where they do not belong."""
+    """Return imports of external libraries by subpackages that may not use them."""
     wrong = []
     for found in imports:
         top = found.name.split(".")[0]
@@ -202,7 +203,7 @@ def strangers(imports: list[Import], package: str) -> list[Import]:
 
 
 def drivers_in_the_world(imports: list[Import], package: str) -> list[Import]:
-    """Imports of the drivers of real devices by the simulated world."""
+    """Return imports of the drivers of real devices by the simulated world."""
     prefix = f"{package}.hardware."
     return [
         found
@@ -214,7 +215,7 @@ def drivers_in_the_world(imports: list[Import], package: str) -> list[Import]:
 
 
 def cycles(edges: dict[str, set[str]]) -> list[str]:
-    """The subpackages that can be reached from themselves."""
+    """Return the subpackages that import themselves through others."""
     found = []
     for start in edges:
         seen: set[str] = set()
@@ -249,7 +250,7 @@ def test_arrows_point_one_way():
 
 
 def test_rooms_import_along_the_arrows(real_imports):
-    assert len(real_imports) > 100  # the walk finds the code
+    assert len(real_imports) > 100  # the search has found the code
     assert [str(found) for found in against_the_arrows(real_imports, PACKAGE.name)] == []
 
 

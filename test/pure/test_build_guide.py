@@ -1,4 +1,4 @@
-"""The build guide: figures, netlist and dimensions are those of firmware and configuration."""
+"""The figures, netlist and dimensions of the build guide agree with firmware and configuration."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ BOARD = (ROOT / "firmware" / "tapper" / "board_avr.c").read_text(encoding="utf-8
 
 
 def nano_name(port: str) -> str:
-    """The name on an Arduino Nano: port D is D0 to D7, port B goes on with D8."""
+    """Return the pin's name on an Arduino Nano: port D has D0 to D7, and port B begins with D8."""
     return f"D{int(port[2]) + {'D': 0, 'B': 8}[port[1]]}"
 
 
 @pytest.mark.parametrize("path", build_figures.FIGURES, ids=lambda path: path.name)
 def test_the_figures_are_up_to_date(path: Path) -> None:
-    """Otherwise call: make reference"""
+    """If this fails, run: make reference"""
     text = build_figures.FIGURES[path]()
     assert path.read_text(encoding="utf-8") == text
     ElementTree.fromstring(text)
@@ -29,7 +29,7 @@ def test_the_figures_are_up_to_date(path: Path) -> None:
 
 
 def test_the_netlist_is_that_of_the_firmware() -> None:
-    """Every pin that the firmware defines, no other, each with its direction."""
+    """The netlist contains exactly the pins that the firmware defines, each with its direction."""
     defined = dict(re.findall(r"^#define (\w+) (P[BD]\d)$", BOARD, re.MULTILINE))
     (driven,) = re.findall(r"DDRD = (.*);", BOARD)
     outputs = set(re.findall(r"_BV\((\w+)\)", driven))
@@ -75,7 +75,8 @@ def test_the_guide_has_the_dimensions_of_the_cell_file() -> None:
 
 
 def test_the_springs_draws_are_those_of_the_firmware() -> None:
-    """E = k x^2 / 2, and the greatest draw lies within the carriage's way."""
+    """The deflections follow from E = k x^2 / 2, and the largest is within the carriage's
+    travel."""
     stiffness = build_figures.firmware_number("SPRING_N_PER_M")
     way = build_figures.firmware_number("LONGEST_DRAW_STEPS")
     way_mm = way * build_figures.firmware_number("NM_PER_STEP") / 1e6

@@ -1,4 +1,4 @@
-"""The documents: every link leads somewhere, every subpackage and every page is named."""
+"""The documents: all links have a target, and all subpackages and pages are mentioned."""
 
 import re
 from pathlib import Path
@@ -18,7 +18,7 @@ def test_every_link_leads_to_a_file(page: Path) -> None:
 
 @pytest.mark.parametrize("page", reference_pages.PAGES, ids=lambda page: page.name)
 def test_the_reference_pages_are_up_to_date(page: Path) -> None:
-    """Otherwise call: make reference"""
+    """If this fails, run: make reference"""
     assert page.read_text(encoding="utf-8") == reference_pages.PAGES[page]()
 
 

@@ -1,4 +1,4 @@
-"""The set-up: what it refuses and how, what is pinned, what is installed and declared."""
+"""The set-up: its refusals, pinned versions, and what is installed and declared."""
 
 import ast
 import importlib.util
@@ -27,7 +27,7 @@ INTERFACES = sorted((ROOT / "msg_defs").glob("*/*.*"))
 
 
 def load(path: Path):
-    """A script of environment/ as a module."""
+    """Import a script of environment/ as a module."""
     specification = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
@@ -38,12 +38,12 @@ set_up = load(ROOT / "environment" / "set_up.py")
 run_tests = load(ROOT / "environment" / "run_tests.py")
 
 
-# ---- the stages
+# ---- the stages of the set-up
 
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
-    """The set-up's functions working in an empty folder."""
+    """Let the set-up's functions work in an empty folder."""
     monkeypatch.setattr(set_up, "ROOT", tmp_path)
     monkeypatch.setattr(set_up, "LOG", tmp_path / "log")
     return tmp_path
@@ -204,7 +204,7 @@ def test_exported_header_folders_are_replaced():
     assert set_up.replace_image_paths(text, "/py/include", "/np") == "/np;/py/include;/x"
 
 
-# ---- the lock
+# ---- the lock file
 
 
 def pins(lines):
@@ -250,7 +250,7 @@ def test_a_requirement_and_its_hashes_are_one_line():
 
 @pytest.fixture
 def bare(tmp_path):
-    """A copy of the set-up alone: what is tried in it builds nothing in the real folder."""
+    """Copy only the set-up, so that the tests build nothing in the real folder."""
     for name in ("env.sh", "requirements.lock", "setup.py", "setup.cfg", "package.xml"):
         shutil.copy(ROOT / name, tmp_path)
     for name in ("environment", "msg_defs", "resource"):
@@ -372,7 +372,7 @@ def test_every_executable_and_data_file_is_installed():
                 assert installed.read_bytes() == file.read_bytes(), file
 
 
-# ---- what the packages declare
+# ---- declarations of the packages
 
 
 def dependencies(package_xml: Path) -> set[str]:
@@ -394,7 +394,7 @@ def test_every_imported_package_is_declared():
                 imported.add(node.module.split(".")[0])
             elif isinstance(node, ast.Import):
                 imported.update(alias.name.split(".")[0] for alias in node.names)
-    optional = {"distributed"}  # evaluate --sweep --cluster says how to install it
+    optional = {"distributed"}  # not required: `evaluate --sweep --cluster` says how to install it
     outside = imported - set(sys.stdlib_module_names) - {"tapping_cell"} - optional
     assert {"numpy", "rclpy"} <= outside
     undeclared = {
@@ -470,7 +470,7 @@ def test_error_codes_are_one_numbered_list():
         assert int(number) // 100 in {0, 1, 2, 3, 4, 5, 6, 9}
 
 
-# ---- the rings
+# ---- groups of tests ("rings")
 
 
 def test_closing_lines_are_summed():
@@ -500,7 +500,7 @@ def test_any_ring_that_fails_fails_all(
 ):
     monkeypatch.setattr(run_tests, "ROOT", tmp_path)
     monkeypatch.setattr(run_tests, "RINGS", {"pure": ("pure",), "pty": ("pty",)})
-    monkeypatch.setattr(run_tests, "LOW_PRIORITY", 0)  # this test has low priority already
+    monkeypatch.setattr(run_tests, "LOW_PRIORITY", 0)  # this test already runs with low priority
     for ring, asserted in rings.items():
         folder = tmp_path / "test" / ring
         folder.mkdir(parents=True)

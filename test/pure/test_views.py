@@ -1,4 +1,4 @@
-"""The layouts for RViz and Foxglove show topics and fields that the cell has."""
+"""The layouts for RViz and Foxglove use only topics and fields that the cell has."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ VIEWS = ROOT / "config" / "views"
 PAGE = (ROOT / "docs" / "nodes.md").read_text(encoding="utf-8")
 ROWS = dict(re.findall(r"^\| `/?([\w/]+)` \| (.+)$", PAGE, re.MULTILINE))
 OF_OTHERS = {"robot_description", "clicked_point", "initialpose"}
-"""Of robot_state_publisher; and where Foxglove's other publishing tools would write."""
+"""The topic of robot_state_publisher, and the topics of Foxglove's other publishing tools."""
 
 
 def values(tree: object) -> Iterator[tuple[str, object]]:
-    """Every key with its value, in depth."""
+    """Yield all keys with their values, recursively."""
     if isinstance(tree, dict):
         for key, value in tree.items():
             yield key, value

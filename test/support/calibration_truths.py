@@ -1,4 +1,4 @@
-"""Random truths for the calibrations, and what would be measured of them."""
+"""Random true parameters for the calibrations, and simulated measurements."""
 
 from __future__ import annotations
 
@@ -27,25 +27,29 @@ from tapping_cell.vision.markers.detection import marker_pattern
 
 Random = np.random.Generator
 _MODULES_A_SQUARE = 48
-"""Pixels of a drawn square: whole ones for every module of its marker at a size of 3 / 4."""
+"""Pixels per square of the drawn target. Each module of its marker, whose size is 3 / 4 of the
+square, has a whole number of pixels."""
 
 
 def camera(random: Random) -> CameraModel:
-    """Some camera of 1280 x 1024 pixels: 55 to 85 degrees wide, barrel or slight pincushion."""
+    """Return a random camera of 1280 x 1024 pixels: 55 to 85 degrees wide, with barrel or slight
+    pincushion distortion."""
     while True:
         focal = random.uniform(700.0, 1250.0)
         size = (1280, 1024, focal, focal * random.uniform(0.995, 1.005))
         middle = 639.5 + random.uniform(-25.0, 25.0), 511.5 + random.uniform(-25.0, 25.0)
         radial = random.uniform(-0.25, 0.05), random.uniform(0.0, 0.08)
         tangential = random.uniform(-5e-4, 5e-4, 2).tolist()
-        # Barrel distortion without its counterpart folds back inside a wide image: no lens does.
+        # Some random coefficients fold back inside the image and are drawn again; real lenses do
+        # not fold back.
         with contextlib.suppress(CameraError):
             return CameraModel(*size, *middle, (*radial, *tangential, 0.0))
 
 
 def view_pose(random: Random, model: CameraModel, size: tuple[float, float]) -> CameraPose:
-    """The camera over a target of ``size`` in m as a person takes it: tilted by 5 to 40 degrees to
-    any side, anywhere in the image, filling a third to two thirds of it."""
+    """Return a random pose of the camera above a target of ``size`` m, as a person would take it:
+    tilted by 5 to 40 degrees, with the target anywhere in the image and a third to two thirds of
+    its width."""
     share = random.uniform(0.35, 0.65)
     distance = size[0] / (share * model.width / model.fx)
     tilt, side = np.radians(random.uniform(5.0, 40.0)), random.uniform(0.0, 2.0 * math.pi)
@@ -57,7 +61,7 @@ def view_pose(random: Random, model: CameraModel, size: tuple[float, float]) -> 
 
 
 def corners_of(target: Target) -> np.ndarray:
-    """The target's corners (N, 2) in the frame of its sheet, in m."""
+    """Return the target's corners (N, 2) in the frame of its sheet, in m."""
     middle = 0.5 * target.square * np.array([target.columns, target.rows])
     return np.array([1.0, -1.0]) * (target.points + target.square - middle)
 
@@ -65,7 +69,8 @@ def corners_of(target: Target) -> np.ndarray:
 def corner_views(
     random: Random, model: CameraModel, target: Target, count: int, noise: float
 ) -> list[TargetView]:
-    """Views as a detector with ``noise`` pixels would give them, of corners inside the image."""
+    """Return views as a detector with ``noise`` pixels would measure them, with the corners inside
+    the image."""
     size = (target.columns * target.square, target.rows * target.square)
     views: list[TargetView] = []
     while len(views) < count:
@@ -80,7 +85,7 @@ def corner_views(
 
 
 def target_sheet(target: Target) -> Sheet:
-    """The target as it is printed, with a white rim."""
+    """Return the target as it is printed, with a white margin."""
     n = _MODULES_A_SQUARE
     cells = np.indices((target.rows, target.columns)).sum(axis=0) % 2 * 255
     pattern = np.kron(cells, np.ones((n, n))).astype(np.uint8)
@@ -96,7 +101,8 @@ def target_sheet(target: Target) -> Sheet:
 
 
 def markers(random: Random) -> ReferenceMap:
-    """Eight reference markers about where config/table.yaml has them, none quite straight."""
+    """Return eight reference markers near their places in config/table.yaml, with random errors of
+    position and angle."""
     places = [(x, y) for y in (0.25, 0.0, -0.25) for x in (-0.33, 0.0, 0.33) if x or y]
     return ReferenceMap(
         "APRILTAG_36h11",
@@ -114,7 +120,8 @@ def markers(random: Random) -> ReferenceMap:
 
 
 def markers_sheet(references: ReferenceMap) -> Sheet:
-    """The markers on one sheet of 0.84 x 0.66 m: a drawn pixel is what lies at its middle."""
+    """Return one sheet of 0.84 x 0.66 m with the markers. The value of a pixel is that at its
+    centre."""
     pixel = 0.00025
     pattern = np.full((round(0.66 / pixel), round(0.84 / pixel)), 255, dtype=np.uint8)
     rows, columns = pattern.shape
@@ -136,8 +143,8 @@ def markers_sheet(references: ReferenceMap) -> Sheet:
 
 
 def arm(random: Random) -> dict[str, float]:
-    """An arm that stands up to some cm and 10 degrees beside its drawing, elbow zero off by 1
-    degree, a marker held anyhow."""
+    """Return parameters of an arm that differ from the drawing by up to a few cm and 10 degrees,
+    with an elbow zero wrong by 1 degree, and a random mount of the marker."""
     geometry = ScaraGeometry()
     return {
         "base_x": random.normal(0.0, 0.02),
@@ -153,7 +160,7 @@ def arm(random: Random) -> dict[str, float]:
 
 
 def arm_joints(random: Random, truth: dict[str, float], count: int, margin: float) -> np.ndarray:
-    """Joints (count, 3) that hold the marker over the table of 0.60 x 0.44 m."""
+    """Return joints (count, 3) that hold the marker above the table of 0.60 x 0.44 m."""
     found: list[np.ndarray] = []
     while len(found) < count:
         joints = random.uniform([-1.5, -2.4, -3.0], [1.5, 2.4, 3.0])
@@ -166,7 +173,7 @@ def arm_joints(random: Random, truth: dict[str, float], count: int, margin: floa
 def arm_record(
     random: Random, truth: dict[str, float], count: int, position: float, angle: float
 ) -> ArmRecord:
-    """Poses seen with noise of ``position`` m and ``angle`` rad."""
+    """Return measured poses with noise of ``position`` m and ``angle`` rad."""
     joints = arm_joints(random, truth, count, 0.02)
     points, angles = predicted(joints, truth)
     seen = np.stack([points.real, points.imag], axis=1)
@@ -179,8 +186,8 @@ def arm_record(
 
 
 def tapper(random: Random, mass: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Speed over energy: some efficiency, a threshold, a power up to a tenth off 1 / 2, a loss that
-    grows with the speed."""
+    """Return the speed as a function of the energy, with a random efficiency, a threshold, an
+    exponent up to 10 % off 1 / 2, and a loss that increases with the speed."""
     efficiency, power = random.uniform(0.4, 1.0), random.uniform(-0.05, 0.05)
     threshold, loss = random.uniform(0.0, 1e-4), random.uniform(0.0, 0.15)
 
@@ -198,8 +205,8 @@ def tap_record(
     shares: Sequence[int],
     scatter: float,
 ) -> TapRecord:
-    """Taps through the middle at energies from 1 to 60 mJ, ``shares`` of them at each, seen to 0.1
-    mm."""
+    """Return taps through the middle of the object at energies from 1 to 60 mJ, ``shares`` of them
+    at each energy, measured to 0.1 mm."""
     energies = np.repeat(np.geomspace(1e-3, 6e-2, len(shares)), shares)
     striker = speed(energies) * np.exp(scatter * random.standard_normal(len(energies)))
     near = np.array([-tap.body.bounding_radius, 0.0])

@@ -1,4 +1,4 @@
-"""An emulated arm on a pseudo-terminal, and the driver that is tested with it."""
+"""An emulated arm on a pseudo-terminal, and the driver under test."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PATIENCE_S = 60.0
 
 
 class EmulatedArm:
-    """One emulated arm and its driver, the dialect given."""
+    """An emulated arm and its driver, with a given dialect."""
 
     def __init__(
         self,
@@ -36,13 +36,13 @@ class EmulatedArm:
         self.driver = ArmDriver(transport, dialect, ScaraGeometry(), settings)
 
     def ready(self) -> ArmDriver:
-        """The driver, connected and homed."""
+        """Return the driver, connected and homed."""
         self.driver.connect()
         self.driver.home(HomingStrategy.FIRMWARE)
         return self.driver
 
     def wait_moving(self, moving: bool) -> None:
-        """Wait until the emulated arm moves, or no longer."""
+        """Wait until the emulated arm moves, or until it has stopped."""
         deadline = time.monotonic() + _PATIENCE_S
         while True:
             with self.port.lock:
@@ -52,6 +52,6 @@ class EmulatedArm:
             time.sleep(0.005)
 
     def truth(self) -> Joints:
-        """Where the emulated arm really is."""
+        """Return the true joints of the emulated arm."""
         with self.port.lock:
             return Joints(*self.emulator.joints(time.monotonic()))

@@ -14,18 +14,19 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 PATIENCE_S = 60.0
-"""Long enough for a slow and busy machine: who waits waits for an event, not for a time."""
+"""Timeout, long enough for a slow and busy machine. Tests wait for events, not for a fixed time."""
 
 
 class Bench:
-    """A context with nodes under test and one node to talk to them, spun in a thread."""
+    """A context with the nodes under test and a node that communicates with them, spun in a
+    thread."""
 
     def __init__(self) -> None:
         self.probe: Node | None = None
         self.received: dict[str, list[Any]] = {}
 
     def listen(self, kind: type, topic: str, profile: object = 10) -> list[Any]:
-        """Every message of a topic from now on."""
+        """Return a list that receives all messages of a topic from now on."""
         messages: list[Any] = self.received.setdefault(topic, [])
         assert self.probe is not None
         self.probe.create_subscription(kind, topic, messages.append, profile)
@@ -34,8 +35,8 @@ class Bench:
     def wait(
         self, condition: Callable[[], object], what: str, patience: float = PATIENCE_S
     ) -> None:
-        """Wait until the condition holds; fail with the words otherwise, and with the last message
-        of every topic that is listened to."""
+        """Wait until the condition holds; otherwise fail with ``what`` and the last message of each
+        observed topic."""
         deadline = time.monotonic() + patience
         while not condition():
             assert time.monotonic() < deadline, (
@@ -51,7 +52,7 @@ def bench(
     parameters: dict[str, dict[str, object]],
     remappings: Sequence[str] = (),
 ) -> Iterator[Bench]:
-    """Run nodes with parameters by node name; everything ends with the block."""
+    """Run nodes with parameters by node name; all of them end with the block."""
     made = Bench()
     arguments = ["--ros-args"]
     for rule in remappings:
@@ -60,10 +61,10 @@ def bench(
         for key, value in values.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
             arguments += ["-p", f"{node}:{key}:={text}"]
-    # What is only garbage of an earlier test keeps its participant, and halves of its nodes, in the
-    # graph: a count of subscriptions would be one too high.
+    # Unreferenced objects of an earlier test may still keep its participant and endpoints alive,
+    # and a count of subscriptions would be too high.
     gc.collect()
-    # The nodes take the default context, as they do on their own.
+    # The nodes use the default context, as in production.
     rclpy.init(args=arguments)
     made.probe = Node("probe")
     executor = SingleThreadedExecutor()
@@ -75,7 +76,8 @@ def bench(
     ended = threading.Event()
 
     def spin() -> None:
-        # An executor that is shut down in mid-callback would fail in it: it ends by itself.
+        # Shutting the executor down during a callback would raise an exception there, so the loop
+        # ends by itself.
         try:
             while not ended.is_set():
                 executor.spin_once()

@@ -1,4 +1,4 @@
-"""Bags of made-up runs, written message by message as the cell's nodes would."""
+"""Bags of artificial runs, with the messages that the cell's nodes would publish."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ KINDS = {
 
 
 def blank(kind: str) -> Any:
-    """A message with every field zero."""
+    """Return a message with all fields zero."""
     store = TYPES._store_with(kind)
     values = {}
     for name, (node, content) in store.fielddefs[kind][1]:
@@ -62,7 +62,8 @@ def set_pose(message: Any, pose: Pose) -> None:
 
 @dataclass
 class MadeRun:
-    """A run to be written down: ``stops`` are the object's poses, the first before any tap."""
+    """An artificial run: ``stops`` are the poses at which the object rests, the first one before
+    any tap."""
 
     stops: list[Pose]
     goal: Pose = GOAL

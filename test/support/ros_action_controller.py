@@ -1,4 +1,4 @@
-"""The emulated trajectory controller behind its action and its topic."""
+"""The emulated trajectory controller with its action and its topic."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ POLL_S = 0.01
 
 
 class RosActionController(RosController):
-    """A goal is taken, preempted, cancelled and judged as the emulated controller says."""
+    """Offers the action follow_joint_trajectory. The emulated controller decides on acceptance,
+    preemption, cancellation and result."""
 
     def __init__(self, controller: TrajectoryController, name: str = "scara_controller") -> None:
         super().__init__(controller, name)
@@ -44,7 +45,7 @@ class RosActionController(RosController):
         self._action_thread.start()
 
     def close(self) -> None:
-        """End both nodes."""
+        """Destroy both nodes."""
         self._ended.set()
         self._action_executor.wake()
         self._action_thread.join(5.0)

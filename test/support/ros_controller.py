@@ -1,4 +1,4 @@
-"""An arm with its own ROS driver: the emulated trajectory controller behind real topics."""
+"""An arm with its own ROS driver: the emulated trajectory controller on real topics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ OTHER_JOINT = "gripper"
 
 
 class RosController(Node):
-    """Publishes joint states, in another order and with another joint among them; spins itself."""
+    """Publishes joint states in another order and with an additional joint; spins in its own
+    thread."""
 
     def __init__(self, controller: TrajectoryController, name: str = "scara_controller") -> None:
         super().__init__(name, use_global_arguments=False)
@@ -36,7 +37,7 @@ class RosController(Node):
         self._thread.start()
 
     def close(self) -> None:
-        """End the node, as when the arm's computer is switched off."""
+        """Destroy the node, as if the arm's computer were switched off."""
         self._ended.set()
         self._executor_here.wake()
         self._thread.join(5.0)

@@ -14,7 +14,8 @@ RATE = 20.0
 
 
 class RosOutput(Node):
-    """Serves ``/robot/set_output`` in one of its forms; spins itself."""
+    """Node that offers `/robot/set_output` as a service or a topic (`interface`) and spins in its
+    own thread."""
 
     def __init__(self, interface: str = "service", reads_back: bool = True) -> None:
         super().__init__("robot_io", use_global_arguments=False)
@@ -45,7 +46,7 @@ class RosOutput(Node):
         self._thread.start()
 
     def close(self) -> None:
-        """End the node, as when the robot is switched off."""
+        """Destroy the node, as if the robot were switched off."""
         self._ended.set()
         self._executor_here.wake()
         self._thread.join(5.0)
@@ -60,7 +61,7 @@ class RosOutput(Node):
             self._publish()
 
     def pulses(self) -> list[float]:
-        """Lengths of the pulses so far, s."""
+        """Return the lengths of the pulses so far, s."""
         ons = [at for at, level in self.edges if level]
         offs = [at for at, level in self.edges if not level]
         return [off - on for on, off in zip(ons, offs, strict=False)]

@@ -1,4 +1,5 @@
-"""Scenes for the tests of vision: a camera over a table, a disk, and an own area sampler."""
+"""Scenes for the tests of vision: a camera above a table, a disk, and an independent area
+sampler."""
 
 from __future__ import annotations
 
@@ -49,15 +50,16 @@ def renderer(
     seed: int = 0,
     **settings: float,
 ) -> SceneRenderer:
-    """The standard scene with changes."""
+    """Return the renderer of the standard scene with changes."""
     return SceneRenderer(
         CAMERA, pose, references, DISK, marker, SceneSettings(**settings), seed=seed
     )
 
 
 def between(grid_y: np.ndarray, grid_x: np.ndarray, nodes: np.ndarray, ys, xs) -> np.ndarray:
-    """Cubic splines through ``nodes`` (len(grid_y), len(grid_x), N), at every ys and xs, as arrays
-    (N, len(ys), len(xs)): what RectBivariateSpline gives, as products of matrices."""
+    """Interpolate ``nodes`` (len(grid_y), len(grid_x), N) by cubic splines at all ``ys`` and
+    ``xs``; return (N, len(ys), len(xs)). The result equals that of RectBivariateSpline, but is
+    computed by matrix products."""
     down, across = (
         make_interp_spline(grid, np.eye(len(grid)), k=3)(at)
         for grid, at in ((grid_y, ys), (grid_x, xs))
@@ -75,9 +77,11 @@ def area_sampled_marker(
     white: float = 200.0,
     around: float = 110.0,
 ) -> np.ndarray:
-    """An image with one marker by brute force: a pixel is the mean of samples x samples points.
+    """Return an image with one marker, computed by brute force: a pixel is the mean of samples x
+    samples points.
 
-    One module of white around the marker, grey ``around`` elsewhere. Independent of the renderer.
+    The marker has a white margin of one module; the grey level elsewhere is ``around``. Independent
+    of the renderer.
     """
     camera = view.camera
     image = np.full((camera.height, camera.width), around)
@@ -91,13 +95,15 @@ def area_sampled_marker(
     inside = (np.arange(samples) + 0.5) / samples - 0.5
     xs = (np.arange(x0, x1)[:, None] + inside).ravel()
     ys = (np.arange(y0, y1)[:, None] + inside).ravel()
-    # What the plane shows at every sixth pixel, splines between (a lens is smooth).
+    # Positions on the plane are computed at every sixth pixel and interpolated by splines, because
+    # a lens is smooth.
     grid_x, grid_y = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
     nodes = view.on_plane(np.stack(np.meshgrid(grid_x, grid_y), axis=-1), marker.height)
-    # A turn and a shift of the nodes turn and shift what lies between them.
+    # Transforming the nodes also transforms the interpolated values.
     local = between(grid_y, grid_x, transform_points(inverse(pose), nodes), ys, xs)
     column, row = ((half + sign * part) / module for sign, part in zip((1, -1), local, strict=True))
-    # The grey levels of the modules, and of what surrounds them: one row and column more each way.
+    # The grey levels of the modules, extended by one row and column of the surroundings on each
+    # side.
     levels = np.pad(np.where(pattern, white, black), 1, constant_values=around)
     last = levels.shape[0] - 1
     column, row = ((np.clip(part + 1.0, 0.0, last)).astype(np.int32) for part in (column, row))

@@ -4,8 +4,8 @@
     python test/support/serial_codecs.py grbl-in --runs 1000000
 
 With atheris installed (``pip install atheris``) the inputs are guided by coverage; without it they
-are mutations of real lines from a seed. ``test_serial_codecs.py`` checks the same properties with
-fewer inputs.
+are mutations of real lines chosen by a seed. ``test_serial_codecs.py`` checks the same properties
+with fewer inputs.
 """
 
 from __future__ import annotations
@@ -60,14 +60,15 @@ def _decode_all(decode: Callable[[bytes], object], data: bytes) -> tuple[list[ob
 
 
 def _incoming(decode: Callable[[bytes], object], longest: int, data: bytes) -> None:
-    """Decode never raises, always ends, keeps few bytes, and decodes split input alike."""
+    """Check that decoding never raises, always ends, keeps few bytes, and gives the same frames for
+    split input."""
     whole, rest = _decode_all(decode, data)
     if len(rest) > longest:
         raise Broken(f"{len(rest)} bytes are kept")
     cut = data.rfind(b"\n", 0, len(data) // 2 + 1) + 1
     first, held = _decode_all(decode, data[:cut])
     second, _ = _decode_all(decode, held + data[cut:])
-    # Noise between frames may be split differently; the valid frames must be the same.
+    # Noise between frames may be reported in other pieces, but the valid frames must be the same.
     if [f for f in first + second if not _is_bad(f)] != [f for f in whole if not _is_bad(f)]:
         raise Broken(f"{data!r} is decoded differently in two parts")
 
@@ -77,17 +78,18 @@ def _is_bad(frame: object) -> bool:
 
 
 def grbl_in(data: bytes) -> None:
-    """Lines of a Grbl."""
+    """Check the decoding of lines from a Grbl."""
     _incoming(grbl.decode, LONGEST_LINE, data)
 
 
 def marlin_in(data: bytes) -> None:
-    """Lines of a Marlin."""
+    """Check the decoding of lines from a Marlin."""
     _incoming(marlin.decode, LONGEST_LINE, data)
 
 
 def tapper_in(data: bytes) -> None:
-    """Replies of the tapper; the last frame is also given a true checksum, to get beyond it."""
+    """Check the decoding of replies from the tapper. The last frame is also tested with a correct
+    checksum, so that its content is parsed, too."""
     _incoming(tapper_protocol.decode, tapper_protocol.LONGEST_FRAME, data)
     body = data.translate(None, b"@\n\r")[: tapper_protocol.LONGEST_FRAME - 8]
     frame = b"@%s*%04X\n" % (body, tapper_protocol.crc16(body))
@@ -103,7 +105,7 @@ def _fits(values: tuple[float, ...]) -> bool:
 
 
 def grbl_out(data: bytes) -> None:
-    """Move lines, read back by the emulator's own parser."""
+    """Check move lines with the emulator's own parser."""
     *target, feed = _numbers(data)
     try:
         line = grbl.move_line("XYZA", target, feed)
@@ -120,7 +122,7 @@ def grbl_out(data: bytes) -> None:
 
 
 def marlin_out(data: bytes) -> None:
-    """Numbered move lines, checked with a checksum and a parser of this file."""
+    """Check numbered move lines with a checksum and a parser of this file."""
     *target, feed = _numbers(data)
     number = int.from_bytes(data[:3], "little")
     try:
@@ -142,7 +144,7 @@ def marlin_out(data: bytes) -> None:
 
 
 def tapper_out(data: bytes) -> None:
-    """Requests, answered by the emulated board under the same session and number."""
+    """Check that the emulated board answers requests with the same session and number."""
     session, sequence, which, shot = struct.unpack("<HHBQ", data.ljust(13, b"\0")[:13])
     command = list(tapper_protocol.Command)[which % len(tapper_protocol.Command)]
     arguments: tuple[int | tapper_protocol.Mode, ...] = {
@@ -165,7 +167,7 @@ def tapper_out(data: bytes) -> None:
 
 
 def boards(data: bytes) -> None:
-    """The emulated boards survive any bytes, and their output can be decoded."""
+    """Check that the emulated boards survive any bytes and that their output can be decoded."""
     for board, decode in (
         (GrblEmulator(), grbl.decode),
         (MarlinEmulator(), marlin.decode),
@@ -185,11 +187,11 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "marlin-out": marlin_out,
     "tapper-out": tapper_out,
 }
-"""Each codec in each direction."""
+"""The properties to check, by name: each codec in each direction."""
 
 
 def mutated(generator: random.Random) -> bytes:
-    """A few real lines with bytes changed, lost, doubled and added."""
+    """Return a few real lines with changed, lost, duplicated and added bytes."""
     data = bytearray(b"".join(generator.choices(SEEDS, k=generator.randint(1, 3))))
     for _ in range(generator.randint(0, 12)):
         place = generator.randrange(len(data) + 1)
@@ -229,7 +231,7 @@ def _run_here(name: str, runs: int, seed: int) -> None:
 
 
 def main() -> int:
-    """Every target asked for in a process of its own, for atheris ends its process."""
+    """Fuzz each requested target in a process of its own, because atheris ends its process."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("targets", nargs="*", choices=[*TARGETS, []], default=[])
     parser.add_argument("--runs", type=int, default=1_000_000, help="inputs a target")

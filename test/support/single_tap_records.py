@@ -1,4 +1,4 @@
-"""Records of single taps made by the mechanics, with measured initial velocities."""
+"""Records of single taps computed by the mechanics, with measured initial velocities."""
 
 import math
 from pathlib import Path
@@ -27,7 +27,8 @@ def taps(
     true=TRUE,
     striker=STRIKER,
 ):
-    """Trials with initial velocities; ``noise`` and ``scatter`` are relative, of speed and spin."""
+    """Return trials with initial velocities; ``noise`` and ``scatter`` of speed and spin are
+    relative."""
     random = np.random.default_rng(seed)
     body = content.body()
     impact = Impact(body, striker.striker(), true["restitution"], true["contact_friction"])
@@ -60,7 +61,7 @@ def taps(
 
 
 def write(folder: Path, trials, **header) -> Path:
-    """A folder of records."""
+    """Write the records into a folder and return it."""
     keys = {"striker": STRIKER, "object": DISK} | header
     write_header(folder, ExperimentFile(1, "2026-01-01T00:00:00+00:00", "simulated", **keys))
     for trial in trials:
@@ -69,7 +70,7 @@ def write(folder: Path, trials, **header) -> Path:
 
 
 def track(speed=0.3, spin=2.0, rate=30.0, sliding=None, impact=0.41, start=(0.1, -0.05, 0.3)):
-    """The track of one slide along x, exact."""
+    """Return the exact track of one slide along x."""
     sliding = sliding or Sliding(DISK.body(), 0.21, 2.6)
     time = np.arange(0.0, impact + float(sliding.rest(speed, spin).duration) + 0.3, 1 / rate)
     profile = sliding.profile(speed, spin, np.maximum(time - impact, 0.0))

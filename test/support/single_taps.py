@@ -1,6 +1,6 @@
-"""Single-tap experiments on the simulated world, without a graph: records with a known truth.
+"""Single-tap experiments in the simulated world, without ROS: records with known true parameters.
 
-The world of ``simulation`` answers, integrated in time; nothing of the fit's equations is in here.
+The world of ``simulation`` integrates each tap in time; none of the fit's equations are used here.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ _AFTER_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """Runs as (distance in m that a plain slide would go, incidence in rad), and the measurement.
+    """The runs of an experiment, each with (distance in m without rotation, incidence in rad), and
+    the noise of the measurement.
 
-    Noise is one standard deviation: of one sample of a track (m, rad), of a pose at rest (m, rad),
-    and of a measured striker speed (relative).
+    The noise is one standard deviation: of a sample of a track (m, rad), of a pose at rest (m,
+    rad), and of a measured striker speed (relative).
     """
 
     runs: tuple[tuple[float, float], ...] = tuple(
@@ -48,7 +49,8 @@ def simulated_trials(
     design: Design,
     seed: int,
 ) -> list[Trial]:
-    """The trials of one experiment on an object that is ``content`` but for ``truth``."""
+    """Return the trials of one experiment with an object ``content`` whose true parameters are
+    changed by ``truth``."""
     world = World(content, striker, _STROKE, truth, seed)
     random = np.random.default_rng([seed, 1])
     bench = _Bench(world, content, content.tap(striker), truth, design, random)
@@ -62,7 +64,7 @@ def simulated_trials(
 
 
 class _Bench:
-    """The simulated world with a camera and a tapper that know nothing of its truth."""
+    """The simulated world with a camera and a tapper that do not know its true parameters."""
 
     def __init__(
         self,
@@ -82,7 +84,8 @@ class _Bench:
         self._now = 0.0
 
     def tap(self, distance: float, incidence: float) -> Trial:
-        """One tap at any place of the object's edge, as a plain slide of ``distance`` needs."""
+        """Make one tap at a random contact, with the speed that a slide of ``distance`` without
+        rotation needs."""
         random, design = self._random, self._design
         start = Pose(*random.uniform(-0.03, 0.03, 2), float(random.uniform(-math.pi, math.pi)))
         before = self._noisy(start, design.rest_noise)
@@ -114,7 +117,7 @@ class _Bench:
         )
 
     def _aim(self, start: Pose, distance: float, incidence: float) -> tuple[Pose, float]:
-        """Where the tip rests before the tap, and the speed that it needs."""
+        """Return the pose of the tip before the tap, and the required speed."""
         body = self._content.body()
         angle = float(self._random.uniform(-math.pi, math.pi))
         if isinstance(body, Polygon):
@@ -131,7 +134,7 @@ class _Bench:
         return held, wanted / float(np.hypot(*launch.velocity))
 
     def _watch(self, start: Pose, tip: Pose, speed: float) -> tuple[Track, Pose]:
-        """Strike at a random time between two frames and look on until the object rests."""
+        """Strike at a random time between two frames and observe until the object rests."""
         world, rate = self._world, self._design.rate
         world.place(start)
         begun = self._now + float(self._random.uniform(0, 1 / rate))

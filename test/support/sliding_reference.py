@@ -1,7 +1,8 @@
-"""Independent references for the sliding tests: the textbook formulas and a tight integration.
+"""Independent references for the sliding tests: the textbook formulas and an accurate integration.
 
-Nothing of the package is imported here. The friction factors are the published ones in K and E
-(scipy's take k^2) with series where they cancel; the motion is integrated in ln r by DOP853.
+Nothing is imported from the package. The friction factors are the published ones in K and E
+(scipy's functions take k^2), with series where the formulas cancel. The motion is integrated in ln
+r by DOP853.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from scipy.special import ellipe, ellipk
 
 
 def disk_force_and_torque(eps: float) -> tuple[float, float]:
-    """F and T of a disk at eps = v / (R omega)."""
+    """Return F and T of a disk at eps = v / (R omega)."""
     if eps > 20:
         q = 1 / eps
         return (
@@ -39,7 +40,7 @@ def disk_force_and_torque(eps: float) -> tuple[float, float]:
 
 
 def ring_force_and_torque(eps: float) -> tuple[float, float]:
-    """F and T of a thin ring at eps = v / (R omega)."""
+    """Return F and T of a thin ring at eps = v / (R omega)."""
     if eps > 1:
         torque, force = ring_force_and_torque(1 / eps)
         return force, torque
@@ -54,11 +55,13 @@ def ring_force_and_torque(eps: float) -> tuple[float, float]:
 
 
 def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float):
-    """Return mu g x, mu g R theta and mu g t of a whole slide, to a relative 1e-10.
+    """Return mu g x, mu g R theta and mu g t of a complete slide, with a relative accuracy of
+    1e-10.
 
-    ``torque_ratio`` is kappa m R^2 / I. State: phi = atan2(rim speed, speed) and the three
-    results; the variable is L = ln(r0 / r), and r goes to 1e-8 of its start. The products x / v0
-    and theta / omega0 are integrated so that a tiny part keeps its relative accuracy.
+    ``torque_ratio`` is kappa m R^2 / I. With r = hypot(speed, rim speed), the integration variable
+    is L = ln(r0 / r), and the integration ends when r is 1e-8 of its initial value r0. The products
+    x / v0 and theta / omega0 are integrated, so that a very small part also has this relative
+    accuracy.
     """
     friction = {"disk": disk_force_and_torque, "ring": ring_force_and_torque}[support]
     r0 = math.hypot(speed, rim_speed)
@@ -68,7 +71,7 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
         v, s = math.exp(log_v), math.exp(log_s)
         force, torque = friction(v / s)
         r = math.hypot(v, s)
-        # d/dt of v is -F and of s is -Lambda T; dt = dsigma * r
+        # The derivatives of v and s are -F and -Lambda T; dt = dsigma * r.
         return [
             -force * r / v,
             -torque_ratio * torque * r / s,
@@ -88,8 +91,9 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
     )
     assert solution.status == 1
     _, _, travel, rim_travel, time = solution.y[:, -1]
-    # The last billionth of the velocity adds less than 1e-8 of a second's r0; its time is closed
-    # with the friction of the terminal ratio.
+    # The integration ends at 1e-8 of the initial velocity. The rest of the slide changes the
+    # results by less than 1e-8; only its duration is added, computed with the friction at the final
+    # ratio of the velocities.
     log_v, log_s = solution.y[:2, -1]
     v, s = math.exp(log_v), math.exp(log_s)
     force, torque = friction(v / s)

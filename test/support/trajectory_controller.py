@@ -105,7 +105,7 @@ class TrajectoryController:
         return ""
 
     def cancel(self, now: float) -> None:
-        """Cancel the goal; the commands remain at their present position."""
+        """Cancel the goal; the commanded position then remains constant."""
         if not self._goal_active:
             return
         place, _ = self._commanded(now)
@@ -117,7 +117,7 @@ class TrajectoryController:
         self._blocked = (now, self._follows(now))
 
     def unblock(self, now: float) -> None:
-        """Remove the obstacle; the arm jumps to its commands."""
+        """Remove the obstacle; the arm jumps to its commanded position."""
         self._blocked = None
 
     def push(self, offset: Sequence[float], now: float) -> None:
@@ -183,7 +183,7 @@ class TrajectoryController:
         return ""
 
     def _follows(self, time: float) -> Array:
-        """Return the arm's position: its delayed commands, or where it is blocked."""
+        """Return the arm's position: that of the delayed command, or where the arm is blocked."""
         if self._blocked is not None and time >= self._blocked[0]:
             return self._blocked[1]
         return self._commanded(time - self.settings.lag)[0] + self.settings.offset

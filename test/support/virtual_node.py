@@ -1,5 +1,5 @@
-"""One node in virtual time: its machine and, of a device, its driver and its emulated board, with
-hands to play everybody else."""
+"""One node in virtual time: its state machine, the driver and emulated board of a device, and a
+probe that replaces all other nodes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PROBE = "probe"
 
 
 class VirtualNode:
-    """A process and a probe that talks to it. Times in s of the run."""
+    """A process and a probe that communicates with it. Times in s since the start."""
 
     def __init__(
         self,
@@ -38,9 +38,9 @@ class VirtualNode:
         cell: Cell | None = None,
         started: bool = True,
     ) -> None:
-        """``make`` gives the machine and its driver on the board's line, or on the list of lines
-        of several boards; ``connect`` is what the node does to configure, ``states`` the topic on
-        which it tells its state."""
+        """``make`` returns the state machine and its driver for the board's line, or for the list
+        of lines of several boards. ``connect`` is called when the node is configured. ``states`` is
+        the topic on which the node publishes its state."""
         self.scheduler = Scheduler()
         self.network = Network(self.scheduler, np.random.default_rng(1), QUALITIES)
         several = isinstance(board, Sequence)
@@ -65,26 +65,26 @@ class VirtualNode:
             self.process.start()
 
     def listen(self, topic: str) -> list[Any]:
-        """Every message of a topic from now on."""
+        """Return a list that receives all messages of a topic from now on."""
         received: list[Any] = []
         self.network.subscribe(PROBE, topic, lambda _, message: received.append(message))
         return received
 
     @property
     def last(self) -> Any:
-        """The node's last state."""
+        """Return the last state published by the node."""
         return self.states[-1]
 
     def now(self) -> float:
-        """The time of the run, s."""
+        """Return the virtual time, s."""
         return self.scheduler.now
 
     def stamp(self, ahead: float = 0.0) -> Time:
-        """The node's ROS time, or ``ahead`` s later."""
+        """Return the node's ROS time, or the time ``ahead`` s later."""
         return to_stamp(self._clock.now().ros + round(1e9 * ahead))
 
     def publish(self, topic: str, message: Any) -> None:
-        """Send a message as somebody else."""
+        """Publish a message as another node."""
         self.network.publish(PROBE, topic, message)
 
     def run(self, duration: float) -> None:
@@ -94,26 +94,26 @@ class VirtualNode:
     def wait(
         self, condition: Callable[[], object], what: str, patience: float = PATIENCE_S
     ) -> None:
-        """Let time pass until the condition holds; fail with the words otherwise."""
+        """Let time pass until the condition holds; otherwise fail with ``what``."""
         self.scheduler.run(self.now() + patience, lambda: bool(condition()))
         assert condition(), f"waited {patience:.0f} s in vain: {what}"
 
     def wait_state(self, state: int) -> None:
-        """Wait until the node says that it is in a state."""
+        """Wait until the node publishes this state."""
         self.wait(lambda: self.states and self.last.state == state, f"state {state}")
 
     def ask(self, service: str, request: Any = None) -> list[Any]:
-        """Call a service; its answer comes into the list."""
+        """Call a service; its answer is added to the returned list."""
         answers: list[Any] = []
         self.network.call(service, request or Trigger.Request(), answers.append, math.inf)
         return answers
 
     def call(self, service: str, request: Any = None) -> Any:
-        """The answer of a service."""
+        """Call a service and return its answer."""
         answers = self.ask(service, request)
         self.wait(lambda: answers, f"{service} answers")
         return answers[0]
 
     def reported_errors(self) -> Sequence[str]:
-        """Defects that the node met, in words: there are to be none."""
+        """Return descriptions of defects that occurred in the node; there should be none."""
         return self.process.defects

@@ -31,7 +31,7 @@ class OutputFaults:
     late: float = 0.0
     """Additional delay of a level's effect, s."""
     broken_wire: bool = False
-    """Whether the read-back never shows the output on."""
+    """Whether the read-back never reports the output as on."""
 
 
 @dataclass(slots=True)

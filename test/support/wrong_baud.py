@@ -6,10 +6,11 @@ from tapping_cell.simulation.device_emulator import DeviceEmulator
 
 
 def sampled(data: bytes, sent: float, read: float) -> bytes:
-    """Return what a receiver at ``read`` baud makes of ``data`` sent at ``sent`` baud, 8N1.
+    """Return the bytes that a receiver at ``read`` baud decodes from ``data`` sent at ``sent``
+    baud, 8N1.
 
-    The receiver waits for a falling edge, samples the middle of each bit in its own period, and
-    passes a byte with a wrong stop bit on, as Linux does by default.
+    The receiver waits for a falling edge and samples the middle of each bit in its own period. It
+    forwards bytes with a wrong stop bit, as Linux does by default.
     """
     levels = [
         level
@@ -36,14 +37,15 @@ def sampled(data: bytes, sent: float, read: float) -> bytes:
 
 
 class WrongBaud:
-    """An emulated board at ``board`` baud behind a host at ``host`` baud."""
+    """An emulated board that runs at ``board`` baud, connected to a host that runs at ``host``
+    baud."""
 
     def __init__(self, emulator: DeviceEmulator, host: float, board: float) -> None:
         self._emulator = emulator
         self._host, self._board = host, board
 
     def receive(self, data: bytes, now: float) -> None:
-        """Pass on what the board makes of bytes from the host."""
+        """Forward the host's bytes as the board decodes them."""
         self._emulator.receive(sampled(data, self._host, self._board), now)
 
     def advance(self, now: float) -> None:
@@ -51,7 +53,7 @@ class WrongBaud:
         self._emulator.advance(now)
 
     def take_output(self, now: float) -> bytes:
-        """Return what the host makes of the board's bytes."""
+        """Return the board's bytes as the host decodes them."""
         return sampled(self._emulator.take_output(now), self._board, self._host)
 
     def next_event(self) -> float | None:

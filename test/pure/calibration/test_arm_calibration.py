@@ -1,4 +1,5 @@
-"""The arm's calibration finds hidden truths, names outliers, says what it cannot know."""
+"""The arm's calibration recovers known parameters, names outliers, and reports what it cannot
+determine."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ MARK = Pose(0.010, 0.030, 0.5)
 def simulated(
     seed: int, count: int = 20, noise: float = 1.0
 ) -> tuple[ScaraGeometry, Pose, np.ndarray]:
-    """An arm with hidden base and zeros, by the kinematics of the hardware room: rows of shoulder,
-    elbow, tool, seen x, y, theta of a marker that sits on the tip."""
+    """Return true parameters and a simulated record of an arm. A row of the record contains
+    shoulder, elbow, tool, and the measured x, y, theta of a marker on the tip."""
     random = np.random.default_rng(seed)
     geometry = ScaraGeometry(joint_offset=(0.0, random.normal(0, 0.01), 0.0, 0.0))
     base = Pose(random.normal(0, 0.02), 0.47, -math.pi / 2 + random.normal(0, 0.05))
@@ -73,7 +74,8 @@ def test_twenty_noisy_poses_reach_the_target_figures(tmp_path: Path) -> None:
         place = [str(MARK.x * 1e3), str(MARK.y * 1e3), str(math.degrees(MARK.theta))]
         words = ["calibrate", "arm", str(record), "--cell", str(CELL), "--output", str(output)]
         assert main([*words, "--marker-on-tip", *place]) == 0
-        # The file that the nodes read says where the tip is, at poses that were not measured.
+        # Forward kinematics with the calibrated cell file gives the true tip, at poses that were
+        # not measured.
         cell = load_cell(output)
         calibrated = cell.arm.geometry()
         for row in simulated(100 + seed, count=30)[2]:
@@ -120,7 +122,8 @@ def test_what_the_poses_do_not_tell_is_held_and_said() -> None:
     points, angles = truths.predicted(stiff.joints, truth)
     stiff = replace(stiff, points=np.stack([points.real, points.imag], axis=1), angles=angles)
     result = calibrate_arm(stiff, ScaraGeometry())
-    # The tool never turns against the forearm: its offset ahead and the forearm's length are one.
+    # The tool never turns relative to the forearm, so its forward offset and the forearm's length
+    # cannot be separated.
     linked = calibrate_arm(stiff, ScaraGeometry(), links=True)
     assert "forearm" in linked.held
     assert any("forearm" in note and "kept" in note for note in linked.notes)
@@ -153,7 +156,7 @@ def test_the_verb_refuses_wrong_units_and_keeps_the_file(tmp_path: Path, capsys)
     record.write_text(text)
     assert main(["calibrate", "arm", str(record), *words]) == 0
     before = output.read_text()
-    assert "# beyond the table's far edge" in before  # comments stay
+    assert "# beyond the table's far edge" in before  # comments are kept
     assert main(["calibrate", "arm", str(record), *words]) == 2
     noisy = write(tmp_path / "noisy.csv", simulated(2, noise=4.0)[2])
     assert main(["calibrate", "arm", str(noisy), *words, "--force"]) == 2

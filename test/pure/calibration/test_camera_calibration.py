@@ -1,4 +1,5 @@
-"""The camera's calibration: hidden truths, views that do not belong, sets that do not do."""
+"""The camera's calibration: known parameters are recovered, and unsuitable views and sets are
+refused."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ def test_twenty_views_reach_the_target_figures() -> None:
         for name in ("fx", "fy", "cx", "cy"):
             error = getattr(result.model, name) - getattr(model, name)
             assert abs(error) < 4.5 * result.deviations[name]
-        # The lens as a whole: where it puts points of the view.
+        # Compare the complete lens model by its projection of points in the image.
         rays = model.rays(np.random.default_rng(0).uniform([20, 20], [1260, 1000], (50, 2)))
         points = np.concatenate([rays, np.ones((50, 1))], axis=1)
         assert np.abs(result.model.project(points) - model.project(points)).max() < 1.5
@@ -70,7 +71,8 @@ def test_views_that_do_not_belong_are_named_with_their_reason() -> None:
 
 def test_a_lens_that_needs_it_gets_the_rational_model() -> None:
     random = np.random.default_rng(5)
-    # The arc tangent of an equidistant lens, as the quotient 15 + 4 r^2 over 15 + 9 r^2 has it.
+    # The arc tangent of an equidistant lens, approximated by the quotient (15 + 4 r^2) / (15 + 9
+    # r^2).
     lens = (4 / 15, 0.0, 0.0, 0.0, 0.0, 0.6, 0.0, 0.0)
     wide = CameraModel(1280, 960, 750.0, 750.0, 640.0, 480.0, lens, "rational_polynomial")
     views = truths.corner_views(random, wide, TARGET, 16, 0.05)
@@ -124,7 +126,7 @@ def test_targets_that_cannot_be_are_refused(arguments) -> None:
 
 @pytest.fixture(scope="module")
 def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight photographs of a chessboard, one of an empty table, one blurred."""
+    """Write eight photographs of a chessboard, one of an empty table, and a blurred one."""
     folder = tmp_path_factory.mktemp("photographs")
     target = Target("chessboard", 9, 7, 0.025)
     random, eye = np.random.default_rng(2), SheetCamera(SMALL, 1)
@@ -147,7 +149,7 @@ def test_the_verb_writes_what_ros_and_the_nodes_read(
     output = tmp_path / "camera_info.yaml"
     words = ["calibrate", "camera", str(photographs), "--target", "chessboard"]
     words += ["--square-size", "25", "--output", str(output)]
-    assert main([*words, "--squares", "8x6"]) == 1  # the counts of the inner corners
+    assert main([*words, "--squares", "8x6"]) == 1  # inner corners were given instead of squares
     assert "--corners 8x6" in capsys.readouterr().err
     assert main([*words, "--squares", "9x7", "--annotate", str(tmp_path / "drawn")]) == 0
     text = capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""CSV records are read in SI, and what is wrong is named by file and row."""
+"""CSV records are converted to SI units, and each fault is reported with file and row."""
 
 from __future__ import annotations
 
@@ -112,7 +112,8 @@ def test_decimal_commas_are_read_where_no_number_has_a_point(
     table = read_csv(path, (Column("x", "m"),), texts=("note",))
     assert table.values["x"].tolist() == pytest.approx([0.0015, -0.020, 0.00025, 0.0001])
     assert table.texts["note"] == ("a,b", "c", "d", "e") and table.faults == ()
-    # Beside a decimal point the comma may be one between thousands: that row is not guessed at.
+    # In a row with a decimal point, the comma may separate thousands: such a row is refused, not
+    # guessed.
     path.write_text(f"x_mm{separator}y_mm\n1,250{separator}1.5\n3{separator}4\n5{separator}6\n")
     table = read_csv(path, (Column("x", "m"), Column("y", "m")))
     assert [fault.row for fault in table.faults] == [2] and "'1,250'" in str(table.faults[0])

@@ -1,4 +1,4 @@
-"""The designed experiment: its runs, where each trial sends the object, and what became of one."""
+"""The designed experiment: its runs, the goal of each trial, and the outcome of a trial."""
 
 from __future__ import annotations
 
@@ -77,7 +77,8 @@ def test_outward_trials_go_every_way_and_come_back_on_the_same_line() -> None:
 def test_the_contact_is_that_of_the_geometry(
     angle: float, incidence: float, theta: float, speed: float
 ) -> None:
-    """``angle``: of the contact in the object's frame; the normal points the other way."""
+    """``angle`` is the direction of the contact in the object's frame; the contact normal is
+    opposite to it."""
     start = Pose(0.03, -0.02, theta)
     normal = angle + theta + math.pi
     back = DISK.radius + 0.0054
@@ -98,7 +99,8 @@ def test_a_tip_that_would_miss_has_no_contact() -> None:
 
 
 def slide(distance: float = 0.06, pushed: float = 0.0, hidden: bool = False) -> Trial:
-    """A trial as a camera of 30 Hz sees it; ``pushed`` m by a hand half a second after the end."""
+    """Return a trial measured by a camera of 30 Hz. ``pushed``: distance in m by which a hand
+    pushes the object 0.5 s after the end of the slide."""
     friction = 1.7
     speed = math.sqrt(2 * friction * distance)
     time = np.arange(-0.5, 1.5, 1 / 30)

@@ -1,4 +1,5 @@
-"""From records to the object file: on the simulated world, and on records of known impacts."""
+"""The complete fit of an object file, tested with simulated experiments and with records of known
+impacts."""
 
 import json
 import math
@@ -22,7 +23,7 @@ HELD = StrikerSection(0.1, 0.0054, "linear_bearings")
 
 @pytest.fixture(scope="module")
 def records(tmp_path_factory):
-    """An experiment on the simulated world, which integrates the slides in time."""
+    """Return an experiment in the simulated world, which integrates each slide in time."""
     content, truth, true = draw("disk", 3)
     folder = tmp_path_factory.mktemp("records") / "taps"
     trials = simulated_trials(content, STRIKER.striker(), truth, Design(trials=8), 11)
@@ -44,7 +45,7 @@ def test_the_simulated_truth_is_found(records, fit):
     friction = fit.estimate("contact_friction")
     assert friction.fitted
     assert friction.value == pytest.approx(true["contact_friction"], rel=0.15)
-    # 32 taps give a scatter to a quarter of itself at two standard deviations
+    # 32 taps determine the scatter to within a quarter of its value (two standard deviations).
     assert 0.03 < fit.estimate("scatter_speed").value < 0.075
     assert 0.09 < fit.estimate("scatter_spin").value < 0.23
 
@@ -132,7 +133,7 @@ def test_small_incidences_do_not_tell_the_contact_friction(tmp_path):
     assert "contact friction" in output
     advised = [s for s in fit.sentences if "would determine the contact friction" in s]
     assert len(advised) == 1
-    # The contact of this disk slides from atan(0.24 / 0.36) = 33 degrees on.
+    # Contacts of this disk slide at incidences above atan(0.24 / 0.36) = 33 degrees.
     assert float(advised[0].split("incidence of ")[1].split()[0]) >= 30
 
 

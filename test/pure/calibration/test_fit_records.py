@@ -1,4 +1,5 @@
-"""Records of single taps: read back as written, and bad ones named by file and row."""
+"""Records of single taps: they are read as they were written, and invalid ones are reported with
+file and row."""
 
 import csv
 import math
@@ -32,7 +33,7 @@ def screened(folder):
 
 
 def rewrite(file, change):
-    """Apply ``change(row)`` to every row of a CSV."""
+    """Replace each row of a CSV file by ``change(row)``."""
     with file.open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     changed = [change(dict(row)) for row in rows]
@@ -273,7 +274,8 @@ def tracked(tmp_path, seen, **values):
     write_header(tmp_path, header)
     experiment = read_experiment(tmp_path)
     with pytest.raises(RecordError) as refusal:
-        screen([experiment], DISK.body(), GRAVITY)  # one trial is never enough
+        # raises in any case, because one trial is not enough
+        screen([experiment], DISK.body(), GRAVITY)
     return str(refusal.value)
 
 
@@ -293,7 +295,7 @@ def test_a_track_with_a_gap_while_it_slides_is_named(tmp_path):
 
 def test_a_hand_in_the_picture_is_named(tmp_path):
     seen = track()
-    moved = seen.x + np.where(seen.time < 0.2, 0.004, 0.0)  # taken away before the tap
+    moved = seen.x + np.where(seen.time < 0.2, 0.004, 0.0)  # the hand is removed before the tap
     assert "run_01.csv, row 2" in tracked(tmp_path, replace(seen, x=moved))
 
 

@@ -1,4 +1,4 @@
-"""The fit's slides against the mechanics, and what it finds in slides that it knows."""
+"""The slides used by the fit agree with the mechanics, and the fit recovers known parameters."""
 
 import math
 from dataclasses import replace
@@ -46,18 +46,19 @@ def test_states_are_those_of_the_mechanics(body, speed, ratio, factor, share):
     state, _ = curves.at(
         launch, np.array([time]), np.zeros(1, dtype=int), np.array([0.17]), math.log(factor)
     )
-    # Between two tables of the torque factor the values are interpolated.
+    # Values are interpolated between two tabulated torque factors.
     size = float(rest.distance) + body.support_radius * abs(float(rest.rotation))
     assert state.distance[0] == pytest.approx(float(exact.distance[0]), abs=1e-3 * size)
     turned = body.support_radius * (state.rotation[0] - float(exact.rotation[0]))
     assert abs(turned) < 1e-3 * size
-    # The two tables stop at slightly different times: between these one of them still moves.
+    # The slides of the two tables stop at slightly different times. Between these times, the
+    # interpolated speed is inaccurate.
     if abs(share - 1.0) > 0.02:
         assert state.speed[0] == pytest.approx(float(exact.speed[0]), abs=2e-3 * speed)
 
 
 def motion(speed, spin, sliding, noise=(0.0, 0.0), random=None, **values):
-    """One slide as an instrument sees it, with relative noise of its initial velocities."""
+    """Return the measured motion of one slide, with relative noise of its initial velocities."""
     distance, rotation, _ = sliding.rest(speed, spin)
     off = random.standard_normal(2) if random is not None else (0.0, 0.0)
     return Motion(
@@ -104,13 +105,14 @@ def test_noise_of_the_velocities_does_not_bias_the_torque_factor():
     launches = random.uniform((0.2, 1.0), (0.4, 4.0), (400, 2))
     motions = [motion(v, w, sliding, (0.04, 0.15), random) for v, w in launches.tolist()]
     fit = fit_slides(motions, DISK.body(), 9.81)
-    # 400 taps: standard errors of 0.4 % and 1.2 %
+    # Standard errors with 400 taps: 0.4 % and 1.2 %.
     assert fit.friction == pytest.approx(0.2, rel=0.016)
     assert fit.torque_factor == pytest.approx(2.0, rel=0.05)
 
 
 def test_intervals_cover_as_often_as_they_say():
-    """Means of 4 x 10 skewed numbers: the estimate whose scores are mean - x."""
+    """The estimate is the mean of 4 x 10 samples from a skewed distribution. The score of a sample
+    x is mean - x."""
     random = np.random.default_rng(0)
     runs = np.repeat([1, 2, 3, 4], 10)
     trials, covered = 300, 0
@@ -119,7 +121,7 @@ def test_intervals_cover_as_often_as_they_say():
         estimate = seen.mean()
         width = spread((estimate - seen)[:, None], np.ones((40, 1, 1)), runs, seed, 400)
         covered += estimate + width.low[0] <= 4.0 <= estimate + width.high[0]
-    # not below 91 % nor above 98.5 %, at four standard deviations of the count
+    # Bounds of the count for a true coverage of 91 % and 98.5 %, each at four standard deviations.
     assert binom.ppf(1e-4, trials, 0.91) < covered < binom.ppf(1 - 1e-4, trials, 0.985)
 
 
@@ -131,7 +133,8 @@ def test_trials_that_determine_nothing_have_no_interval():
 
 
 def test_a_pressure_beside_the_middle_is_found_and_does_not_widen_the_torque_factor():
-    """The simulated world presses unevenly: 1 % of the radius towards +x, 0.75 % towards -y."""
+    """The pressure in the simulated world is off-centre by 1 % of the radius towards +x and 0.75 %
+    towards -y."""
     body, random = DISK.body(), np.random.default_rng(6)
     points, grip = sample_support(body, SupportTruth(lean=(0.04, -0.03)))
     law = TableFriction(friction=0.2, torque_factor=2.5, gravity=9.81)
@@ -156,7 +159,7 @@ def test_a_pressure_beside_the_middle_is_found_and_does_not_widen_the_torque_fac
         )
     fit = fit_slides(motions, body, 9.81)
     assert fit.torque_factor == pytest.approx(2.5, rel=0.02)
-    # the weights 1 + l . r / R move the centre by R l / 4
+    # The weights 1 + l . r / R move the centre of pressure by R l / 4.
     wanted = [body.radius * 0.04 / 4, -body.radius * 0.03 / 4]
     assert fit.pressure_centre == pytest.approx(wanted, abs=0.15 * body.radius * 0.05 / 4)
     blind = fit_slides([replace(m, heading=math.nan) for m in motions], body, 9.81)

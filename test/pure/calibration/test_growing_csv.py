@@ -1,4 +1,4 @@
-"""Records that grow row by row: nothing lost, nothing overwritten."""
+"""Records are written row by row: no row is lost or overwritten."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_a_file_that_is_there_is_neither_overwritten_nor_mixed(tmp_path: Path) -
         GrowingCsv(path, HEADER, resume=False)
     with pytest.raises(RecordError, match="another name"):
         GrowingCsv(path, ("energy", "travel"), resume=True)
-    # A last line without its end is ended first.
+    # An incomplete last line is terminated before a new row is added.
     GrowingCsv(path, HEADER, resume=True).append((0.3, 0.4))
     assert len(read_csv(path, COLUMNS).rows) == 2
     with pytest.raises(ValueError, match="2 columns"):

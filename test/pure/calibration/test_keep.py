@@ -1,4 +1,5 @@
-"""No calibrated file is replaced silently, and a better one never by force alone."""
+"""Calibrated files are never replaced silently, and a more accurate one is not replaced by --force
+alone."""
 
 from __future__ import annotations
 

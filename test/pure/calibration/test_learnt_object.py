@@ -1,4 +1,5 @@
-"""Unknown objects of the simulated world: what taps say of them against what is true."""
+"""Values learnt from taps of unknown objects are compared with the true values of the simulated
+world."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ GUESS = replace(CELL.object, friction=0.2, torque_factor=1.8, smallest_tap=0.001
 
 
 def drawn(seed: int) -> tuple[ObjectFile, float, float]:
-    """The file of a guess, and the true friction and torque factor."""
+    """Return the file of a guessed object, its true friction and its true torque factor."""
     random = np.random.default_rng(seed)
     kind = ("disk", "ring", "polygon")[seed % 3]
     if kind != "polygon":
@@ -45,7 +46,7 @@ def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, fl
     tap = replace(content.tap(STRIKER), smallest_distance=0.0)
     asked = np.empty((0, 3))
     while len(asked) < count:
-        # One call for many taps: each call integrates a polygon's slides anew.
+        # A single call for many taps, because each call integrates the slides of a polygon again.
         distance, heading = random.uniform(0.004, 0.03, 64), random.uniform(-3, 3, 64)
         turn = random.uniform(-0.9, 0.9, 64) * tap.cone_slope * distance
         some = np.column_stack([distance * np.cos(heading), distance * np.sin(heading), turn])
@@ -62,7 +63,8 @@ def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, fl
     return learn_object(content, asked, moved), friction, factor
 
 
-@pytest.mark.timeout(900)  # seconds of processor each; beside the other rings much longer
+# each test needs up to a few minutes of processor time, and longer if other tests run
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", range(6))
 def test_friction_and_torque_factor_of_unknown_objects_are_learnt(seed: int) -> None:
     found, friction, factor = learnt(seed)
@@ -94,7 +96,7 @@ def test_too_few_taps_are_refused() -> None:
 
 
 def test_a_floor_of_the_scatter_is_learnt() -> None:
-    """Taps of 2 to 30 mm whose end scatters by 0.3 mm however short they are."""
+    """Taps of 2 to 30 mm whose end positions scatter by 0.3 mm regardless of the length."""
     content, *_ = drawn(0)
     body = content.body()
     rng = np.random.default_rng(5)

@@ -1,4 +1,4 @@
-"""Lack of fit is found where there is one and only there; intervals hold new taps."""
+"""Lack of fit is detected only where it exists, and prediction intervals contain new taps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ def taps(
     place: float = 0.0,
     direction: float = 0.0,
 ) -> Taps:
-    """Taps with a scatter of 5 and 15 %, and what the model does not know of."""
+    """Return taps with a scatter of 5 % in distance and 15 % in rotation, and with effects that the
+    model does not contain."""
     count = RUNS * trials
     runs = np.repeat(np.arange(RUNS), trials)
     contact, travel = random.uniform(-math.pi, math.pi, (2, count))
@@ -43,7 +44,7 @@ def taps(
 
 
 def test_a_model_that_fits_is_not_blamed() -> None:
-    """Six tests at 0.001 each: of 300 fits 1.8 are expected to be blamed."""
+    """With six tests at a level of 0.001 each, 1.8 of 300 fits are expected to fail."""
     random = np.random.default_rng(1)
     assert sum(bool(lack_of_fit(taps(random))) for _ in range(300)) <= 7
 
@@ -98,7 +99,8 @@ def fitted(truth: TruthFile, assumed: float = 0.2, design: Design | None = None)
 
 
 def test_the_simulated_world_is_found_out() -> None:
-    """A mass off the middle by 2.4 mm, and a contact that is none of Routh's."""
+    """The lack of fit has a known cause: a centre of mass off by 2.4 mm, or a contact that differs
+    from Routh's model."""
     assert not fitted(TruthFile((0.0, 0.0, 0.0))).misfits
     off_centre = fitted(
         TruthFile((0.0, 0.0, 0.0), support=SupportTruth(mass_offset=(0.002, 0.0014)))
@@ -108,14 +110,14 @@ def test_the_simulated_world_is_found_out() -> None:
         TruthFile((0.0, 0.0, 0.0), impact=ImpactTruth(tangential_stiffness=0.8, oblique_loss=0.5))
     )
     assert ("distance", "setting") in {(m.quantity, m.cause) for m in oblique.misfits}
-    # What the planner is told of a tap holds the model's error.
+    # The scatter that the planner receives includes the model's error.
     assert oblique.estimate("scatter_distance").value > 0.08
     assert any("95 % come within" in sentence for sentence in oblique.sentences)
 
 
 @pytest.mark.parametrize("assumed", [0.2, 0.1])
 def test_contacts_that_seem_to_stick_give_no_bound(assumed: float) -> None:
-    """Small incidences: the friction is not determined, and none is claimed."""
+    """With small incidences the friction is not determined, so no value is reported."""
     design = Design(
         runs=((0.02, math.radians(5)), (0.02, math.radians(20)), (0.04, math.radians(12)))
     )

@@ -1,4 +1,4 @@
-"""Lines of fixed tappers from single taps, against the truth that made them."""
+"""Lines of fixed tappers are determined from single taps and compared with the true lines."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def moved(mount: Pose, offset: float, angle: float) -> Pose:
 
 
 def made_taps(entry, true: Pose, factor: float, count: int, rng: np.random.Generator):
-    """Objects put down by hand anywhere near the middle; what the camera saw of each tap."""
+    """Return taps of an object that was placed by hand near the middle, as measured by the
+    camera."""
     tap = CELL.object.tap(CELL.tapper_of(entry).striker())
     angles, radii = rng.uniform(-math.pi, math.pi, count), 0.05 * np.sqrt(rng.random(count))
     before = np.stack([radii * np.cos(angles), radii * np.sin(angles), angles], axis=-1)
@@ -50,7 +51,7 @@ def made_taps(entry, true: Pose, factor: float, count: int, rng: np.random.Gener
 
 
 def line_error(found: Pose, true: Pose) -> float:
-    """Distance of the lines where they meet an object in the middle, m."""
+    """Return the distance between the two lines at an object in the middle, m."""
     reach = math.hypot(true.x, true.y) - 0.05
     point = np.array([true.x + reach * math.cos(true.theta), true.y + reach * math.sin(true.theta)])
     off = point - np.array([found.x, found.y])
@@ -75,7 +76,7 @@ def test_twelve_taps_know_a_line_to_a_third_of_a_millimetre() -> None:
         assert fit.line_offset == pytest.approx(expected, abs=0.03 * abs(fit.angle) + 1e-4)
         assert abs(wrap_angle(fit.mount.theta - true.theta)) < 5.0 * fit.angle_deviation
     assert np.sqrt(np.mean(np.square(errors))) < WANTED
-    # The uncertainty that is told is honest: not half, not twice of what is found.
+    # The stated uncertainty is within a factor of two of the actual error.
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) / np.mean(claimed) < 2.0
 
 
@@ -107,7 +108,7 @@ def test_the_verb_writes_the_measured_mounts(tmp_path: Path) -> None:
 
 
 def run_of(name: str, taps) -> Run:
-    """A run of taps by one tapper, as the recorder writes it."""
+    """Return a run of taps by one tapper, as the recorder writes it."""
     rows = [
         TapRow(
             number=number,

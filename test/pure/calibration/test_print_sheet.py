@@ -1,4 +1,4 @@
-"""Printed sheets: what stands on the page is where it should be, to 0.05 mm."""
+"""Markers and text of printed sheets are at their nominal positions to 0.05 mm."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ pypdf = pytest.importorskip(
 )
 
 SHIPPED = Path(__file__).resolve().parents[3] / "config" / "table.yaml"
-DPI = 254.0  # ten dots a millimetre
+DPI = 254.0  # 10 dots per mm
 
 
 def page(tmp_path: Path, what: str, *words: str, kind: str = "png") -> np.ndarray:
@@ -41,10 +41,11 @@ def page(tmp_path: Path, what: str, *words: str, kind: str = "png") -> np.ndarra
 
 
 def rasterised(one: pypdf.PageObject) -> np.ndarray:
-    """The page's filled paths as a printer would draw them at DPI, by PDF's own rules: a unit is
-    1/72 inch, the origin below, a path's loops are filled where they wind about."""
+    """Rasterise the page's filled paths at DPI like a printer. By PDF's rules, a unit is 1/72 inch,
+    the origin is at the lower left, and a path is filled by the winding rule."""
     assert "/UserUnit" not in one and not one.get("/Rotate")
-    # OpenCV fills the rim's pixels as well, half a dot too many: four dots for each.
+    # OpenCV also fills the pixels on the edge, half a dot too many. Therefore, draw at four times
+    # the resolution.
     scale = 4 * DPI / 72.0
     width, height = (float(side) for side in one.mediabox[2:])
     image = np.full((round(height * scale), round(width * scale)), 255, dtype=np.uint8)
@@ -66,7 +67,7 @@ def rasterised(one: pypdf.PageObject) -> np.ndarray:
         elif word == "Q":
             grey = kept.pop()
         elif word == "cm":
-            # Only text is moved, and nothing is scaled.
+            # The only transformation is the translation of text; nothing is scaled.
             assert [float(number) for number in stack[-6:-2]] == [1.0, 0.0, 0.0, 1.0]
         elif word == "BT":
             text = True
@@ -88,13 +89,14 @@ def test_reference_markers_are_where_the_table_file_says(tmp_path: Path, kind: s
     corners = references.corners()
     for row, marker in enumerate(references.markers):
         edges = refine(image, found[marker.id].corners[None], 8)
-        # Dots to the page's frame, whose origin is in the middle: y up, whole dots are corners.
+        # Convert dots to the page's frame: origin in the middle, y upwards, corners at integer
+        # dots.
         seen = (edges.corners[0] + 0.5 - np.array([1485.0, 1050.0])) * [1e-4, -1e-4]
         assert np.abs(seen - corners[row]).max() < 5e-5
 
 
 def test_the_sheet_for_the_shipped_table_file_has_its_markers(tmp_path: Path) -> None:
-    """The sheet of docs/build that is glued on the table, and the file that the cell reads."""
+    """The sheet of docs/build that is glued to the table matches the table file of the cell."""
     image = page(tmp_path, "table", "--paper", "a1", "--table", str(SHIPPED), "--dpi", "101.6")
     references = load_reference_map(SHIPPED)
     found = {d.id: d for d in find_markers(image, references.dictionary)}
@@ -150,7 +152,7 @@ def test_the_target_has_its_size(tmp_path: Path, kind: str) -> None:
 
 def test_the_ruler_measures_100_mm(tmp_path: Path) -> None:
     image = page(tmp_path, "objects")
-    # The ruler's line and its ticks are the lowest ink on the page.
+    # The ruler with its ticks is the lowest printed element on the page.
     dark = image < 128
     lowest = int(np.flatnonzero(dark.any(axis=1)).max())
     columns = np.flatnonzero(dark[lowest - 20, :1130])
@@ -169,7 +171,7 @@ def test_the_pdf_has_the_papers_size_and_says_what_it_is(tmp_path: Path) -> None
     assert "25 mm" in reader.pages[0].extract_text()
     assert "101" in reader.pages[1].extract_text()
     assert "id 1, 50 mm" in reader.pages[2].extract_text()
-    assert main(["calibrate", "print", "--output", str(path)]) == 2  # it stays
+    assert main(["calibrate", "print", "--output", str(path)]) == 2  # an existing file is kept
 
 
 def test_the_outlines_of_a_marker_are_its_pattern() -> None:

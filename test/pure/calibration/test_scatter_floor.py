@@ -1,4 +1,4 @@
-"""Separation of a tap's scatter into a share of its size and a floor."""
+"""A tap's scatter is separated into a part proportional to its length and a constant floor."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,8 @@ def test_both_parts_are_found() -> None:
 
 
 def test_a_scatter_in_proportion_has_no_floor() -> None:
-    """At most 1 % false alarms: 3 of 200 happen by chance less than once in 15 series."""
+    """With a false alarm rate of 1 %, more than 6 false alarms in 200 series have a probability of
+    0.4 %."""
     found = [scatter_parts([_series(0.05, 0.0, 60, seed)]) for seed in range(200)]
     assert sum(parts is not None and parts.floor > 0.0 for parts in found) <= 6
 

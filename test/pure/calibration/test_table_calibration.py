@@ -1,4 +1,5 @@
-"""The map of the reference markers: hidden truths, markers that moved, parts that nothing joins."""
+"""The map of the reference markers: known maps are recovered, and moved markers and unconnected
+parts are reported."""
 
 from __future__ import annotations
 
@@ -50,7 +51,8 @@ def test_the_map_comes_back_within_its_standard_deviations() -> None:
         frame, left = frame_of_map(result.references, references)
         assert left < 2e-4
         assert result.rms == pytest.approx(NOISE * math.sqrt(2), rel=0.2)
-        # The deviations hold in the frame of all markers: their middle, their mean direction.
+        # The stated deviations refer to the frame given by the mean position and direction of all
+        # markers.
         middle = np.mean([(m.x, m.y, m.theta) for m in references.markers], axis=0)
         pairs = zip(result.references.markers, in_frame(references, middle).markers, strict=True)
         for row, (a, b) in enumerate(pairs):

@@ -1,4 +1,4 @@
-"""check-config finds everything that is wrong at once, and says so without starting anything."""
+"""check-config reports all errors at once without starting any node."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def change(path: Path, *changes: tuple[str, Any]) -> Path:
-    """Set keys such as arm.base of a YAML file; None takes a key away."""
+    """Set keys such as arm.base of a YAML file; a value of None removes the key."""
     document = yaml.safe_load(path.read_text())
     for key, value in changes:
         *above, last = key.split(".")

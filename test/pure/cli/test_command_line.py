@@ -1,4 +1,4 @@
-"""The command line explains itself and refuses what it does not know."""
+"""The command line has help texts and refuses unknown arguments."""
 
 from __future__ import annotations
 

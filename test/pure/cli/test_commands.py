@@ -1,4 +1,5 @@
-"""The page of commands is the code's, every verb's example parses, and completion completes."""
+"""The page of commands agrees with the code, the example of each verb parses, and completion
+works."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ def test_every_command_in_the_documents_parses(page: Path) -> None:
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
     for line in re.findall(r"^ +python -m tapping_cell (\w.+)$", text, re.MULTILINE):
         words = shlex.split(re.split(r" [>|] ", line)[0], comments=True)
-        # a name in capitals stands for a number or a file of the reader's
+        # A word in capital letters is a placeholder for a number or a file.
         verb_parser(words[0])[0].parse_args(["1" if word.isupper() else word for word in words[1:]])
     for line in re.findall(r"python -m benchmarks( --[^`\n]+)", text):
         make_parser().parse_args(shlex.split(line, comments=True))
@@ -64,7 +65,7 @@ def test_every_option_says_what_it_does(verb: str) -> None:
 
 
 def completions(line: str) -> set[str]:
-    """What a shell would be offered after a line."""
+    """Return the completions that a shell would offer after a line."""
     read, write = os.pipe()
     environment = {
         **os.environ,

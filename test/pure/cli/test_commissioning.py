@@ -1,4 +1,5 @@
-"""Commissioning keeps what each step measured, goes on where it stopped, and tells it in a page."""
+"""Commissioning stores the results of each step, continues where it stopped, and writes a
+report."""
 
 from __future__ import annotations
 

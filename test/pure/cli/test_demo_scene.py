@@ -26,7 +26,7 @@ def test_a_scene_names_places_and_goals_of_every_object(tmp_path: Path) -> None:
         placed = zip(places, files, strict=True)
         for (one, a), (other, b) in itertools.combinations(placed, 2):
             between = one.distance_to(other) - a.shape.reach() - b.shape.reach()
-            assert between >= GAP_M - 2e-5  # the files round to 0.01 mm
+            assert between >= GAP_M - 2e-5  # values in the files are rounded to 0.01 mm
 
 
 def test_objects_exchange_their_places_in_pairs(tmp_path: Path) -> None:

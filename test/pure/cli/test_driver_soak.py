@@ -1,4 +1,4 @@
-"""The soak sees what grows, and the drivers do not."""
+"""The soak test detects a growing use of resources; that of the drivers does not grow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verb learn-object, from run folders to an object file."""
+"""The verb learn-object makes an object file from run folders."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DISK = shared_folder() / "objects" / "aluminium_disk.yaml"
 
 
 def made_runs(folder: Path) -> list[str]:
-    """Two runs whose taps came out 5 % about what was commanded (as made_bags commands them)."""
+    """Write two runs of five random taps each, whose results are exactly as commanded."""
     folders = []
     random = np.random.default_rng(3)
     for index in range(2):
@@ -56,7 +56,7 @@ def test_an_object_file_is_learnt_from_runs(
     assert main(words) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["taps"] == 10 and result["left_out"] == 0
-    # These taps came out as commanded, so the values are those that were in use.
+    # The results are as commanded, so the learnt values are those in use.
     assert load_object(made).friction == pytest.approx(load_cell().object.friction, rel=0.02)
     assert load_object(made).calibration is not None
 

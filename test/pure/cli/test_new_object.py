@@ -1,4 +1,4 @@
-"""The verb new-object, from a picture to an object file that loads."""
+"""The verb new-object makes an object file from an image, and the file can be loaded."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SQUARE = 0.03 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 @pytest.fixture
 def picture(tmp_path: Path) -> Path:
-    """The table of the package with a square on it."""
+    """Write an image of the package's table with a square on it."""
     camera = load_camera_model(shared_folder() / "camera_info.yaml")
     table = load_reference_map(shared_folder() / "table.yaml")
     marker = ObjectMarker("APRILTAG_36h11", 7, 0.025, 0.012)
@@ -44,9 +44,9 @@ def test_a_picture_becomes_an_object_file(
     corners = np.array(content.shape.vertices)
     apart = np.linalg.norm(corners[:, None] - SQUARE[None], axis=2).min(axis=0)
     assert apart.max() < 5e-4
-    # 60 x 60 x 12 mm of the assumed density.
+    # 60 x 60 x 12 mm with the assumed density.
     assert content.mass == pytest.approx(0.0648, rel=0.03)
-    # What is there is not written over, and what the picture contradicts is refused.
+    # An existing file is not overwritten, and values that contradict the image are refused.
     assert main([*words, "--output", str(made)]) == 2
     assert "exists already" in capsys.readouterr().err
     assert main([*words, "--ring", "--output", str(tmp_path / "ring.yaml")]) == 2

@@ -1,4 +1,4 @@
-"""The verb report makes run folders again, tells bags alone, and compares runs."""
+"""The verb report rewrites run folders, reads single bags, and compares runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tapping_cell.report.run_folder import write_folder
 
 @pytest.fixture
 def runs(tmp_path: Path) -> Path:
-    """Three runs as a recorder leaves them, and the folder of the nodes' logs."""
+    """Write three runs as a recorder does, and the folder of the nodes' logs."""
     for name, made in (
         ("good", MadeRun(STOPS)),
         ("bad", MadeRun(STOPS, state=8, code=503, sentence="alarm")),

@@ -1,4 +1,4 @@
-"""What `up` says of a start: "ready" only where a goal would be taken, else what is missing."""
+"""`up` prints "ready" only if a goal would be accepted, and otherwise what is missing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NODES = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger
 
 
 def cell(mode: str = "ready", code: int = 0, **rows: dict[str, str]) -> dict[str, Any]:
-    """A state of the cell's client, with other rows for some nodes."""
+    """Return a state of the cell's client; ``rows`` replaces the rows of some nodes."""
     well = {"life": "active", "level": "ok", "sentence": "ok"}
     return {
         "nodes": [{**well, "name": name, **rows.get(name, {})} for name in NODES],

@@ -1,4 +1,5 @@
-"""Nodes that end are started again with a limit; only those of the cell's work end the others."""
+"""Nodes that end are restarted a limited number of times. Only the end of an essential node ends
+the others."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from tapping_cell.cli.supervision import DELAY_S, MOST_RESTARTS, WINDOW_S, Super
 
 
 class FakeGraph:
-    """Processes that end when they are told to."""
+    """Processes that end when the test asks them to."""
 
     def __init__(self) -> None:
         self.down: dict[str, Ended] = {}

@@ -65,7 +65,7 @@ def test_a_sweep_writes_a_table_and_a_plot(
     assert len(rows) == 5 and rows[0].startswith("tolerance,rotation-scatter,mean_taps")
     assert (tmp_path / "sweep.png").stat().st_size > 5000
     mean = [float(row.split(",")[2]) for row in rows[1:]]
-    assert mean[0] < mean[1] and mean[2] < mean[3]  # more scatter, more taps
+    assert mean[0] < mean[1] and mean[2] < mean[3]  # more taps with more scatter
 
 
 def test_an_interrupted_sweep_goes_on_where_it_was(
@@ -75,7 +75,7 @@ def test_an_interrupted_sweep_goes_on_where_it_was(
     assert run_sweep(tmp_path / "whole", *axes) == 0
     run_sweep(tmp_path / "parts", *axes)
     lines = (tmp_path / "parts" / "points.jsonl").read_text().splitlines(keepends=True)
-    # Power failed while the second point was written.
+    # The last line is incomplete, as if the power had failed while the second point was written.
     (tmp_path / "parts" / "points.jsonl").write_text(lines[0] + lines[1][:40])
     asked = []
     measure = sweep.sweep
@@ -151,7 +151,7 @@ def test_a_cluster_that_is_not_there_is_refused(
     monkeypatch.setattr(cluster_module, "CONNECTION_DEADLINE", "1s")
     more = ("--cluster", "tcp://127.0.0.1:1")
     assert run_sweep(tmp_path, "tolerance=2", more=more) == 2
-    # With Dask: no scheduler answers. Without it: how to install it.
+    # With Dask installed, no scheduler answers. Without it, the message says how to install it.
     assert "scheduler" in (text := capsys.readouterr().err) or "pip install distributed" in text
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert run_sweep(tmp_path, "tolerance=2", more=more) == 2

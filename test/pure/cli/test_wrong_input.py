@@ -1,4 +1,4 @@
-"""Wrong input is refused in one sentence, at once, before anything starts."""
+"""Wrong input is refused immediately with one sentence, before anything starts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tapping_cell.cli import main
 from tapping_cell.configuration.files import shared_folder
 
 LONGEST_S = 2.0
-"""Of processor time: the machine may be busy with something else."""
+"""Limit of the processor time. The elapsed time would depend on the load of the machine."""
 WRONG: list[tuple[str, str]] = [
     ("", "no verb was given"),
     ("dance", "there is no verb 'dance'"),
@@ -75,7 +75,7 @@ WRONG: list[tuple[str, str]] = [
     ("up --no-record --runs elsewhere", "only without --no-record"),
     ("evaluate --sweep friction=0.1:0.4:7", "--report"),
     ("faults --taps 10 --goals 3", "--goals"),
-    # Values that no cell can serve.
+    # Values that no cell can accept.
     ("demo --goal 5000 0 0", "outside the usable area"),
     ("demo --goal 0 -221 0", "(103)"),
     ("demo --objects 9", "choose from 1, 2"),
@@ -91,7 +91,7 @@ WRONG: list[tuple[str, str]] = [
     ("evaluate --box nan", "'nan' is not a finite number"),
     ("commission --again breakfast", "choose from"),
     ("faults --dialect klipper", "choose from"),
-    # Files of a wrong kind or content.
+    # Files of the wrong kind or with wrong content.
     ("demo --cell FILES/binary.yaml", "is not UTF-8 text"),
     ("demo --cell FILES/latin.yaml", "is not UTF-8 text"),
     ("demo --cell FILES/huge.yaml", "the limit is 1 MB"),
@@ -126,7 +126,7 @@ WRONG: list[tuple[str, str]] = [
 
 @pytest.fixture(scope="module")
 def hardware_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cell file with ports that are not there."""
+    """Write a cell file with ports that do not exist."""
     folder = tmp_path_factory.mktemp("cell")
     for entry in shared_folder().iterdir():
         (folder / entry.name).symlink_to(entry)
@@ -142,7 +142,7 @@ def hardware_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of files that no verb can use."""
+    """Write a folder of files that no verb can use."""
     folder = tmp_path_factory.mktemp("FILES", numbered=False)
     for name, content in (
         ("empty.yaml", b""),
@@ -180,7 +180,7 @@ def test_wrong_input_is_refused_in_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     line = line.replace("HARDWARE", str(hardware_cell)).replace("FILES", str(files))
-    # The first use of a verb in this process imports it, which is not part of the refusal.
+    # The first call of a verb also imports its module. The second one measures only the refusal.
     for _ in range(2):
         began = time.process_time()
         try:

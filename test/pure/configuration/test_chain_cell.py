@@ -1,4 +1,4 @@
-"""The cell file of a six-axis arm: the shipped example, its reach, and what is refused."""
+"""The cell file of a six-axis arm: the shipped example, its reach, and invalid files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXAMPLE = ROOT / "examples" / "six_axis_cell"
 
 
 def cell_file(folder: Path, **changes: Any) -> Path:
-    """The example with another chain."""
+    """Write the example with changes to its chain."""
     shutil.copytree(ROOT / "config", folder / "config")
     shutil.copytree(EXAMPLE, folder / "examples" / "six_axis_cell")
     path = folder / "examples" / "six_axis_cell" / "cell.yaml"

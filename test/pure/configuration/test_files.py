@@ -1,4 +1,4 @@
-"""The shipped files are read, and say what the nodes need."""
+"""The shipped files can be read and contain what the nodes need."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ def test_every_shipped_truth_is_read_and_differs_from_the_planners_model(path: P
 
 
 def test_the_papers_disk_reproduces_the_papers_task() -> None:
-    """10 mm and 10 degrees is "about three times as much rotation as a single tap" (section 4)."""
+    """Section 4 of the paper states that the task (10 mm and 10 degrees) needs "about three times
+    as much rotation as a single tap"."""
     tap = assembly.make_tap(load_cell())
     assert math.degrees(tap.cone_slope) * 0.010 == pytest.approx(10 / 3, rel=0.02)
 
@@ -98,7 +99,8 @@ def test_a_shape_that_is_not_convex_is_refused(tmp_path: Path) -> None:
 
 
 def test_arm_reach_agrees_with_forward_kinematics() -> None:
-    """Every tip pose that the arm can truly take from joints within limits is called reachable."""
+    """Every tip pose computed by forward kinematics from joints within their limits is reported as
+    reachable."""
     cell = load_cell()
     geometry = cell.arm.geometry()
     random = np.random.default_rng(5)
@@ -126,7 +128,7 @@ def test_the_workspace_carries_the_keep_outs() -> None:
 
 
 def test_how_well_a_map_was_measured_comes_from_its_record(tmp_path: Path) -> None:
-    """Of a printed sheet nothing is stated: the sheet is what counts."""
+    """A printed sheet has no calibration record, so its deviation is 0."""
     record = Provenance(
         by="calibrate table",
         made="2026-01-01T00:00:00+00:00",
@@ -178,7 +180,7 @@ def test_axes_that_make_no_arm_are_refused(
 
 
 def changed_arm(folder: Path, **keys: object) -> Path:
-    """A copy of the shipped cell with other values in its arm section."""
+    """Write a copy of the shipped cell with other values in its arm section."""
     shutil.copytree(shared_folder(), folder / "config")
     path = folder / "config" / "cell.yaml"
     document = yaml.safe_load(path.read_text())

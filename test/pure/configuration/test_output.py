@@ -1,4 +1,4 @@
-"""Cell files of a tapper that a digital output fires: what is accepted and what is refused."""
+"""Cell files whose tapper is fired by a digital output: valid and invalid values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECTION = {
 
 
 def cell_file(folder: Path, **changes: Any) -> Path:
-    """The package's cell file with such a tapper; a value of None leaves a key out."""
+    """Write the package's cell file with such a tapper; a value of None removes a key."""
     shutil.copytree(shared_folder(), folder / "config")
     path = folder / "config" / "cell.yaml"
     content = yaml.safe_load(path.read_text())

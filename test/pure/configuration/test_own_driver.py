@@ -1,4 +1,4 @@
-"""Cell files of an arm that has its own driver: what is accepted and what is refused."""
+"""Cell files whose arm has its own driver: valid and invalid values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SECTION = {"controller": "/scara_controller", "joints": ["a", "b", "c", "d"]}
 
 
 def cell_file(folder: Path, **changes: Any) -> Path:
-    """The package's cell file with such an arm; a value of None leaves a key out."""
+    """Write the package's cell file with such an arm; a value of None removes a key."""
     shutil.copytree(shared_folder(), folder / "config")
     path = folder / "config" / "cell.yaml"
     content = yaml.safe_load(path.read_text())

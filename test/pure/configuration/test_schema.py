@@ -1,4 +1,4 @@
-"""Configuration files are read strictly: nothing unknown, missing or out of range gets through."""
+"""Configuration files are read strictly: unknown, missing and out-of-range values are refused."""
 
 from __future__ import annotations
 

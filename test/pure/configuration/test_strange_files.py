@@ -1,4 +1,4 @@
-"""Files of the camera's side that a stranger might write: refused with file, key and value."""
+"""Malformed camera and table files are refused with file, key and value."""
 
 from __future__ import annotations
 

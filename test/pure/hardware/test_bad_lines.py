@@ -1,4 +1,5 @@
-"""The drivers over bad lines in virtual time: nothing fired twice, unsafely, untruly; no hang."""
+"""The drivers over disturbed lines in virtual time: no tap is fired twice or unsafely, no wrong
+result is reported, and nothing hangs."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ from tapping_cell.simulation.fault_layer import (
 )
 
 THOROUGH = (Dialect.GRBL, Dialect.MARLIN)
-"""The two languages; the other controllers are tested more briefly."""
+"""Dialects with complete tests. The other controllers have shorter ones."""
 
 
 @pytest.mark.parametrize("dialect", Dialect)
@@ -29,7 +30,7 @@ def test_random_faults(dialect: Dialect) -> None:
     assert tally.clean, tally.notes
     assert tally.taps == taps == tally.fired + tally.not_fired + tally.unknown
     assert tally.faults_struck > taps / 3
-    # Most taps must still come about: a driver that refuses everything is safe and useless.
+    # Most taps must still be fired: a driver that refuses everything would be safe but useless.
     assert tally.fired > taps / 2
 
 
@@ -40,8 +41,9 @@ def test_random_faults(dialect: Dialect) -> None:
 def test_seeds_that_once_led_to_something_untrue_or_a_board_that_nobody_reset(
     dialect: Dialect, seed: int
 ) -> None:
-    """A line number used for two lines; a move line that one wrong bit turned into G92; a bad
-    answer to M115, whereafter a stop halted the board while its cable was pulled."""
+    """Regression tests: one line number used for two lines; a move line that a wrong bit turned
+    into G92; a bad answer to M115, after which a stop halted the board while its cable was
+    disconnected."""
     tally = run_taps(dialect, 100, seed)
     assert tally.clean, tally.notes
 
@@ -49,7 +51,8 @@ def test_seeds_that_once_led_to_something_untrue_or_a_board_that_nobody_reset(
 @pytest.mark.parametrize("dialect", THOROUGH)
 @pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.HANG_UP])
 def test_a_reset_or_an_unplug_within_a_tap(dialect: Dialect, kind: FaultKind) -> None:
-    """Some 12 bytes of each line and direction here; `faults --every-byte` takes them all."""
+    """About 12 bytes of each line and direction are tested here; `faults --every-byte` tests all of
+    them."""
     for (line, direction), count in bytes_of_a_tap(dialect).items():
         step = max(41, count // 12)
         tally = run_sweep(dialect, kind, line, direction, range(0, count, step))
@@ -58,18 +61,19 @@ def test_a_reset_or_an_unplug_within_a_tap(dialect: Dialect, kind: FaultKind) ->
 
 
 def test_lost_answers_to_fire_are_settled_without_a_second_shot() -> None:
-    """The FIRE arrives, its answers are lost: the next request tells that it was fired."""
+    """If FIRE arrives but its answers are lost, the next request reports that the shot was
+    fired."""
     cell = TrialCell(Dialect.GRBL, 1)
     cell.recover()
     line = cell.tapper_line
     original = cell.tapper_device.on_fire
 
-    def deafen(shot: int, energy: float, now: float) -> float | None:
+    def lose_answers(shot: int, energy: float, now: float) -> float | None:
         first = line.count(Direction.TO_HOST)
         line.add(LineFault(FaultKind.DROP, Direction.TO_HOST, first, length=200))
         return original(shot, energy, now) if original else None
 
-    cell.tapper_device.on_fire = deafen
+    cell.tapper_device.on_fire = lose_answers
     assert cell.tap() is FireOutcome.FIRED
     assert len(cell.tapper_device.fires) == 1
     assert cell.tally.clean, cell.tally.notes
@@ -94,7 +98,7 @@ def test_a_board_reset_after_fire_is_unknown() -> None:
 
 
 def test_the_witness_sees_what_it_is_there_for() -> None:
-    """A cell whose safety is taken away must be found out."""
+    """The checks used by these tests detect an unsafe shot and a double shot."""
     cell = TrialCell(Dialect.GRBL, 1)
     cell.recover()
     assert cell.tap() is FireOutcome.FIRED
@@ -110,7 +114,7 @@ def test_the_witness_sees_what_it_is_there_for() -> None:
 
 
 class Echo:
-    """A device that returns what it gets."""
+    """A device that sends back what it receives."""
 
     def __init__(self) -> None:
         self.data = b""

@@ -1,4 +1,4 @@
-"""Pictures from real files: folders, videos, and what is wrong with some of them."""
+"""Images from real files: folders, videos, and invalid files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ def grey(level: int) -> np.ndarray:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A grey PNG, a corrupt PNG, a colour JPEG, a 16-bit PNG and a text, in this order."""
+    """Write a grey PNG, a corrupt PNG, a colour JPEG, a 16-bit PNG and a text file, in this
+    order."""
     folder = tmp_path / "shots"
     folder.mkdir()
     cv2.imwrite(str(folder / "a.png"), grey(60))
@@ -89,7 +90,7 @@ def test_a_folder_whose_pictures_vanish_while_it_begins_again_has_not_ended(fold
     for _ in range(3):
         source.read()
     for file in folder.iterdir():
-        file.write_bytes(b"")  # still listed, but not to be read
+        file.write_bytes(b"")  # still listed, but empty
     with pytest.raises(CameraSourceError, match="no image that can be decoded"):
         source.read()
 
@@ -115,7 +116,7 @@ def test_a_video_keeps_its_rate(tmp_path):
         40 + 10 * k for k in range(12)
     ]
     times = np.array([frame.captured for frame in frames])
-    # Never ahead of its time; a busy machine may be late.
+    # No image comes before its time; on a busy machine it may come later.
     assert np.all(times - begin >= np.arange(12) / 60.0 - 0.002)
     with pytest.raises(SourceEnded):
         source.read()

@@ -1,5 +1,5 @@
-"""Who is on the port, and is it set as the cell file says? Real drivers, emulated boards, told
-time."""
+"""Connecting identifies the board and compares its settings with the cell file. Real drivers with
+emulated boards in virtual time."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_a_marlin_that_can_only_be_killed_says_so() -> None:
 
 
 class OneBadAnswer(MarlinEmulator):
-    """A Marlin whose first word of its emergency parser is lost, or has one wrong bit."""
+    """A Marlin whose first report about its emergency parser is lost or has one wrong bit."""
 
     def __init__(self, present: bool, spoilt: bytes) -> None:
         super().__init__(MarlinMachine(emergency_parser=present))
@@ -127,7 +127,8 @@ class OneBadAnswer(MarlinEmulator):
     ],
 )
 def test_one_bad_line_does_not_choose_how_marlin_is_stopped(present: bool, spoilt: bytes) -> None:
-    """M112 would halt for good a board that can be stopped; M410 not stop one that cannot."""
+    """M112 would halt a board permanently although M410 can stop it; M410 would not stop a board
+    without the emergency parser."""
     line = line_to(OneBadAnswer(present, spoilt))
     dialect = MarlinDialect(line)
     ArmDriver(line, dialect, ScaraGeometry()).connect()
@@ -161,8 +162,8 @@ def noise(now: float) -> bytes:
     return np.random.default_rng(int(1000 * now)).bytes(40)
 
 
-class Babbler:
-    """A device that says noise to whatever it hears, in lines."""
+class NoisyDevice:
+    """A device that answers each message with lines of noise."""
 
     def __init__(self) -> None:
         self._out = b""
@@ -171,7 +172,7 @@ class Babbler:
         self._out += noise(now) + b"\nok\n@1,1,OK*0000\n<Idle|>\nResend: 7\n"
 
     def advance(self, now: float) -> None:
-        """Nothing happens by itself."""
+        """Do nothing: the device sends nothing by itself."""
 
     def take_output(self, now: float) -> bytes:
         out, self._out = self._out, b""
@@ -181,7 +182,7 @@ class Babbler:
         return None
 
     def power_cycle(self, now: float) -> None:
-        """It has nothing to forget."""
+        """Do nothing: the device has no state to lose."""
 
 
 DRIVERS: dict[str, Callable[[VirtualTransport], ArmDriver | TapperDriver]] = {
@@ -193,7 +194,7 @@ BOARDS: dict[str, Callable[[], DeviceEmulator]] = {
     "grbl": GrblEmulator,
     "marlin": MarlinEmulator,
     "tapper": TapperEmulator,
-    "babbler": Babbler,
+    "noise": NoisyDevice,
 }
 
 
@@ -205,12 +206,12 @@ def test_a_board_of_another_kind_is_refused_in_time_and_nothing_moves(
     line = line_to(device)
     with pytest.raises(HardwareFault) as caught:
         DRIVERS[driver](line).connect(5.0)
-    if board == "babbler":
+    if board == "noise":
         assert caught.value.reason is FaultReason.PROTOCOL
     else:
         assert caught.value.reason in (FaultReason.UNKNOWN_FIRMWARE, FaultReason.TIMEOUT)
     assert "port" in str(caught.value) or "power" in str(caught.value)
-    # Whose board it is may open it.
+    # The port is closed, so that another program can use it.
     assert not line.is_open
     assert line.now() < 20.0
     if isinstance(device, GrblEmulator | MarlinEmulator):

@@ -1,4 +1,4 @@
-"""The arm's driver against every controller by name, with the quirks of each; in told time."""
+"""The arm's driver with each supported controller and its peculiarities, in virtual time."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_stop_in_mid_move_is_told_as_a_stop_and_ends_with_homing(name: str) ->
         driver.move_to(HOME)
     assert caught.value.reason is FaultReason.NOT_HOMED
     if name == "grbl-mega-5x":
-        # What a person does to the axis without a switch.
+        # A person moves the axis without a home switch to its mark.
         cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)  # type: ignore[union-attr]
     driver.home(HomingStrategy.FIRMWARE)
     driver.move_to((0.1, 1.4, -0.01, 0.1))
@@ -90,7 +90,8 @@ def test_an_unplug_in_mid_move_drops_the_target(name: str) -> None:
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
 def test_an_alarm_in_mid_move_stays_the_cause_when_the_board_restarts_after_it(name: str) -> None:
-    """C6: real firmware greets after its alarm, which read as "restarted"."""
+    """Real firmware sends its greeting after an alarm, and a driver could mistake this for a
+    restart of the board."""
     cell = ControllerCell(name)
     driver = cell.ready()
     emulator = cell.emulator
@@ -124,7 +125,7 @@ def test_a_restart_is_noticed_and_homing_demanded(name: str) -> None:
     assert not driver.homed
 
 
-# C1: torque.
+# Holding torque of the motors.
 
 
 def released(name: str) -> dict[int, float] | None:
@@ -145,7 +146,8 @@ def test_a_controller_that_lets_its_motors_go_is_refused_with_the_remedy(name: s
 
 
 def test_an_arm_without_torque_sinks_and_its_controller_does_not_notice() -> None:
-    """What the refusal guards against: the emulated world has it."""
+    """Without holding torque, the emulated arm sinks. The test above checks that such a controller
+    is refused."""
     machine = GrblMachine(start_joints=START, settings=default_settings() | {1: 25.0, 22: 0.0})
     emulator = GrblEmulator(machine)
     emulator.advance(1.0)
@@ -181,7 +183,7 @@ def test_a_controller_that_went_to_sleep_is_not_believed(name: str) -> None:
     assert not driver.homed
 
 
-# C3: what each controller does in its own way.
+# Peculiarities of single controllers.
 
 
 def test_three_axes_are_refused_in_those_words() -> None:
@@ -199,7 +201,8 @@ def test_an_axis_without_a_switch_must_be_named() -> None:
 
 @pytest.mark.parametrize("lost", [b"[FIRMWARE:grblHAL]", b"[AXS:4:XYZA]"])
 def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> None:
-    """Without the first, grblHAL looks like grbl-Mega-5X; without both, like Grbl."""
+    """Without the first line, grblHAL would be mistaken for grbl-Mega-5X; without both lines, for
+    Grbl."""
     cell = ControllerCell("grblhal", {22: 9.0})
     original = cell.emulator.take_output
     spoilt: list[bytes] = []
@@ -248,7 +251,7 @@ def test_an_arm_that_still_moves_is_not_homed_where_a_person_cannot_have_put_its
 def test_a_controller_that_still_moves_after_an_unplug_is_connected_when_it_stands(
     name: str,
 ) -> None:
-    """Grbl answers ``$I`` and ``$$`` only at rest, as grblHAL's simulator showed."""
+    """Grbl answers ``$I`` and ``$$`` only at rest, as measured with grblHAL's simulator."""
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
@@ -304,7 +307,7 @@ def test_a_report_that_lost_an_axis_is_a_bad_line_also_after_a_fault_was_cleared
     assert spoilt and driver.line_counters.bad_lines == before + 1
 
 
-# C4, C5, C7: what is told, and when.
+# Refusals and warnings, and when they are reported.
 
 
 def test_reports_of_the_work_position_are_refused_at_connect() -> None:
@@ -316,7 +319,8 @@ def test_reports_of_the_work_position_are_refused_at_connect() -> None:
 
 @pytest.mark.parametrize("delay", [0.6, 1.0, 1.4, 1.9])
 def test_a_late_answer_is_never_credited_to_another_line(delay: float) -> None:
-    """C5: the `ok` of a move came after 0.5 s and was taken for that of the next line."""
+    """Regression test: the `ok` of a move arrived 0.5 s late and was taken for the `ok` of the next
+    line."""
     for place in range(0, 12):
         cell = ControllerCell("grbl")
         driver = cell.ready()

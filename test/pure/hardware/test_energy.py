@@ -1,4 +1,4 @@
-"""The curve between speed and energy: monotone, exact for an ideal drive, its own inverse."""
+"""The curve between speed and energy is monotonic, exact for an ideal drive, and invertible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The URDF of tappers at fixed mounts: its tips are where the cell file says."""
+"""In the URDF of fixed tappers, the tips are where the cell file places them."""
 
 from __future__ import annotations
 
@@ -32,6 +32,6 @@ def test_every_tapper_has_a_mount_and_a_striker_that_travels_along_its_line() ->
         assert limit is not None
         assert float(limit.attrib["upper"]) == cell.tapper_of(entry).stroke
         assert float(limit.attrib["lower"]) == 0.0
-        # The origin of the striker's frame is the tip: the line leads into the working area.
+        # The origin of the striker's frame is the tip; the line points into the working area.
         area = cell.fixed_tappers.working_area
         assert math.hypot(x - area[0], y - area[1]) > area[2]

@@ -1,4 +1,4 @@
-"""Grbl's codec: real lines, pieces of lines, noise."""
+"""Grbl's codec: real lines, incomplete lines, noise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def all_frames(data: bytes) -> list[grbl.Frame]:
         frames.append(decoded.frame)
 
 
-# Lines from Grbl 1.1's own documentation.
+# Lines from the documentation of Grbl 1.1.
 @pytest.mark.parametrize(
     ("line", "frame"),
     [

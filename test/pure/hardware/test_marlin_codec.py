@@ -1,4 +1,4 @@
-"""Marlin's codec: real answers, pieces, noise; numbered lines and their checksum."""
+"""Marlin's codec: real answers, incomplete lines, noise; numbered lines and their checksum."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_any_bytes_are_survived_and_used_up(data: bytes) -> None:
 
 
 def test_the_checksum_of_the_documentation() -> None:
-    # RepRap wiki, "Checking": N3 T0*57 and N4 G92 E0*67.
+    # Examples of the RepRap wiki, section "Checking": N3 T0*57 and N4 G92 E0*67.
     assert marlin.numbered(3, "T0") == b"N3 T0*57\n"
     assert marlin.numbered(4, "G92 E0") == b"N4 G92 E0*67\n"
 

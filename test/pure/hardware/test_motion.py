@@ -1,4 +1,4 @@
-"""The moves around a tap: order of raising, travelling and lowering; times; limits."""
+"""The moves of a tap: the order of raising, travelling and lowering; durations; limits."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ def test_no_waypoint_sweeps_low(start: Joints, x: float, y: float, yaw: float) -
             )
         )
         if sideways:
-            # Sideways only above travel height, on all of the straight line.
+            # Horizontal motion is allowed only above travel height. The path is straight in
+            # joint space, so checking both ends is enough.
             for end in (here, waypoint.joints):
                 assert GEOMETRY.forward(end).z >= SETTINGS.travel_height - 1e-12
         check_limits(GEOMETRY, waypoint.joints)
@@ -83,7 +84,8 @@ def test_withdrawing_backs_off_along_the_travel_then_raises_then_parks() -> None
 
 
 def test_the_quill_travels_with_the_other_joints_and_only_the_rest_of_its_way_alone() -> None:
-    """A tap from a high park pose: the quill's way above travel height costs no time of its own."""
+    """A tap from a high park pose: quill motion above the travel height takes no additional
+    time."""
     tip = TipPose(0.45, 0.1, 0.006, 0.5)
     settings = MotionSettings(park=(1.2, 1.2, -0.020, 0.0))
     path = strike_path(GEOMETRY, settings.park, tip, settings)
@@ -113,7 +115,8 @@ def test_out_of_reach_is_a_worded_refusal() -> None:
 def test_duration_is_that_of_the_slowest_joint_alone(
     start: Joints, goal: Joints, speed: float
 ) -> None:
-    """Against the emulator's trapezoid run on each joint by itself: none may need longer."""
+    """Reference: the emulator's trapezoidal speed profile for each joint alone. No joint needs
+    longer than the move."""
     duration = move_duration(GEOMETRY, start, goal, speed)
     single = 0.0
     for axis in range(4):

@@ -1,4 +1,5 @@
-"""A tapper that a digital output fires: what its driver holds, and what it admits it cannot."""
+"""A tapper that is fired by a digital output: the guarantees of its driver, and what it reports
+that it cannot guarantee."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ SETTINGS = OutputTapperSettings((1e-4, 1e-2, 4e-2), (0.004, 0.02, 0.036), latenc
 
 
 class Memory:
-    """What a disk keeps over a restart."""
+    """Storage that survives a restart, like a disk."""
 
     def __init__(self) -> None:
         self.shot = 0
@@ -35,7 +36,7 @@ class Memory:
 
 
 class Cell:
-    """The emulated output and the driver, in a time of their own."""
+    """The emulated output and the driver, in virtual time."""
 
     def __init__(self, interface: str = "service", reads_back: bool = True) -> None:
         self.time = 50.0
@@ -269,7 +270,7 @@ def test_whatever_fails_no_shot_is_sent_twice_and_none_is_told_falsely(
             assert not new, "told as not fired, but it was"
         for _, off in new:
             if off > promised[0]:
-                # The output outlasted the promise: nothing more may be fired until it is proven
-                # off, unless nothing tells that it is.
+                # The output stayed on longer than promised. Nothing may be fired until the output
+                # is proven off, unless no read-back can prove it.
                 blind = interface != "service" and not reads_back
                 assert blind or not cell.driver.connected or fault in ("lost_answers", "gone")

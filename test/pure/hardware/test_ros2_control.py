@@ -1,4 +1,4 @@
-"""The arm's driver in front of an arm with its own ROS driver; in told time."""
+"""The arm's driver with an arm that has its own ROS driver, in virtual time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GEOMETRY = ScaraGeometry()
 
 
 class Cell:
-    """An emulated controller and the driver, in a time of their own."""
+    """An emulated controller and the driver, in virtual time."""
 
     def __init__(self, by_action: bool = False, rate: float = 50.0, **settings: float) -> None:
         self.time = 100.0
@@ -89,7 +89,8 @@ speeds = st.floats(0.05, 1.0)
 def test_a_move_keeps_to_the_limits_and_takes_the_least_time(
     start: tuple[float, ...], goal: tuple[float, ...], speed: float
 ) -> None:
-    """As the controller interpolates it: sampled, not by the formulas that made the points."""
+    """The motion is sampled as the controller interpolates it, independently of the formulas for
+    the points."""
     duration = move_duration(GEOMETRY, start, goal, speed)
     if duration < 0.05:
         return
@@ -109,7 +110,7 @@ def test_a_move_keeps_to_the_limits_and_takes_the_least_time(
     assert np.all(np.abs(rates) <= np.array(GEOMETRY.max_speed) * speed * (1 + 1e-6) + 1e-9)
     pulls = np.abs(np.diff(rates, axis=0)) / step
     assert np.all(pulls <= np.array(GEOMETRY.max_acceleration) * 1.001 + 1e-6)
-    # Straight in joint space.
+    # The motion is a straight line in joint space.
     way = (np.array(goal) - np.array(start)) / length
     beside = (track - np.array(start)) - np.outer((track - np.array(start)) @ way, way)
     assert np.max(np.abs(beside)) < 1e-9
@@ -132,7 +133,8 @@ def test_moves_in_one_line_are_passed_without_a_stop_as_fast_as_can_be(
     goal = (0.1, 0.2, -first - second, 0.3)
     moves = [StraightMove(via, 60 * fast), StraightMove(goal, 60 * slow)]
     points = straight_points(start, moves, GEOMETRY.max_acceleration)
-    # Reference: speed against place on a fine grid, forwards and back within the acceleration.
+    # Reference: the maximum speed at each position of a fine grid, limited by the acceleration from
+    # both ends.
     places = np.linspace(0.0, first + second, 1001)
     bound = np.where(places < first, fast, slow)
     bound[0] = bound[-1] = 0.0
@@ -429,7 +431,7 @@ def test_success_means_there_and_at_rest_whatever_happens(
             assert close(reading.joints, Joints(*goal)) or fault
         cell.sleep(1.5)
         cell.events.clear()
-        # An arm that could not be reached goes to the end of its trajectory.
+        # An arm whose controller cannot be reached finishes its trajectory.
         while fault == "absent" and cell.controller.moving(cell.time):
             cell.sleep(0.5)
         faults.silent, faults.present, faults.lost_trajectories = False, True, 0

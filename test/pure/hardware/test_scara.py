@@ -1,4 +1,4 @@
-"""Kinematics: forward of inverse is the identity, and every refusal is true."""
+"""Kinematics: forward and inverse agree, and every refused pose is truly out of reach."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def joints_inside(draw: st.DrawFn, geometry: ScaraGeometry) -> Joints:
 
 
 def independent_tip(geometry: ScaraGeometry, joints: Joints) -> complex:
-    """The tip as a chain of complex numbers, not as the module writes it."""
+    """Return the tip from a chain of complex numbers, independently of the module's formulas."""
     joints = Joints(*(a + b for a, b in zip(joints, geometry.joint_offset, strict=True)))
     first = geometry.upper_arm * np.exp(1j * joints.shoulder)
     second = geometry.forearm * np.exp(1j * joints.elbow) * np.exp(1j * joints.shoulder)
@@ -115,7 +115,8 @@ def test_a_refused_pose_is_truly_out_and_an_accepted_one_in(
     elif code is ReachCode.QUILL_LIMIT:
         assert not geometry.lower[2] <= quill <= geometry.upper[2]
     else:
-        # Solve the elbow by the cosine law, the shoulder by the angles of the triangle.
+        # Solve for the elbow by the law of cosines, and for the shoulder by the angles of the
+        # triangle.
         cosine = (reach**2 - geometry.upper_arm**2 - geometry.forearm**2) / (
             2 * geometry.upper_arm * geometry.forearm
         )

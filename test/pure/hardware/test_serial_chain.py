@@ -1,7 +1,7 @@
-"""A six-axis arm in the place of the SCARA: kinematics, and the driver in front of its joints.
+"""A six-axis arm instead of the SCARA: its kinematics, and the driver of its joints.
 
-Independent reference: forward kinematics of the shipped arm, written out link by link with SciPy's
-rotations from the drawing's lengths, not from the URDF.
+The independent reference is the forward kinematics of the shipped arm, written link by link with
+SciPy's rotations. Its lengths come from the drawing, not from the URDF.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ ELBOW_UP = (1.75, 0.86, 0.14, 0.0, 0.58, -0.64)
 
 
 def reference(joints: NDArray[np.float64] | tuple[float, ...]) -> NDArray[np.float64]:
-    """The striker's pose in ``arm_base``: column height 0.40, arms 0.48 and 0.50, wrist 0.08."""
+    """Return the striker's pose in ``arm_base``: column height 0.40, arms 0.48 and 0.50, wrist
+    0.08."""
     q1, q2, q3, q4, q5, q6 = joints
     turn, place = Rotation.from_euler("z", q1), np.array([0.0, 0.0, 0.40])
     turn *= Rotation.from_euler("y", q2)
@@ -77,7 +78,7 @@ def test_the_inverse_reaches_what_is_reachable_nearby(
         inside[4] = 0.1  # a straight wrist is singular
     elbow_angle = inside[2] + math.atan2(0.03, 0.5)
     if abs(math.cos(elbow_angle)) < 0.1:
-        inside[2] += 0.2  # as is a stretched or folded elbow
+        inside[2] += 0.2  # a stretched or folded elbow is singular, too
     target = reference(inside)
     solution = CHAIN.inverse(target, inside + np.array(away))
     if solution.success:
@@ -104,7 +105,7 @@ def test_what_is_out_of_reach_is_told_with_its_cause() -> None:
 
 
 class Cell:
-    """An emulated controller of six joints and the driver, in a time of their own."""
+    """An emulated controller of six joints and the driver, in virtual time."""
 
     def __init__(
         self,
@@ -137,7 +138,7 @@ class Cell:
         self.events.sort(key=lambda event: event[0])
 
     def tip(self, time: float | None = None) -> NDArray[np.float64]:
-        """Where the striker truly is, by the reference."""
+        """Return the striker's true pose from the reference kinematics."""
         joints, _ = self.controller.state(self.time if time is None else time)
         return reference(joints)
 
@@ -149,7 +150,8 @@ class Cell:
 
 
 def started_upright(chain: SerialChain = CHAIN) -> tuple[float, ...]:
-    """Joints that a person has jogged to: upright, a little beside the park pose."""
+    """Return joints for an upright striker, close to the park pose, as if a person had jogged the
+    arm there."""
     tip = np.array(GEOMETRY.forward(CELL.arm.park)) + np.array([0.03, -0.02, 0.01, 0.1])
     solution = chain.inverse(upright(tip), ELBOW_UP)
     assert solution.success, solution.reason
@@ -222,7 +224,7 @@ def test_a_leaning_striker_is_not_believed() -> None:
 def test_an_unreachable_way_is_refused_before_anything_moves() -> None:
     own = CELL.arm.ros2_control
     assert own is not None and own.chain is not None
-    # Mounted so far back that the SCARA of the cell file reaches farther than the arm.
+    # The arm is mounted so far back that the SCARA of the cell file reaches farther.
     back = replace(own.chain, mount=(-0.45, 0.0, 0.0, 0.0, 0.0, 0.0))
     arm = replace(CELL.arm, ros2_control=replace(own, chain=back))
     chain = arm.chain()

@@ -1,4 +1,5 @@
-"""All boards of a cell as one device: at most one is ever charged, whatever the others reply."""
+"""All boards of a cell as one device: at most one is charged at any time, regardless of the replies
+of the others."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ def reply(
 
 
 class Board:
-    """One board's driver that replies what it is given and notes what it is told to do."""
+    """Driver of one board with scripted replies that records the calls."""
 
     def __init__(self, answer: Reply) -> None:
         self.answer, self.calls = answer, list[str]()

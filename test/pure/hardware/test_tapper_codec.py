@@ -1,4 +1,4 @@
-"""The tapper's codec: checksum, pieces, noise, and no garbled frame taken."""
+"""The tapper's codec: checksum, incomplete frames, noise; corrupted frames are never accepted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GOOD = b"7,12,OK,CHARGED,9,12500,1,0,8,350000,3,4294967295,RUN,1"
 
 
 def framed(body: bytes) -> bytes:
-    # binascii.crc_hqx with start 0xFFFF is CRC-16/CCITT-FALSE: an independent reference.
+    # Independent reference: binascii.crc_hqx with start value 0xFFFF is CRC-16/CCITT-FALSE.
     return b"@%s*%04X\n" % (body, binascii.crc_hqx(body, 0xFFFF))
 
 
@@ -118,7 +118,8 @@ def test_a_frame_with_one_or_two_wrong_bits_is_never_taken(data: st.DataObject) 
         if decoded.frame is None:
             return
         if isinstance(decoded.frame, Reply):
-            # Only the end of the line may have changed harmlessly (\n stays, \r is forgiven).
+            # A corrupted reply must not be accepted. Only a changed end of line is harmless (\n is
+            # kept, \r is optional).
             pytest.fail(f"{bytes(frame)!r} was taken for {decoded.frame}")
         rest = decoded.rest
 

@@ -1,4 +1,5 @@
-"""A release only inside the window of the last check, however long the driver's process freezes."""
+"""The striker is fired only within the time window of the last check, however long the driver's
+process is frozen."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ SHOTS = 1000
 
 
 class FreezingTransport(VirtualTransport):
-    """A line whose driver is frozen before or after some of its calls, for 1 ms to 5 s."""
+    """A line whose driver is frozen for 1 ms to 5 s before or after some calls."""
 
     def __init__(self, line: FaultLayer, clock: VirtualClock, random: Random) -> None:
         super().__init__(line, clock, "tapper")
@@ -24,7 +25,7 @@ class FreezingTransport(VirtualTransport):
         self.frozen = 0
 
     def freeze(self) -> None:
-        """Perhaps let time pass, as for a process that is stopped."""
+        """Randomly let time pass, as for a process that is frozen."""
         if self.armed and self.random.random() < 0.15:
             self.frozen += 1
             self.sleep(10 ** self.random.uniform(-3.0, 0.7))

@@ -1,4 +1,4 @@
-"""Replies that stay unreadable, byte by byte: a wrong baud rate, interference, other firmware."""
+"""Replies that remain unreadable, byte by byte: wrong baud rate, interference, other firmware."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OTHER_RATES = (9600, 57600, 230400, 250000)
 
 
 class Line:
-    """A board behind a line in virtual time."""
+    """A board on a line in virtual time."""
 
     def __init__(self, board: DeviceEmulator) -> None:
         self.layer = FaultLayer(board)
@@ -38,7 +38,7 @@ class Line:
         self.transport = VirtualTransport(self.layer, self.clock, "the port")
 
     def disturb(self, every: int, count: int = 4000) -> None:
-        """Flip a bit of every n-th byte from the board."""
+        """Flip a bit in every ``every``-th byte from the board."""
         way = Direction.TO_HOST
         first = self.layer.count(way)
         for number in range(count):
@@ -64,7 +64,7 @@ def test_equal_rates_change_no_byte(data: bytes, rate: float) -> None:
 @pytest.mark.parametrize("rate", OTHER_RATES)
 def test_an_arm_at_another_baud_rate_is_unreadable(dialect: str, rate: int) -> None:
     board = board_of(dialect)
-    board.power_cycle(0.0)  # opening the port restarts most boards, which then greet
+    board.power_cycle(0.0)  # opening the port restarts most boards, which then send a greeting
     line = Line(WrongBaud(board, 115200, rate))
     with pytest.raises(HardwareFault) as caught:
         arm_on(line, dialect).connect(1.0)
@@ -74,7 +74,7 @@ def test_an_arm_at_another_baud_rate_is_unreadable(dialect: str, rate: int) -> N
 
 @pytest.mark.parametrize("rate", OTHER_RATES)
 def test_a_tapper_at_another_baud_rate_never_looks_like_a_tapper(rate: int) -> None:
-    """It answers nothing that it cannot read, so that most rates leave only silence."""
+    """The board does not answer what it cannot read, so most rates result in a timeout."""
     line = Line(WrongBaud(TapperEmulator(), 115200, rate))
     with pytest.raises(HardwareFault) as caught:
         TapperDriver(line.transport).connect(1.0)
@@ -141,24 +141,24 @@ def test_a_few_damaged_lines_are_survived_and_a_lost_line_is_a_timeout(dialect: 
 
 
 class UnreliableMarlin(MarlinEmulator):
-    """A board whose replies to the next line are lost, or whose next reply requests a line."""
+    """A board whose replies to one line are lost, or whose next reply requests an earlier line."""
 
     def __init__(self) -> None:
         super().__init__(MarlinMachine())
         self.number = 0
-        """Number of the last line that was received."""
+        """Number of the last line received."""
         self.lost: int | None = None
         """Number of the line whose replies are lost."""
         self.requests: int | None = None
 
     def receive(self, data: bytes, now: float) -> None:
-        """Execute the line; or request another one instead."""
+        """Execute the line and remember its number."""
         numbers = re.findall(rb"N(\d+)", data)
         self.number = int(numbers[-1]) if numbers else self.number
         super().receive(data, now)
 
     def take_output(self, now: float) -> bytes:
-        """Return the replies, or what the test makes of them."""
+        """Return the replies, or what replaces them in this test."""
         output = super().take_output(now)
         if self.number == self.lost:
             return b""
@@ -169,7 +169,7 @@ class UnreliableMarlin(MarlinEmulator):
 
 @given(st.integers(0, 9))
 def test_a_marlin_that_requests_any_earlier_line_is_answered(age: int) -> None:
-    """One wrong digit of a Resend names a line that was sent some time ago."""
+    """A wrong digit in a Resend can name any line that was sent earlier."""
     board = UnreliableMarlin()
     line = Line(board)
     dialect = MarlinDialect(line.transport)
@@ -177,7 +177,7 @@ def test_a_marlin_that_requests_any_earlier_line_is_answered(age: int) -> None:
     dialect.connect(60.0)
     for _ in range(4):
         dialect.read(60.0)
-    # A lost answer makes the driver use two line numbers for one command.
+    # After a lost answer, the driver sends the same command again with a new line number.
     board.lost = board.number + 1
     dialect.read(60.0)
     board.requests = board.number - age

@@ -1,4 +1,4 @@
-"""The URDF is the arm: read back by its own rules, it puts the striker where the kinematics do."""
+"""The URDF describes the arm: its kinematics place the striker where the driver's kinematics do."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_every_link_that_moves_has_a_solid_with_mass() -> None:
         assert 500 < mass / (math.pi * radius**2 * length) < 8000, "kg/m^3 of a machine"
         given = links[name].find("inertial/inertia").attrib
         xx, yy, zz = (float(given[key]) for key in ("ixx", "iyy", "izz"))
-        # What the moments of any solid obey, and those of this one (integrals over a cylinder).
+        # Inequality for the moments of inertia of any solid, and the moments of a cylinder.
         assert min(xx + yy - zz, yy + zz - xx, zz + xx - yy) > 0
         assert zz == pytest.approx(mass * radius**2 / 2)
         assert xx == yy == pytest.approx(mass * (3 * radius**2 + length**2) / 12)
@@ -116,7 +116,7 @@ def test_every_link_that_moves_has_a_solid_with_mass() -> None:
 
 
 def test_the_shoulder_turns_the_stretched_arm_with_its_effort() -> None:
-    # Point masses along the arm, a hundredth of a millimetre apart.
+    # The arm is approximated by point masses 0.01 mm apart.
     geometry = ScaraGeometry()
     robot = ElementTree.fromstring(urdf(geometry))
     masses = {

@@ -1,4 +1,4 @@
-"""The arm's machine, step by step in virtual time."""
+"""The state machine of the arm, step by step in virtual time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def in_position() -> Pair:
 
 
 def read(pair: Pair, joints: Joints, steady: float) -> list[ArmState]:
-    """Let the arm be read back."""
+    """Process a position report of the arm; return the published states."""
     made = pair.arm.on_tick(at(steady))
     (number,) = jobs(made)
     made = pair.arm.on_job(JobEnded(number, Reading(True, joints, False, steady)), at(steady))
@@ -59,7 +59,7 @@ def test_an_arm_that_is_pushed_off_its_place_is_a_fault() -> None:
 
 
 def test_a_fault_in_mid_move_after_a_withdrawal_can_be_cleared() -> None:
-    """S8: it said WITHDRAWING for ever, and neither clear_fault nor home was taken."""
+    """The state must not remain WITHDRAWING: clear_fault and home must be accepted."""
     pair = Pair()
     now = at(START)
     joints = Joints(*CELL.file.arm.park)
@@ -105,7 +105,7 @@ def test_a_withdrawal_of_another_tap_does_nothing(tap_id: int) -> None:
 
 
 def test_a_stop_overtakes_whatever_is_under_way() -> None:
-    """The end of a job that a stop overtook changes nothing."""
+    """The end of a job that was interrupted by a stop has no effect."""
     pair = in_position()
     arm = pair.arm
     command = pair.command(TapCommand.WITHDRAW, at(START))
@@ -123,7 +123,7 @@ def withdraws(made: Sequence[Effect]) -> bool:
 
 
 def leaving_with_a_charged_striker() -> Pair:
-    """The tap is withdrawn, the tapper still says that the striker is charged."""
+    """Return an arm whose tap is withdrawn while the tapper still reports a charged striker."""
     pair = in_position()
     report(pair, TapperState.CHARGED, START + 1.0)
     command = pair.command(TapCommand.WITHDRAW, at(START + 1.0))
@@ -166,7 +166,8 @@ def test_a_report_that_arrives_after_the_tapper_has_let_the_arm_go_is_an_old_one
 def test_after_a_report_of_a_charged_striker_no_other_report_lets_the_arm_leave_sooner(
     wait: float, state: int, outcome: int
 ) -> None:
-    """Anybody can publish that the striker is at rest; its board has discharged by then."""
+    """Any node can publish that the striker is at rest, so the arm waits until the board has
+    discharged by itself."""
     pair = leaving_with_a_charged_striker()
     message = TapperState(state=state, tap_id=TAP, outcome=outcome)
     assert not withdraws(pair.arm.on_message("tapper_state", message, at(START + 1.0 + wait)))
@@ -198,7 +199,8 @@ def test_who_always_says_charged_holds_the_arm_for_a_limited_time() -> None:
 
 
 def test_a_restarted_arm_keeps_the_promise_of_one_with_another_cell_file() -> None:
-    """The file may have been changed between; the striker under way is that of the old one."""
+    """The cell file may have changed before the restart, but the striker was fired with the old
+    one."""
     tapper = replace(CELL.file.tapper, stroke=0.1 * CELL.file.tapper.stroke)
     quick = replace(CELL, file=replace(CELL.file, tapper=tapper))
     assert permit.longest_hold(quick) < permit.longest_hold(CELL)

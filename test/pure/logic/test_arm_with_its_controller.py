@@ -1,5 +1,6 @@
-"""The arm's machine with its driver and its emulated controller, in virtual time: homed before it
-moves, in position only by read-back, withdrawn when told."""
+"""The state machine of the arm with its driver and its emulated controller, in virtual time: it
+homes before it moves, reports IN_POSITION only after reading the position back, and withdraws on
+request."""
 
 from __future__ import annotations
 
@@ -42,7 +43,7 @@ JOINT_NAMES = ["shoulder", "elbow", "quill", "tool"]
 
 
 class Cell(VirtualNode):
-    """The node, its emulated controller, and hands to play the planner."""
+    """The node, its emulated controller, and a probe that replaces the planner."""
 
     def __init__(self, dialect: str = "grbl", home: bool = True, started: bool = True) -> None:
         settings = replace(load_cell().file.arm, dialect=dialect)
@@ -76,11 +77,11 @@ class Cell(VirtualNode):
         self.publish("tap_command", message)
 
     def moving(self) -> bool:
-        """Whether the emulated arm moves now."""
+        """Return whether the emulated arm moves now."""
         return self.device.moving(self.now())
 
     def moves(self, seconds: float) -> bool:
-        """Whether the emulated arm moves at any time in the next seconds."""
+        """Return whether the emulated arm moves at any time in the next ``seconds`` s."""
         end = self.now() + seconds
         moved = False
         while self.now() < end:
@@ -114,7 +115,7 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
     tip = from_message(cell.last.tip_pose)
     assert tip.distance_to(STRIKE) < 0.0005 and abs(tip.rotation_to(STRIKE)) < 0.002
     assert cell.last.tip_pose.position.z == pytest.approx(0.006, abs=2e-4)
-    # Where the arm truly is, by the emulator and forward kinematics, not by what it says.
+    # The arm's true pose, from the emulator by forward kinematics, not from its messages.
     configuration = load_cell()
     joints = cell.device.joints(cell.now())
     true = configuration.file.arm.geometry().forward(joints)
@@ -127,7 +128,8 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
 
 
 def test_the_striker_is_lowered_only_at_its_place(cell: Cell) -> None:
-    """Raise, travel, lower: below travel height the tip is over the strike pose alone."""
+    """The arm raises, travels and lowers. Below travel height, the tip moves only vertically, above
+    its strike pose."""
     configuration = load_cell()
     geometry = configuration.file.arm.geometry()
     cell.command(100)
@@ -201,7 +203,7 @@ def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> 
 
 
 def test_a_withdrawal_of_no_tap_moves_nothing(cell: Cell) -> None:
-    """S6: the default id of a message is 0."""
+    """The default id of a message is 0, which must not be taken for a tap."""
     cell.withdraw(0)
     cell.withdraw(7)
     assert not cell.moves(0.5)
@@ -216,7 +218,8 @@ def test_a_withdrawal_of_no_tap_moves_nothing(cell: Cell) -> None:
 
 
 def test_only_the_withdrawal_of_the_last_tap_parks_an_idle_arm(cell: Cell) -> None:
-    """S6: a second withdrawal says that the arm still hides the object, but not that of any tap."""
+    """A second withdrawal of the last tap means that the arm still hides the object. A withdrawal
+    of any other tap has no effect."""
     camera = Point(x=0.0, y=0.0, z=0.7)
     cell.publish("camera/pose", PoseStamped(pose=PoseMessage(position=camera)))
     cell.command(100)
@@ -271,7 +274,7 @@ def hold(cell: Cell, tap_id: int, duration: float = 0.25) -> Any:
 
 
 def test_the_arm_stands_still_for_as_long_as_it_promised(cell: Cell) -> None:
-    """S1: a withdrawal, whoever sends it, waits for the promise to end."""
+    """A withdrawal from any node is delayed until the promise has ended."""
     assert not hold(cell, 100).granted
     cell.command(100)
     cell.wait_state(ArmState.IN_POSITION)
@@ -398,7 +401,7 @@ def test_a_deactivated_arm_comes_to_a_stand_and_says_what_it_needs(cell: Cell) -
 
 
 def test_a_stop_outlives_its_node_and_homes_nothing(cell: Cell) -> None:
-    """S5: killed and started again after a stop, the arm must not home by itself."""
+    """After a stop, an arm whose node was killed and restarted must not home by itself."""
     assert cell.call("~/stop").success
     cell.wait_state(ArmState.STOPPED)
     cell.process.kill()
@@ -420,7 +423,8 @@ def test_nothing_homes_by_itself_unless_an_option_says_so() -> None:
 
 
 def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
-    """S4: who clears must have seen what became of the panel that stopped the cell."""
+    """If the panel that stopped the cell disappears, a person must confirm that they have checked
+    it before the stop can be cleared."""
     cell.network.publish("panel", "emergency_stop", Bool(data=True))
     cell.wait_state(ArmState.STOPPED)
     cell.network.leave("panel")

@@ -1,5 +1,5 @@
-"""Arrangements in virtual time: several objects, each to its place, through the planner's machine
-with devices that are played; and the tapper that judges the object that is tapped."""
+"""Arrangements of several objects in virtual time, with the planner's state machine and simulated
+devices; and the tapper's checks of the object that is tapped."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ PLACES = (Pose(-0.12, 0.03, 0.0), Pose(0.04, 0.05, 0.2), Pose(0.10, -0.12, 0.0))
 
 @cache
 def files() -> tuple[ObjectFile, ...]:
-    """Further disks like the cell's own, and so small that three have room."""
+    """Return further disks like the cell's own, which are small enough for three to fit on the
+    table."""
     own = shipped()[0].object
     return tuple(replace(own, name=f"disk {number}") for number in (2, 3))
 
@@ -67,7 +68,7 @@ def handling() -> GoalHandling:
 
 
 class Table(VirtualNode):
-    """Camera, arm and tapper of a table with three disks, played by hand."""
+    """Simulated camera, arm and tapper of a table with three disks."""
 
     def __init__(self, places: tuple[Pose, ...] = PLACES) -> None:
         cell = shipped()[0]
@@ -75,7 +76,7 @@ class Table(VirtualNode):
         self.poses = dict(zip(self.names, places, strict=True))
         self.hidden: set[str] = set()
         self.seldom: set[str] = set()
-        """Objects that the camera looks at every 1.2 s only."""
+        """Objects that the camera observes only every 1.2 s."""
         self.measured: dict[str, ObjectState] = {}
         self.look_began = -math.inf
         self.withdrawals: list[int] = []
@@ -197,14 +198,14 @@ def test_every_object_is_brought_to_its_goal_and_told_of(cell: Table) -> None:
         assert from_message(one.goal_pose).distance_to(goals[one.object_id]) < 1e-9
         assert one.residual_distance < 0.001
         assert cell.poses[one.object_id].distance_to(goals[one.object_id]) < 0.001
-    # A tap names its object, starts where that lies, and is counted once.
+    # Each tap names its object, starts at the object's pose, and is counted once.
     assert {tap.object_id for tap in cell.taps} == set(goals)
     assert len(cell.taps) == result.taps == len(result.records)
     assert sum(one.taps for one in result.objects) == result.taps
     assert [record.object_id for record in result.records] == [t.object_id for t in cell.taps]
     assert not cell.reports[-1].active and cell.reports[-1].taps == result.taps
     assert any(report.active for report in cell.reports)
-    # plan_state tells of the object that is being tapped.
+    # plan_state names the object that is being tapped.
     placing = {state.object_id for state in cell.states if state.state == PlanState.PLACING}
     assert placing == set(goals)
 
@@ -317,7 +318,7 @@ def test_an_object_moved_by_hand_before_the_tap_gives_it_up(cell: Table) -> None
     one, other = cell.names[:2]
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
     cell.wait(lambda: cell.states[-1].state == PlanState.LOOKING, "it looks")
-    # The arm goes to its place and stays there until the other object has been moved.
+    # From here on the arm does not react to commands, until the other object has been moved.
     cell._on_command = lambda command: cell.taps.append(command)  # type: ignore[method-assign]
     cell.wait(lambda: cell.taps, "a tap is commanded")
     cell.poses[other] = moved(cell.poses[other], 0.01, 0.0)
@@ -354,7 +355,7 @@ def test_the_arm_withdraws_further_from_any_object_that_it_hides(cell: Table) ->
     one, other, _ = cell.names
 
     def withdrawn() -> None:
-        # The first withdrawal of every tap leaves the arm over the other object.
+        # After the first withdrawal of each tap, the arm still hides the other object.
         once = cell.withdrawals.count(cell.withdrawals[-1]) == 1
         cell.hidden = {other} if once else set()
 
@@ -425,7 +426,7 @@ def test_every_change_of_an_open_object_leads_where_it_says() -> None:
                 assert allowed
 
 
-# The tapper judges the object that is tapped
+# The tapper checks the object that is tapped.
 
 
 def states_of(**poses: Pose) -> ObjectStates:
@@ -450,7 +451,7 @@ def test_the_last_check_is_of_the_tapped_object() -> None:
         found = peers._disturbance(planned, now)
         return found[0] if found is not None else ErrorCode.NONE
 
-    # One that was never seen is not tapped, wherever the cell's own object lies.
+    # An object that was never seen is not tapped, wherever the cell's own object is.
     assert reason("other", there) == ErrorCode.OBJECT_NOT_SEEN
     assert reason("other", here) == ErrorCode.OBJECT_NOT_SEEN
     peers.on_object_states(states_of(own=here, other=there), now)
@@ -458,7 +459,8 @@ def test_the_last_check_is_of_the_tapped_object() -> None:
     assert reason("other", here) == ErrorCode.OBJECT_MOVED
     assert reason("own", here) == reason("", here) == ErrorCode.NONE
     assert reason("own", there) == ErrorCode.OBJECT_MOVED
-    # It is as old as its own stamp, and an older state does not count for a newer one.
+    # The age of a state follows from its own stamp, and an older state does not replace a newer
+    # one.
     late = states_of(other=away)
     late.objects[0].header.stamp.sec = 9
     peers.on_object_states(late, now)

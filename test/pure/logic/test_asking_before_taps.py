@@ -1,4 +1,5 @@
-"""A tap that is asked for is made as it was shown, when a person confirms it, and never else."""
+"""A tap that needs confirmation is made exactly as it was shown, and only after a person has
+confirmed it."""
 
 from __future__ import annotations
 
@@ -29,10 +30,10 @@ ASKING = replace(FAST, ask=True, confirm_deadline=PATIENCE_S)
 
 
 class Asked(Actors):
-    """The played devices, with a person who is asked."""
+    """The simulated devices and a person who confirms or rejects taps."""
 
     def proposal(self, other_than: int = 0) -> PlannedTap:
-        """The tap that waits for confirmation now."""
+        """Return the tap that waits for confirmation now."""
 
         def waits() -> bool:
             plan = self.plans[-1]
@@ -46,7 +47,7 @@ class Asked(Actors):
         return self.call("confirm_tap", ConfirmTap.Request(tap_id=tap_id, confirm=confirm))
 
     def set_ask(self, ask: bool) -> None:
-        """What the node does where its parameter is set."""
+        """Switch confirmation on or off, as the node does when its parameter is set."""
         request = SetBool.Request(data=ask)
         self.process.request("ask", request, object(), lambda _: None)
         self.run(0.1)
@@ -120,7 +121,8 @@ def test_a_moved_object_is_planned_for_anew(asked: Asked) -> None:
 
 
 def test_an_answer_that_comes_with_the_motion_does_not_fire(asked: Asked) -> None:
-    """The object moves and the person answers before the planner has received of it twice."""
+    """The object moves and the person confirms before the planner has received two observations of
+    the motion."""
     asked.send()
     first = asked.proposal()
     asked.pose = Pose(-0.06, 0.05, 0.1)
@@ -287,7 +289,8 @@ def test_the_mode_is_switched_while_the_cell_runs() -> None:
     assert asked.plans[-1].ask
     asked.send()
     shown = asked.proposal()
-    # Switching it off releases nothing: this tap was shown with the promise to wait.
+    # Switching confirmation off does not fire this tap, because it was shown as waiting for
+    # confirmation.
     asked.set_ask(False)
     asked.run(2.0)
     assert asked.taps() == [] and asked.plans[-1].planned_tap.tap_id == shown.tap_id
@@ -296,7 +299,8 @@ def test_the_mode_is_switched_while_the_cell_runs() -> None:
 
 
 def test_what_is_expected_is_shown_with_its_uncertainty(asked: Asked) -> None:
-    """Along the tap the ellipse has at least the scatter of a tap, and it grows with the tap."""
+    """The ellipse of the expected result is at least as long as a tap's scatter and grows with the
+    tap."""
     sizes = []
     for goal in (Pose(-0.02, 0.02, 0.2), Pose(0.06, 0.02, 0.2)):
         asked = Asked(ASKING)

@@ -1,4 +1,4 @@
-"""The striker is charged while the arm lowers it, and fired only once the arm stands."""
+"""The striker is charged while the arm lowers it, and fired only when the arm is at rest."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tapping_cell.se2 import Pose
 
 
 def waiting(cell: Cell = CELL) -> tappers.TapperLogic:
-    """A tapper that has taken a tap."""
+    """Return a tapper that has accepted a tap."""
     tapper = tappers.TapperLogic(tappers.TapperOptions())
     tapper.on_lifecycle(Configured(cell, board(BoardState.SAFE)), at(START))
     tapper.on_lifecycle(Activated(), at(START))
@@ -67,7 +67,7 @@ def test_a_tapper_charged_early_asks_when_the_arm_is_in_position() -> None:
     made = tapper.on_message("arm_state", stands, at(START + 0.5))
     (call,) = [effect for effect in made if isinstance(effect, Call)]
     assert call.service == "hold_still"
-    # Another report of the arm asks no second time.
+    # A further report from the arm causes no second request.
     again = tapper.on_message("arm_state", stands, at(START + 0.51))
     assert not [effect for effect in again if isinstance(effect, Call)]
 

@@ -1,4 +1,5 @@
-"""Computers whose clocks differ: a few ms block nothing, seconds are refused with the numbers."""
+"""Computers with different clocks: a few ms have no effect; a difference of seconds is refused, and
+the refusal states it."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ def at(steady: float) -> Now:
 def stamp_of(
     message: ArmState | ObjectState | PlanState | TapperState, taken: float, ahead: float
 ) -> None:
-    """Stamp a message at a true time by a clock that is ahead of this computer's."""
+    """Return the stamp at a true time from a clock that is ``ahead`` of this computer's."""
     message.header.stamp = to_stamp(round((EPOCH + taken + ahead) * NANOSECONDS))
 
 
@@ -39,7 +40,8 @@ def seen(taken: float, ahead: float) -> ObjectState:
 
 
 def arrivals(delays: list[float]) -> list[tuple[float, float]]:
-    """Times at which the images are taken and received; messages do not overtake each other."""
+    """Return for each image the times at which it is taken and received; messages arrive in
+    order."""
     times: list[tuple[float, float]] = []
     for number, delay in enumerate(delays):
         taken = number / 30
@@ -48,7 +50,8 @@ def arrivals(delays: list[float]) -> list[tuple[float, float]]:
 
 
 def monitor_with(ahead: float, delays: list[float]) -> tuple[CellMonitor, float]:
-    """A cell that is ready, received for a while; and when it was received last."""
+    """Return the monitor of a cell that is ready and has published for a while, and the time of the
+    last reception."""
     monitor = CellMonitor(silence_limit=0.5)
     received = 0.0
     for taken, received in arrivals(delays):
@@ -60,7 +63,7 @@ def monitor_with(ahead: float, delays: list[float]) -> tuple[CellMonitor, float]
 
 
 def shown_skew(sentence: str) -> float:
-    """The difference of the clocks that a sentence names, rounded to 0.01 s."""
+    """Return the clock difference stated in a sentence, rounded to 0.01 s."""
     shown = re.search(r"([-+]\d+\.\d\d) s", sentence)
     assert shown is not None
     return float(shown[1])
@@ -122,7 +125,8 @@ def test_no_observation_before_the_withdrawal_counts_as_one_after_it(
         received = max(received, taken + delay)
         least = min(least, received - taken)
         monitor.on_object(seen(taken, ahead), at(received))
-        # The stated bound: the quickest image is at most so much slower than the arm's message.
+        # The guarantee requires that the fastest image needs at most QUICKEST_IMAGE_S longer than
+        # the arm's message.
         bounded = least <= arm_delay + QUICKEST_IMAGE_S
         if bounded and monitor.usable(reported, 10, at(received)):
             assert taken > withdrawn - 1e-6
@@ -154,7 +158,8 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
 
 @pytest.mark.parametrize("needed", [True, False])
 def test_a_tapper_that_needs_a_camera_waits_for_its_first_image(needed: bool) -> None:
-    """Else a tapper that was restarted while the camera is gone would fire at what it never saw."""
+    """Otherwise a tapper restarted while the camera is missing would fire at an object that it
+    never saw."""
     peers, here = TapperPeers(PeerLimits(needs_camera=needed)), Pose(0.0, 0.0, 0.0)
     peers.begin_tap("")
     arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)

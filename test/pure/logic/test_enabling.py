@@ -1,4 +1,4 @@
-"""Set-up mode: nothing moves, charges or fires unless an enabling device is held at that moment."""
+"""Set-up mode: motion, charging and firing need an enabling device that is held at that moment."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PARKED = Joints(*CELL.file.arm.park)
 
 
 def set_up_pair() -> Pair:
-    """Both machines in set-up mode."""
+    """Return arm and tapper in set-up mode."""
     return Pair(
         arms.ArmLogic(arms.ArmOptions(set_up=True)),
         tappers.TapperLogic(tappers.TapperOptions(set_up=True)),
@@ -41,7 +41,8 @@ def idle_arm() -> arms.ArmLogic:
 
 
 def working(steady: float = START) -> Pair:
-    """In position and charged, with the page's key held."""
+    """Return a pair with the arm in position, the striker charged, and the page's enabling button
+    held."""
     pair = set_up_pair()
     for machine in (pair.arm, pair.tapper):
         machine.on_message(enabling.TOPIC, HELD, at(steady))
@@ -99,7 +100,7 @@ def test_an_arm_at_work_stops_when_the_key_is_no_longer_held(end: str) -> None:
     assert arm.error[0] == ErrorCode.ENABLING_RELEASED
     (stop,) = messages(made, "stop_state") or messages(made, "~/stop_state")
     assert stop.stopped and enabling.SOURCE in stop.sources
-    # Held again, the arm stays stopped: a person clears the stop first.
+    # Holding the button again does not restart the arm; a person must clear the stop first.
     made = arm.on_message(enabling.TOPIC, HELD, at(START + 1.0))
     assert not jobs(made) and arm.state is arms.State.STOPPED
 

@@ -1,4 +1,4 @@
-"""A tolerance that the object's smallest tap is too coarse for is refused before anything moves."""
+"""A tolerance that is too fine for the object's smallest tap is refused before anything moves."""
 
 from __future__ import annotations
 

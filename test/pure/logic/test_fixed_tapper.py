@@ -1,4 +1,5 @@
-"""The tapper's machine at fixed mounts, with its driver and its emulated board, in virtual time."""
+"""The state machine of the tapper at fixed mounts, with its driver and its emulated board, in
+virtual time."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
 
 
 class Ring(VirtualNode):
-    """The node and its board of eight coils; nobody plays an arm."""
+    """The node and its board of eight coils. There is no arm."""
 
     def __init__(self, machine: TapperMachine | None = None) -> None:
         self.device = TapperEmulator(machine or TapperMachine(coils=8), now=0.0)
@@ -86,7 +87,7 @@ def test_it_proves_its_mounts_and_fires_the_tapper_that_is_named(ring: Ring) -> 
         ring.wait(lambda i=tap_id: ring.last.tap_id == i and ring.last.outcome, "an outcome")
         assert (ring.last.outcome, ring.last.tapper) == (TapperState.FIRED, name)
         assert ring.device.channel == channels[name]
-        # At rest again only when the striker is back.
+        # The tapper is at rest again only when the striker has returned.
         assert ring.last.state == TapperState.FIRING
         assert ring.device.coils.next_event() is not None
         ring.wait_state(TapperState.SAFE)

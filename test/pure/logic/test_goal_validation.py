@@ -1,4 +1,4 @@
-"""Goals are refused by code and sentence before anything moves."""
+"""Invalid goals are refused with a code and a sentence before anything moves."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_planar_goal_in_table_is_read_as_it_was_meant(
     x: float, y: float, theta: float, flip: int
 ) -> None:
     message = goal_message(Pose(x, y, theta))
-    # A quaternion and its negative are the same rotation.
+    # A quaternion and its negative describe the same rotation.
     q = message.pose.orientation
     q.z, q.w = flip * q.z, flip * q.w
     goal = read_goal(message, NOW, TableOnly())
@@ -99,7 +99,7 @@ def quaternion(values: Sequence[float]) -> Quaternion:
 
 
 class OneFrame:
-    """Knows where one frame is."""
+    """Lookup of frames that knows the pose of a single frame."""
 
     def __init__(self, place: Numbers, turn: Numbers) -> None:
         self.pose = PoseMessage(position=point(place), orientation=quaternion(turn))
@@ -111,7 +111,7 @@ class OneFrame:
 
 
 def matrix(q: Numbers) -> np.ndarray:
-    """The rotation of a unit quaternion, by its textbook formula."""
+    """Return the rotation matrix of a unit quaternion by the textbook formula."""
     x, y, z, w = q
     return np.array(
         [
@@ -137,7 +137,7 @@ quaternions = (
 def test_a_goal_in_another_frame_is_the_same_place_on_the_table(
     place: Numbers, turn: Numbers, wanted: tuple[float, float, float]
 ) -> None:
-    # The goal as seen from a frame that may stand anywhere, such as a camera's.
+    # The goal expressed in another frame with any pose, such as a camera's.
     rotation, planar = matrix(turn), matrix(tuple(vars_of(to_message(Pose(*wanted)))))
     local = rotation.T @ (np.array([wanted[0], wanted[1], 0.0]) - place)
     own = rotation.T @ planar
@@ -157,7 +157,7 @@ def vars_of(pose: PoseMessage) -> Numbers:
 
 
 def quaternion_of(rotation: np.ndarray) -> Numbers:
-    """The unit quaternion of a rotation: the eigenvector of Bar-Itzhack's matrix."""
+    """Return the unit quaternion of a rotation as the eigenvector of Bar-Itzhack's matrix."""
     r = rotation
     k = np.array(
         [

@@ -1,4 +1,4 @@
-"""A client's wait for a goal ends in bounded time, whatever becomes of the planner."""
+"""A client's wait for a goal ends within a limited time, whatever happens to the planner."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PERIOD = 0.25
 
 
 class Client:
-    """Looks every PERIOD at what the planner would say, until the wait ends."""
+    """Checks the planner's state every PERIOD until the wait ends."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -34,7 +34,8 @@ class Client:
     def wait(
         self, patience: float, state: int | None, who: bytes = OLD, pose: Pose = GOAL, code: int = 0
     ) -> Ended | None:
-        """Go on for so long with a planner in this state; None: with none."""
+        """Wait for ``patience`` s while the planner publishes ``state``; None: it publishes
+        nothing."""
         end = self.now + patience
         while self.now < end:
             self.now += PERIOD
@@ -96,7 +97,8 @@ def test_a_planner_that_forgot_the_goal_ends_the_wait() -> None:
 
 
 def test_a_planner_that_was_frozen_answers_itself() -> None:
-    """Thawed, it goes on; its own answer comes within the grace after its last report."""
+    """After the freeze the planner continues. When it reports the end, the client still waits up to
+    GRACE_S for the result of the action."""
     client = Client()
     client.wait(5.0, PlanState.PLACING)
     client.wait(SILENCE_S + 1.0, None)

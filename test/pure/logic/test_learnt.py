@@ -1,4 +1,4 @@
-"""What taps taught about the object stands in ``plan_state`` and in the tap's record."""
+"""The values learnt from taps are contained in ``plan_state`` and in the tap's record."""
 
 from __future__ import annotations
 

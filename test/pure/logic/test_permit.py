@@ -1,7 +1,7 @@
-"""The striker is never released while the arm may move, whatever is late or frozen.
+"""The striker is never fired while the arm may move, regardless of delays and freezes.
 
-Arm and tapper, two machines, run against each other in virtual time. Between any two steps either
-may be frozen for any time; the board releases within its window or not at all.
+The state machines of arm and tapper run together in virtual time. Either can be frozen for any time
+between two steps. The board fires within its time window or not at all.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CELL = load_cell()
 TAP = 100
 _TIP = CELL.arm.geometry().forward(CELL.file.arm.park)
 STRIKE = CELL.arm_base @ Pose(_TIP.x, _TIP.y, _TIP.yaw)
-"""The strike pose of every tap here: where the arm stands with the joints of its park pose."""
+"""The strike pose of all taps here; the arm reaches it with the joints of its park pose."""
 START = 1000.0
 STROKE = CELL.file.tapper.stroke
 SPEED = 0.3
@@ -63,7 +63,7 @@ def board(state: BoardState, shot: int = 0) -> Reply:
 
 @dataclass
 class Pair:
-    """Both machines, brought to the point at which the tapper asks the arm to stand still."""
+    """Arm and tapper, brought to the point at which the tapper requests the arm to stand still."""
 
     arm: arms.ArmLogic = field(default_factory=lambda: arms.ArmLogic(arms.ArmOptions()))
     tapper: tappers.TapperLogic = field(
@@ -83,7 +83,7 @@ class Pair:
         now = at(START)
         joints = Joints(*CELL.file.arm.park)
         here = Reading(True, joints, False, now.steady)
-        # Long before: what an arm may have promised in a life before is over.
+        # Started long before, so that a promise of an earlier arm process has expired.
         early = at(START - 10.0)
         self.arm.on_lifecycle(Configured(CELL, here), early)
         self.tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), early)
@@ -136,7 +136,7 @@ def test_no_release_falls_into_a_motion_of_the_arm(
     call = pair.begin()
     asked = START
     handled = asked + to_arm
-    # A frozen or slow arm, network or tapper: each delay is anything.
+    # Arm, network or tapper may be frozen or slow: each delay can have any value.
     (answer,) = [
         effect
         for effect in pair.arm.on_request("hold_still", call.request, 1, at(handled))
@@ -151,19 +151,19 @@ def test_no_release_falls_into_a_motion_of_the_arm(
     if not jobs(made):
         return
     sampled = received + to_check
-    # The arm and the planner go on speaking: only the permit is in reason.
+    # The arm and the planner keep publishing, so only the permit can cause a refusal.
     pair.arm_state.header.stamp = to_stamp(at(sampled).ros)
     pair.tapper.on_message("arm_state", pair.arm_state, at(sampled))
     release_by = sampled + (WINDOW_S + LONGEST_PULSE) * 1.01
     if pair.tapper.check_firing(release_by, at(sampled)) is not None:
         return
-    # The board releases up to its deadline, and not after it.
+    # The board fires up to its deadline, but not after it.
     over = sampled + min(to_release, WINDOW_S) + LONGEST_PULSE
     assert over + STROKE / speed < moves
 
 
 def test_a_prompt_answer_lets_the_shot_go() -> None:
-    """The property above is not empty."""
+    """The test above is not vacuous: with prompt answers, the shot is fired."""
     pair = Pair()
     call = pair.begin()
     made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
@@ -184,7 +184,8 @@ def test_a_prompt_answer_lets_the_shot_go() -> None:
 def test_only_who_asked_for_the_promise_can_end_it(
     key: int, tap_id: int, after: float, outcome: int
 ) -> None:
-    """Neither a request with another key nor a state that anybody may publish shortens it."""
+    """Neither a request with another key nor a tapper state from any publisher shortens the
+    promise."""
     pair = Pair()
     call = pair.begin()
     pair.arm.on_request("hold_still", call.request, 1, at(START))
@@ -212,7 +213,8 @@ def test_only_who_asked_for_the_promise_can_end_it(
 def test_no_sequence_of_other_requests_takes_the_promise_over(
     asked: list[tuple[int, int, float, float]], first: bool
 ) -> None:
-    """Whoever else asks the arm to stand still, before or after the tapper, cannot end it early."""
+    """Other requests to stand still, before or after the tapper's request, cannot end its promise
+    early."""
     pair = Pair()
     call = pair.begin()
     assert call.request.key > 3, "the tapper's key is not one of the others'"
@@ -242,7 +244,7 @@ def test_the_key_ends_the_promise() -> None:
 
 
 def not_before(pair: Pair, time: float) -> float:
-    """Before which time a withdrawn arm does not begin to move."""
+    """Return the time before which a withdrawn arm does not begin to move."""
     withdraw = pair.command(TapCommand.WITHDRAW, at(time))
     made = list(pair.arm.on_message("tap_command", withdraw, at(time)))
     while not (withdrawals := withdrawing(made)):

@@ -1,4 +1,5 @@
-"""The goal that a planner keeps over a crash: resumed once, soon, and only if it can be read."""
+"""A planner that has crashed resumes its stored goal once, soon after the crash, and only if it can
+be read."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The planner's machine in virtual time, against devices that fail: every wait ends in words and
-nothing is fired twice."""
+"""The state machine of the planner in virtual time, with devices that fail: every wait ends with a
+sentence, and nothing is fired twice."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def shipped() -> tuple[Cell, TableMaps]:
 
 
 class Actors(VirtualNode):
-    """Camera, arm and tapper played by hand; each behaves unless a test says otherwise."""
+    """Simulated camera, arm and tapper. Each behaves normally unless a test changes it."""
 
     def __init__(
         self,
@@ -184,7 +184,7 @@ class Actors(VirtualNode):
         final = (PlanState.REACHED, PlanState.FAILED)
         self.wait(lambda: self.plans[-1].state in final, "the goal's end", patience)
         end = self.plans[-1]
-        self.run(0.1)  # what was sent with it arrives
+        self.run(0.1)  # also receive the messages that are sent together with this state
         return end
 
     def taps(self) -> list[TapCommand]:
@@ -201,7 +201,8 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg
     assert end.taps == len(actors.taps()) >= 1
-    # Every tap is ended by a withdrawal, the last by a second one that parks the arm; ids rise.
+    # Each tap is ended by a withdrawal, and the last one by a second withdrawal that parks the arm.
+    # The ids increase.
     ids = [command.tap_id for command in actors.taps()]
     assert ids == sorted(set(ids))
     ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]
@@ -337,7 +338,7 @@ def test_late_messages_before_a_tap_do_not_end_the_goal(actors: Actors) -> None:
 
 
 def test_taps_that_somebody_else_ended_are_told_as_such(actors: Actors) -> None:
-    """A tapper that fired nothing and complains of nothing was told so by another node."""
+    """If the tapper fires nothing and reports no error, another node must have ended its tap."""
     actors.tapper_answers = TapperState.NOT_FIRED
     actors.send()
     end = actors.end()
@@ -382,7 +383,7 @@ def test_what_is_missing_is_named_and_no_tap_is_commanded(
 def test_an_object_under_the_arm_is_told_with_the_arms_place_and_the_remedy(
     actors: Actors,
 ) -> None:
-    """The object may be put, or may come to lie, where the withdrawn arm hides it."""
+    """The object may be placed, or may stop, where the withdrawn arm hides it."""
     actors.visible, actors.tip = False, Pose(0.15, -0.08, 0.0)
     actors.run(0.6)
     actors.send()

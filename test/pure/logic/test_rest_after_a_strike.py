@@ -1,4 +1,5 @@
-"""Which images show the result of a fixed tapper's tap: those of a rest that began afterwards."""
+"""After a tap of a fixed tapper, only images of a rest that began after the strike show its
+result."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ MOMENTS = st.floats(-5.0, 5.0, allow_nan=False)
 
 
 def monitor(rest: float, *, at_rest: bool = True, visible: bool = True) -> tuple[CellMonitor, Now]:
-    """Return a monitor that received an image of a rest since ``rest`` s after the strike."""
+    """Return a monitor that received an image of an object that has been at rest since ``rest`` s
+    after the strike."""
     at = STRUCK + 6.0
     now = Now(at, round(1e9 * at))
     state = ObjectState(visible=visible, at_rest=at_rest)

@@ -1,4 +1,4 @@
-"""The tapper's machine with the tappers of a cell on two boards, in virtual time."""
+"""The state machine of the tapper with a cell's tappers on two boards, in virtual time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachin
 
 
 def cell_on_two_boards() -> Cell:
-    """The shipped cell with every second tapper on a second board."""
+    """Return the shipped cell with every second tapper on a second board."""
     cell = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
     entries = tuple(
         replace(entry, channel=index // 2, port="/dev/second" if index % 2 else "/dev/first")

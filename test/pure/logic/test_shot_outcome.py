@@ -1,4 +1,4 @@
-"""The outcome of a shot when two replies on the board's line contradict each other."""
+"""The outcome of a shot when two replies from the board contradict each other."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SHOT = 7
 
 
 class Line:
-    """A driver that was answered in this way, of which one answer may be forged."""
+    """A driver with given replies, one of which may be forged."""
 
     def __init__(self, reported: FireOutcome, last_fired: int) -> None:
         self.counters = SimpleNamespace(fired=0)

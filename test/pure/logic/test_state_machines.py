@@ -1,4 +1,5 @@
-"""Every state has a way out that a person or time offers, and the page shows the tables."""
+"""Each state can be left, by an action of a person or after some time. The documentation shows the
+current tables."""
 
 import importlib.util
 from enum import Enum
@@ -13,7 +14,8 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_the_page_is_what_the_tables_draw() -> None:
-    """Run ``python environment/draw_state_machines.py`` after a change of a table."""
+    """If this fails after a change of a table, run ``python
+    environment/draw_state_machines.py``."""
     program = ROOT / "environment" / "draw_state_machines.py"
     specification = importlib.util.spec_from_file_location("draw_state_machines", program)
     assert specification is not None and specification.loader is not None
@@ -26,7 +28,7 @@ def test_the_page_is_what_the_tables_draw() -> None:
     ("machine", "rest"), [(arm, arm.State.IDLE), (tapper, tapper.State.SAFE)], ids=["arm", "tapper"]
 )
 def test_every_state_leads_back_to_rest(machine: ModuleType, rest: Enum) -> None:
-    """S8: no state without a way out."""
+    """Each state leads back to rest."""
     leads = {rest}
     grown = True
     while grown:

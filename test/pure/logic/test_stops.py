@@ -1,4 +1,4 @@
-"""The stop latch: whose stop is held, and what a person has confirmed."""
+"""The stop latch: which sources hold a stop, and what a person has confirmed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def reset(latch: StopLatch, levels: StopLevels, steady: float) -> str:
 
 
 def test_a_confirmation_counts_for_the_stops_before_it_only() -> None:
-    """A second panel that stops and vanishes after the refusal is named, too."""
+    """A second panel that stops and disappears after the first refusal must be reported, too."""
     latch = StopLatch()
     latch.receive(True)
     assert "(a)" in reset(latch, StopLevels(False, (), ("a",)), 10.0)

@@ -1,5 +1,5 @@
-"""The tapper's machine with its driver and its emulated board, in virtual time: it fires once, and
-only while the arm is in position for that very tap."""
+"""The state machine of the tapper with its driver and its emulated board, in virtual time: it fires
+a tap once, and only while the arm is in position for this tap."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tapping_cell.verification.serial_line import SerialLine
 
 
 class Cell(VirtualNode):
-    """The node, its emulated board, and hands to play planner and arm."""
+    """The node, its emulated board, and a probe that replaces planner and arm."""
 
     def __init__(self, machine: TapperMachine | None = None, started: bool = True) -> None:
         self.device = TapperEmulator(machine, now=0.0)
@@ -82,7 +82,7 @@ class Cell(VirtualNode):
         send: Callable[[], None],
         every: float = 0.03,
     ) -> None:
-        """Let somebody speak until the condition holds."""
+        """Call ``send`` every ``every`` s until the condition holds."""
         end = self.now() + 20.0
         while not condition():
             assert self.now() < end, f"waited in vain: {what}"
@@ -90,7 +90,7 @@ class Cell(VirtualNode):
             self.run(every)
 
     def keep_publishing(self, seconds: float, **arm: Any) -> None:
-        """Let the arm speak for so long."""
+        """Publish the arm's state for ``seconds`` s."""
         end = self.now() + seconds
         while self.now() < end:
             self.publish_arm(**arm)
@@ -100,7 +100,7 @@ class Cell(VirtualNode):
         self.publish_arm(100)
 
     def fire(self, tap_id: int) -> None:
-        """Command a tap, let the arm stand there, wait for the release."""
+        """Command a tap, publish that the arm is in position, and wait for the shot."""
         self.command(tap_id)
         self.publish_until(
             lambda: self.outcome(tap_id) == TapperState.FIRED,
@@ -133,11 +133,12 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
         lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.publish_arm(100)
     )
     assert cell.shots() == [100]
-    # The same command again, and the arm still in position: answered, not fired.
+    # The same command again while the arm is still in position: it is answered, but nothing is
+    # fired.
     cell.command(100)
     cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == [100]
-    # It is refused before the board, which would refuse it as well, is asked to charge.
+    # The command is refused before the board is asked to charge. The board would refuse it as well.
     assert cell.outcome(100) == TapperState.FIRED
     assert {s.state for s in cell.states[-5:]} == {TapperState.SAFE}
 
@@ -184,9 +185,10 @@ def test_an_expired_command_is_refused(cell: Cell) -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_tap_ends_at_once_if_the_clocks_differ(cell: Cell, known: bool) -> None:
-    """Waiting would end with the planner's time limit, and with no cause.
+    """Waiting would end at the planner's time limit, without reporting the cause.
 
-    ``known``: the difference is known when the command arrives, or is noticed while it waits.
+    ``known``: the difference is known when the command arrives; otherwise it is noticed while the
+    tap waits.
     """
     if known:
         cell.publish_arm(100, age=2.0)
@@ -223,7 +225,7 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
 
 
 def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Cell) -> None:
-    """S1: in position is not enough."""
+    """The state IN_POSITION alone is not enough."""
     cell.arm_holds = False
     cell.command(100)
     cell.publish_until(
@@ -249,7 +251,7 @@ def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Ce
 def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
     cell: Cell, pose: Pose, visible: bool, code: int
 ) -> None:
-    """S11."""
+    """An object that was turned, moved or hidden after planning is not struck."""
     cell.command(100, valid=1.0)
 
     def send() -> None:
@@ -265,7 +267,7 @@ def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
 
 
 def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read() -> None:
-    """S7: CHARGING was told as SAFE, and a second tap was taken."""
+    """Regression test: SAFE was reported while charging, and a second tap was accepted."""
     cell = Cell(SLOW)
     for number in range(4):
         tap_id = 100 + number
@@ -287,7 +289,7 @@ def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read() -> None:
 
 
 def test_an_id_that_cannot_be_refuses_no_tap_after_it(cell: Cell) -> None:
-    """S9."""
+    """An invalid id must not block later taps."""
     cell.command(2**64 - 1)
     cell.command(2**63)
     cell.run(0.2)
@@ -297,14 +299,16 @@ def test_an_id_that_cannot_be_refuses_no_tap_after_it(cell: Cell) -> None:
 
 DISCHARGED = ("DISCHARGING", "SAFE")
 SLOW = TapperMachine(SpringMechanism(step_rate=100.0))
-"""A spring that takes so long to charge that whoever falls silent does so in mid-draw."""
+"""This spring takes so long to charge that each interruption in these tests happens while it is
+charged."""
 
 
 @pytest.mark.parametrize(
     "lost", ["planner", "arm", "camera", "pictures", "usable pictures"], ids=lambda name: name
 )
 def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
-    """How soon, with processes that are killed and hung, is measured by benchmarks/disarm.py."""
+    """The delay until the striker is discharged is measured with real processes by
+    benchmarks/disarm.py."""
     cell = Cell(SLOW)
     last = cell.stamp()
 
@@ -313,7 +317,7 @@ def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
             cell.publish("plan_state", PlanState(state=PlanState.FIRING))
         if but != "camera":
             seen = ObjectState(visible=True)
-            # The node of a camera whose last picture is old, or shows nothing, still speaks.
+            # The camera node keeps publishing even if its last image is old or cannot be used.
             seen.header.stamp = last if but == "pictures" else cell.stamp()
             if but == "usable pictures":
                 seen.error_code = ErrorCode.IMAGE_INVALID
@@ -355,7 +359,8 @@ def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_hea
 
 
 def test_another_program_may_command_taps_while_the_planner_is_idle(cell: Cell) -> None:
-    """The idle planner speaks only twice a second: that is no silence of a tap not its own."""
+    """The idle planner publishes only twice per second. For a tap of another program this is not a
+    timeout."""
     for tap_id in (100, 101, 102):
         cell.command(tap_id)
         for _ in range(10):
@@ -389,7 +394,7 @@ def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> N
         lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.publish_arm(100)
     )
     assert cell.shots() == [100]
-    # And the next tap of the planner is taken although 999 was received.
+    # The planner's next tap is accepted although the id 999 was received before.
     cell.fire(101)
     assert cell.shots() == [100, 101]
 
@@ -432,7 +437,7 @@ def test_deactivating_in_mid_draw_lets_the_striker_down() -> None:
     )
     cell.process.lifecycle(Deactivated())
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
-    # Not for want of anybody's word, nor because the draw took too long.
+    # The cause is neither a message timeout nor the time limit for charging.
     assert cell.last.error_code == ErrorCode.NOT_ACTIVE
     assert cell.device.state in DISCHARGED and cell.shots() == []
 
@@ -451,7 +456,8 @@ def test_a_stop_published_before_the_node_was_there_holds() -> None:
 @pytest.mark.parametrize("withdrawn", ["before", "meanwhile", "never"])
 @pytest.mark.parametrize("moment", range(0, 20, 2))
 def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, moment: int) -> None:
-    """The board has discharged by itself: nothing unsafe is unknown, so that nobody need clear."""
+    """The board has discharged by itself, so the state is known to be safe and nobody needs to
+    clear a fault."""
     cell = Cell(SLOW)
     cell.command(100)
     cell.publish_until(
@@ -480,7 +486,8 @@ def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, momen
 
 
 def test_a_tapper_that_was_frozen_in_a_shot_tells_unknown_once_and_is_ready_again() -> None:
-    """FIRE went out and the board's answer is lost: the next tap needs no person."""
+    """FIRE was sent and the board's answer was lost. The next tap needs no confirmation by a
+    person."""
     cell = Cell()
     assert cell.line is not None
     layer = cell.line.layer

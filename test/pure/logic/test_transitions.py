@@ -1,4 +1,4 @@
-"""A machine does what its table says, and nothing else."""
+"""The state machines make only the transitions of their tables."""
 
 from enum import Enum
 

@@ -1,4 +1,5 @@
-"""After a tap the arm gives a free view, judged by the silhouettes that the simulation draws."""
+"""After a tap the arm moves out of the camera's view of the object. The test compares this with the
+silhouettes that the simulation draws."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ REACH = 0.015 + CELL.object.body().bounding_radius
 
 
 def struck(x: float, y: float, heading: float, slide: float) -> tuple[Scene, Joints] | None:
-    """A tap of the object at a place, and the joints at its strike pose."""
+    """Return a tap of the object at this place, and the joints at its strike pose."""
     before = Pose(x, y, 0.3)
     way = np.array([math.cos(heading), math.sin(heading)])
     strike = Pose(x - REACH * way[0], y - REACH * way[1], heading)
@@ -39,7 +40,8 @@ def struck(x: float, y: float, heading: float, slide: float) -> tuple[Scene, Joi
 
 
 def hidden(joints: Joints, points: np.ndarray, room: float) -> np.ndarray:
-    """Which discs, (M, 3) with a radius ``room``, the arm's silhouette meets in the picture."""
+    """Return which discs (M, 3) of radius ``room`` are covered by the arm's silhouette in the
+    image."""
     lens = np.array(LENS)
     found = np.zeros(len(points), dtype=bool)
     for solid in arm_solids(ARM, CELL.file.tapper, CELL.arm_base, joints):
@@ -77,7 +79,8 @@ def test_object_and_markers_are_free_after_every_withdrawal(
 
 
 def test_withdrawals_are_short() -> None:
-    """Less than half the time of parking; hardly any tap must park for a free view."""
+    """Withdrawals take less than half the time of parking, and at most one of the taps needs
+    parking for a free view."""
     rng = np.random.default_rng(3)
     early, parked, parks = 0.0, 0.0, 0
     for _ in range(60):

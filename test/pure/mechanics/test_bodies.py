@@ -1,4 +1,4 @@
-"""Bodies: moments against numbers that are known, and every shape that must be refused."""
+"""Bodies: moments compared with known values, and invalid shapes."""
 
 import math
 

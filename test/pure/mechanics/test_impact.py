@@ -1,4 +1,5 @@
-"""Impact: against a small-step integration of the impulses, and by the laws it must keep."""
+"""The impact compared with a step-by-step integration of the impulses, and with conservation
+laws."""
 
 import math
 
@@ -16,12 +17,14 @@ masses = st.floats(0.01, 2.0)
 restitutions = st.floats(0.0, 1.0)
 frictions = st.floats(0.02, 2.0)
 incidences = st.floats(-1.5, 1.5)
-# Contacts far off the normal through the centre make B3 large and sliding turn round.
+# Contacts far from the normal through the centre make B3 large, so that the sliding direction can
+# reverse.
 contacts = st.tuples(st.floats(-0.1, -0.001), st.floats(-0.1, 0.1))
 
 
 def step_by_step(impact, incidence, contact, steps=40_000):
-    """Routh's method in small impulses: no cases, the sliding velocity decides at every step."""
+    """Integrate Routh's method in small impulses, without case distinctions: the sliding velocity
+    determines each step."""
     b1, b2, b3 = (float(b) for b in impact.inverse_inertias(incidence, contact))
     a_n, a_t = math.cos(incidence), math.sin(incidence)
     mu = impact.friction
@@ -31,7 +34,7 @@ def step_by_step(impact, incidence, contact, steps=40_000):
     while p_n < end:
         if math.isinf(end) and -a_n + b2 * p_n - b3 * p_t >= 0:
             end = (1 + impact.restitution) * p_n
-        # The tangential step that would end the sliding, within what friction gives.
+        # The tangential impulse that would end the sliding in this step; friction limits it.
         wanted = (a_t + b3 * (p_n + step)) / b1 - p_t
         p_n += step
         p_t += min(max(wanted, -mu * step), mu * step)

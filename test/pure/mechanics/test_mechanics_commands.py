@@ -1,4 +1,4 @@
-"""The verbs of the mechanics: what they print for programs, for people, and when they refuse."""
+"""The verbs of the mechanics: their output for programs and for people, and their refusals."""
 
 import json
 

@@ -1,4 +1,5 @@
-"""Sliding of polygons: against friction summed over a grid of points, and by its symmetries."""
+"""Sliding of polygons compared with friction summed over a grid of points, and symmetries of the
+motion."""
 
 import math
 
@@ -18,7 +19,8 @@ BODIES = {"square": SQUARE, "plate": PLATE, "triangle": TRIANGLE}
 
 
 def grid(body, cells):
-    """Points and weights: the triangles from the centre to the edges, each cut into cells^2."""
+    """Return the sample points and their weights. Each triangle between the centre and an edge is
+    divided into cells^2 small triangles."""
     first, second = np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij")
     upright, inverted = first + second < cells, first + second < cells - 1
     share = (
@@ -38,7 +40,8 @@ def grid(body, cells):
 
 
 def brute_force(body, friction, kappa, speed, spin, direction, cells=40):
-    """Distance, rotation, duration and drift with Coulomb friction at every point of a grid."""
+    """Return distance, rotation, duration and drift with Coulomb friction at each point of a
+    grid."""
     points, weights = grid(body, cells)
     g, gyration2 = friction * G, body.radius_of_gyration**2
 
@@ -96,7 +99,7 @@ def test_the_drift_is_there_and_counts():
 
 
 def test_a_square_slides_nearly_as_its_equivalent_disk():
-    """The size of the axisymmetric approximation, over launches with R omega up to v."""
+    """Accuracy of the axisymmetric approximation for initial motions with R omega up to v."""
     generator = np.random.default_rng(0)
     speed = generator.uniform(0.05, 0.5, 200)
     spin = speed / SQUARE.support_radius * generator.uniform(0.05, 1.0, 200)
@@ -165,9 +168,10 @@ def test_no_spin_is_a_straight_slide(body, speed, direction):
 
 
 def test_friction_is_smooth_where_the_closed_form_gives_way():
-    """Across the change of formula, and down to no spin, force and torque stay continuous."""
+    """Force and torque are continuous where the formula changes and down to zero spin."""
     model = Sliding(TRIANGLE, 0.17)._model
-    ratio = TRIANGLE.radius_of_gyration * 50.0  # speed over spin at the change
+    # ratio of speed to spin at which the formula changes
+    ratio = TRIANGLE.radius_of_gyration * 50.0
     near, far = (
         model.friction(np.array([0.6]), np.array([0.8]), np.array([s / ratio]))
         for s in (1 + 1e-9, 1 - 1e-9)

@@ -1,4 +1,4 @@
-"""The table of a polygon's slides against their integration."""
+"""The table of a polygon's slides compared with their integration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ MU, G = 0.2, 9.81
 
 
 def launches(body: Polygon, count: int, largest: float) -> np.ndarray:
-    """Launches of all directions, ratios of spin to speed and sizes, both ends included."""
+    """Return initial motions in all directions, with all ratios of spin to speed and all sizes,
+    including the limits."""
     random = np.random.default_rng(4)
     rho = body.radius_of_gyration
     major = np.sqrt(largest * random.uniform(0, 1, count) ** 2 * MU * G * rho)
@@ -71,7 +72,7 @@ def test_a_launch_beyond_the_table_slides_into_it(body: Polygon) -> None:
         true * scale, axis=1
     )
     assert error.max() < 1.5e-3
-    # Nothing jumps where the table ends.
+    # The result is continuous at the limit of the table.
     edge = math.sqrt(LARGEST_SIZE * MU * G * rho) * np.array([[0.8, 0.0, 0.6 / rho]])
     below, above = (exact.tabulated().displace(edge * (1.0 + e)) for e in (-1e-9, 1e-9))
     assert above == pytest.approx(below, rel=1e-6)

@@ -1,4 +1,5 @@
-"""Sliding of disks and rings: against an independent integration, and by its laws."""
+"""Sliding of disks and rings compared with an independent integration, and general properties of
+the motion."""
 
 import math
 
@@ -121,7 +122,8 @@ def test_more_speed_or_spin_goes_and_turns_farther(body, kappa):
     ):
         distance, rotation, duration = slide.rest(*arguments)
         assert (np.diff(duration) > 0).all()
-        # A spin holds the travel up less and less; a travel does the same for the spin.
+        # Rotation reduces the friction against translation, and translation reduces the friction
+        # against rotation.
         assert (np.diff(distance) > 0).all() and (np.diff(rotation) > 0).all()
 
 

@@ -1,4 +1,4 @@
-"""The whole tap: planning and outcome are each other's inverse, in any frame, for any body."""
+"""The complete tap: planning and outcome are inverse functions, in any frame, for any body."""
 
 import math
 
@@ -46,7 +46,7 @@ round_bodies = st.sampled_from([DISK, RING])
 
 
 def backed(poses, travel):
-    """The same lines of travel, begun earlier."""
+    """Return the poses moved back by ``travel`` along the lines of travel."""
     back = np.zeros_like(poses)
     back[..., 0] = -travel
     return se2.compose(poses, back)
@@ -104,7 +104,7 @@ def test_plan_then_outcome_is_the_identity_for_arrays():
     assert np.allclose(result.incidence, plan.incidence, atol=1e-9)
     assert np.allclose(result.twist, plan.twist, rtol=0, atol=1e-9)
     assert np.allclose(result.travel, 0.015, atol=1e-12)
-    # The contact lies on the disk, at the angle that the plan names in the object's frame.
+    # The contact point is on the disk, at the planned angle in the object's frame.
     point = se2.transform_points(se2.inverse(held), result.point)
     assert np.allclose(np.hypot(*point.T), DISK.radius)
     assert np.allclose(np.arctan2(point[:, 1], point[:, 0]), plan.contact_angle)
@@ -127,7 +127,7 @@ def test_plan_then_outcome_is_the_identity_for_polygons(body, constraint):
     moved = tap.outcome(held, backed(plan.strike_pose, 0.015), plan.striker_speed)
     assert (np.abs(moved - wanted)[:, :2].max(axis=1) < 1e-8 * distance[reachable]).all()
     assert np.abs(moved - wanted)[:, 2].max() < 1e-8 * tap.cone_slope * 0.1
-    # Contacts lie on the boundary, and the impulses within the friction of its normals.
+    # The impulses are within the friction cone of the contact.
     result = tap.strike(held, backed(plan.strike_pose, 0.015), plan.striker_speed)
     assert (abs(result.tangential_impulse) <= 0.3 * result.normal_impulse * (1 + 1e-9)).all()
 
@@ -192,7 +192,7 @@ def test_the_launch_velocity_slides_to_the_outcome():
 
 
 def test_the_papers_cone():
-    """10 mm and 10 degrees are three times what one tap can turn (section 4)."""
+    """Section 4 of the paper: 10 mm and 10 degrees are three times what one tap can turn."""
     slope = math.degrees(PAPER.cone_slope) / 1e3
     assert slope == pytest.approx(0.333, rel=0.02)
     assert math.degrees(make(friction=math.tan(math.radians(11.5))).cone_slope) / 1e3 == (
@@ -265,7 +265,8 @@ def test_the_jacobian_predicts_small_errors(rotation):
 
 
 def test_the_papers_jacobian():
-    """Section 5.1: x and theta rows within 10 % rms, the product within 20 %."""
+    """Section 5.1 of the paper: the x and theta rows agree within 10 % rms, and the product within
+    20 %."""
     both = sensitivity(paper_tap(), (0.010, 0.0, math.radians(3)))
     error = (both.printed - PAPER_JACOBIAN)[[0, 2]] / [[0.135], [0.0251]]
     assert np.sqrt((error**2).mean(axis=1)).max() < 0.10
@@ -273,7 +274,7 @@ def test_the_papers_jacobian():
     product = both.printed @ PAPER_STRIKER_ERROR
     assert product == pytest.approx([1.1, 0.9, 0.2], rel=0.2)
     assert norm(both.printed) < 1 and norm(both.physical) < 1
-    # A move along the striker's own axis changes nothing.
+    # Moving the striker along its own axis has no effect.
     incidence = paper_tap().plan((0.010, 0.0, math.radians(3))).incidence
     along = np.array([-math.cos(incidence), math.sin(incidence), 0])
     assert np.abs(both.physical @ along)[[0, 2]].max() < 1e-6

@@ -1,4 +1,5 @@
-"""The queue of goals: nothing is sent before a person runs it, nothing after a goal that failed."""
+"""The queue of goals: no goal is sent before a person starts the queue, and none after a goal that
+failed."""
 
 from __future__ import annotations
 

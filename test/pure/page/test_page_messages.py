@@ -1,4 +1,4 @@
-"""What a browser says is read strictly; who may speak is decided by Host, Origin and token."""
+"""Messages from a browser are validated strictly; Host, Origin and token decide who may connect."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def test_what_is_wrong_is_said(message: str | bytes, words: str) -> None:
     assert words in str(refused.value)
 
 
-# ---- who may speak
+# ---- connections
 
 LOCAL = Guard.make("localhost", (), "")
 OPEN = Guard.make("0.0.0.0", ["Cell.example"], "")
@@ -184,10 +184,10 @@ def test_only_the_right_token_is_admitted(token: object) -> None:
         (LOCAL, "localhost:8010", "http://localhost:8010"),
         (LOCAL, "127.0.0.1:8010", "http://127.0.0.1:8010"),
         (LOCAL, "[::1]:8010", "http://[::1]:8010"),
-        (LOCAL, "localhost:9000", "http://localhost:9000"),  # through a tunnel
+        (LOCAL, "localhost:9000", "http://localhost:9000"),  # through an SSH tunnel
         (OPEN, "192.168.1.5:8010", "http://192.168.1.5:8010"),
         (OPEN, "[fd00::5]:8010", "http://[fd00::5]:8010"),
-        (OPEN, "cell.example", "https://cell.example"),  # behind a proxy
+        (OPEN, "cell.example", "https://cell.example"),  # behind a reverse proxy
     ],
 )
 def test_the_pages_own_origin_may_command(guard: Guard, host: str, origin: str) -> None:
@@ -201,12 +201,13 @@ def test_the_pages_own_origin_may_command(guard: Guard, host: str, origin: str) 
         (LOCAL, "localhost:8010", None),
         (LOCAL, "localhost:8010", "null"),
         (LOCAL, "localhost:8010", "http://evil.example"),
-        (LOCAL, "localhost:8010", "http://localhost:3000"),  # another program of this machine
+        (LOCAL, "localhost:8010", "http://localhost:3000"),  # another program on this computer
         (LOCAL, "localhost:8010", "http://localhost:8010.evil.example"),
         (LOCAL, "localhost:8010", "http://localhost:8010@evil.example"),
         (LOCAL, "localhost:8010", "file://localhost:8010"),
         (LOCAL, "localhost:8010", "http://127.0.0.1:8010"),
-        (LOCAL, "evil.example:8010", "http://evil.example:8010"),  # a name made to point here
+        # a foreign name that resolves to this computer
+        (LOCAL, "evil.example:8010", "http://evil.example:8010"),
         (LOCAL, "192.168.1.5:8010", "http://192.168.1.5:8010"),
         (LOCAL, "", "http://"),
         (LOCAL, "localhost:99999", "http://localhost:99999"),
@@ -231,7 +232,7 @@ def test_a_token_stands_where_browsers_do_not_send_it() -> None:
     assert all(url.endswith(":8010/#token=abc") for url in urls("0.0.0.0", 8010, "abc"))
 
 
-# ---- the ghost
+# ---- the goal preview on the image
 
 TRIANGLE = np.array([(0.04, -0.02), (0.0, 0.05), (-0.04, -0.02)])
 CAMERA = CameraModel(1280, 1024, 1150.0, 1140.0, 630.0, 520.0, (-0.12, 0.08, 0.0004, -0.0003, 0.0))
@@ -253,7 +254,7 @@ def test_a_ghost_put_where_it_is_seen_lies_where_it_was(pose: Pose) -> None:
     seen = made.answer(Place(1, pose))
     (u, v), (hu, hv) = seen["centre"], seen["handle"]
     moved = made.pose(Move(2, u, v, pose.theta))
-    assert moved.distance_to(pose) < 2e-5  # the shares are rounded to 1e-5 of the picture
+    assert moved.distance_to(pose) < 2e-5  # image coordinates are rounded to 1e-5 of the image size
     turned = made.pose(Turn(3, pose.x, pose.y, hu, hv))
     assert abs(turned.rotation_to(pose)) < 5e-4
     assert seen["refusal"] == ("too far" if pose.x > 0.2 else "")
@@ -294,7 +295,7 @@ def test_the_arrow_keys_follow_the_picture(turns: int, right: int) -> None:
 def test_the_ellipse_holds_95_of_100_results(
     predicted: Pose, along: float, across: float, turn: float, seed: int
 ) -> None:
-    """Against samples, each seen by the camera as a point of its own."""
+    """Random samples of the result, each projected into the camera's image, are the reference."""
     made = ghost()
     axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     covariance = axes @ np.diag([along**2, across**2]) @ axes.T

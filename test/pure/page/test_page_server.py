@@ -1,4 +1,4 @@
-"""The web server alone, spoken to as browsers and attackers do: no ROS in here."""
+"""The web server alone, used as browsers and attackers would; without ROS."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ STOP_PORT = 8011
 
 
 class Backend:
-    """A backend that remembers."""
+    """A backend that records the requests."""
 
     def __init__(self, folder: Path) -> None:
         self.requests: list[Request] = []
@@ -78,7 +78,7 @@ class Site:
     async def page(
         self, hello: dict[str, object] | None = None, **headers: str
     ) -> AsyncIterator[WebSocketClientConnection]:
-        """A WebSocket; with ``hello`` None nothing is said."""
+        """Open a WebSocket; with ``hello`` None, no first message is sent."""
         given = {"Origin": f"http://{self.host}", **headers}
         asked = HTTPRequest(f"ws://{self.host}/live", headers=given)
         connection = await websocket_connect(asked, max_message_size=1 << 24)
@@ -91,7 +91,7 @@ class Site:
 
 
 async def read(connection: WebSocketClientConnection) -> Any:
-    """The next message; None where the server closed."""
+    """Return the next message; None if the server has closed the connection."""
     message = await asyncio.wait_for(asyncio.ensure_future(connection.read_message()), PATIENCE_S)
     return json.loads(message) if isinstance(message, str) else message
 
@@ -113,7 +113,7 @@ def site(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Site]:
 with_token = pytest.mark.parametrize("site", ["the-right-token"], indirect=True, ids=["token"])
 
 
-# ---- the files
+# ---- static files
 
 
 def test_the_page_is_served_with_headers_that_allow_nothing_foreign(site: Site) -> None:
@@ -125,7 +125,7 @@ def test_the_page_is_served_with_headers_that_allow_nothing_foreign(site: Site) 
         assert "frame-ancestors 'none'" in policy
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert "Tornado" not in headers["Server"]
-        # nothing is fetched from elsewhere, and nothing runs that stands in the page itself
+        # the page loads nothing from other servers and contains no inline scripts or styles
         assert b"//cdn" not in body and b"https://" not in body
     assert b"onclick" not in site.get("")[2] and b"style=" not in site.get("")[2]
 
@@ -137,7 +137,7 @@ def test_every_colour_of_the_page_comes_from_the_palette(site: Site) -> None:
     used = set(re.findall(r"var\(--([a-z-]+)\)", style))
     declared = set(re.findall(r"--([a-z-]+):", palette.decode() + style.replace(": ", ":")))
     assert used <= declared
-    shades = {"#fff", "#000", "#000a", "#000b", "#000c"}  # over the camera's image
+    shades = {"#fff", "#000", "#000a", "#000b", "#000c"}  # on top of the camera image
     assert set(re.findall(r"#[0-9a-f]{3,8}\b", style)) <= shades
 
 
@@ -164,7 +164,7 @@ def test_a_foreign_name_gets_no_file(site: Site) -> None:
     assert status == 403 and b"not served under the name 'evil.example'" in body
 
 
-# ---- who may connect
+# ---- access control
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_without_the_token_nothing_is_shown_and_nothing_is_done(
 ) -> None:
     async def scenario() -> None:
         async with site.page(hello) as page:
-            with contextlib.suppress(WebSocketClosedError):  # it may be closed already
+            with contextlib.suppress(WebSocketClosedError):  # the server may have closed it already
                 await page.write_message('{"do": "stop"}')
             assert await read(page) is None
             assert page.close_code == server.BAD_TOKEN
@@ -227,7 +227,7 @@ def test_the_first_word_must_be_hello_and_soon(site: Site, monkeypatch: pytest.M
     assert site.backend.requests == [Command("stop")]
 
 
-# ---- what is said
+# ---- messages
 
 
 def test_nonsense_is_answered_in_words_and_harms_nobody(site: Site) -> None:
@@ -321,7 +321,7 @@ def test_a_page_that_does_not_read_is_dropped_and_the_others_go_on(
     monkeypatch.setattr(server, "WRITE_PATIENCE_S", 0.3)
 
     def deaf() -> socket.socket:
-        """A page that says hello, asks for nothing and reads nothing."""
+        """Open a page that connects, requests nothing and reads nothing."""
         line = socket.socket()
         line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         line.connect(("127.0.0.1", site.port))
@@ -466,7 +466,7 @@ def test_whatever_a_summary_holds_the_list_is_json(tmp_path: Path, key: str, val
     assert len(json.dumps(Runs(tmp_path).rows(), allow_nan=False)) < 2000
 
 
-# ---- STOP's own port
+# ---- the separate port of STOP
 
 
 def test_the_page_knows_where_stop_is_served(site: Site) -> None:

@@ -1,4 +1,4 @@
-"""Previews of goals: only the newest of each page is computed, and pages take turns."""
+"""Previews of goals: only the newest request of each page is computed, and pages take turns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""STOP's own server, spoken to as browsers and attackers do: no ROS in here."""
+"""The separate server of STOP, used as browsers and attackers would; without ROS."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PAGE_PORT = 8010
 
 @dataclass
 class Site:
-    """A running STOP."""
+    """A running STOP server."""
 
     token: str = ""
     published: list[bool] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""The paper's disk, a striker, a table, and solved plans kept in a folder of the test run."""
+"""The paper's disk, a striker, a table, and solved policies stored in a folder of the test run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tapping_cell.planning.gains import NAMES
 def own_folders(tmp_path_factory):
     kept = {name: os.environ.get(name) for name in ("XDG_CACHE_HOME", "XDG_STATE_HOME")}
     os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
-    # Solved plans are shared by the processes of pytest-xdist, whose folders lie side by side.
+    # The workers of pytest-xdist share the solved policies in the common parent of their folders.
     base = tmp_path_factory.getbasetemp()
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     os.environ["XDG_CACHE_HOME"] = str(base / "plans")
@@ -53,7 +53,8 @@ def free(space):
 
 
 def known_gains(**values):
-    """Gains of an object tapped many times before: as its file says but for ``values``."""
+    """Return the gains of an object tapped many times before: those of its file, except for
+    ``values``."""
     numbers = {"distance": 1.0, "rotation": 1.0, **values}
     kept = {name: numbers.get(name, 0.0) for name in NAMES}
     gains = Gains.from_numbers({**kept, **{f"{name}_deviation": 1e-9 for name in NAMES}})

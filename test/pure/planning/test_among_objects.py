@@ -1,4 +1,5 @@
-"""Other objects on the table are keep-outs: nothing slides into them or comes down on them."""
+"""Other objects on the table are keep-out areas: neither the object nor the striker comes into
+contact with them."""
 
 import math
 
@@ -35,7 +36,7 @@ def free_space(among):
 
 
 def rim(area):
-    """Points on the other object's rim, by hand."""
+    """Return points on the other object's edge, computed independently."""
     if isinstance(area, CircleArea):
         angle = np.linspace(0.0, 2.0 * math.pi, 360)
         circle = np.stack([np.cos(angle), np.sin(angle)], -1)

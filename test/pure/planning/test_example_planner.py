@@ -1,4 +1,5 @@
-"""The example of a planning method of one's own, installed and used as the tutorial says."""
+"""The tutorial's example of a user-defined planning method, installed and used as described
+there."""
 
 import importlib.util
 import json

@@ -1,4 +1,4 @@
-"""Goals solved in a process of their own are those that are solved here."""
+"""Goals solved in a separate process have the same solution as goals solved in this process."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ CELL = load_cell(shared_folder() / "positioning_cell" / "cell.yaml")
 
 @pytest.fixture(autouse=True)
 def _normal_priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process at low priority might wait for minutes on a busy machine."""
+    """Run the process at normal priority: at low priority it could wait for minutes on a busy
+    machine."""
     monkeypatch.setattr("tapping_cell.planning.fixed_solver.REFINING_NICENESS", 0)
 
 
 def test_the_background_gives_a_coarse_solution_and_then_the_same_fine_one() -> None:
     space = assembly.make_fixed_space(CELL)
-    # A wide tolerance makes a small grid.
+    # A wide tolerance needs only a small grid.
     settings = assembly.make_planner_settings(CELL, (0.02, math.radians(20.0)))
     goal = np.array([0.01, -0.02, 0.3])
     here = GoalSolver().goal(space, settings, goal).solution

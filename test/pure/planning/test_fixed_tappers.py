@@ -1,4 +1,4 @@
-"""Fixed tappers: the choice of taps, what is learnt of the lines, coverage, refusals."""
+"""Fixed tappers: the choice of taps, learning of the lines, coverage, refusals."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TIP = CELL.file.tapper.tip_radius
 
 @cache
 def solver() -> GoalSolver:
-    """Goals solved on two coarse grids: half a second each, a fifth of a tap more."""
+    """Return a solver of two coarse grids: half a second per goal, at the cost of 0.2 taps."""
     return GoalSolver(finer=(0.5,))
 
 
@@ -48,15 +48,16 @@ def session(goal=(0.0, 0.0, 0.0), space: FixedStrikeSpace = SPACE) -> FixedTappe
 @given(x=st.floats(-0.05, 0.05), y=st.floats(-0.05, 0.05), theta=st.floats(-3.0, 3.0))
 @settings(max_examples=50, deadline=None)
 def test_a_disk_is_hit_where_its_line_passes(x: float, y: float, theta: float) -> None:
-    """By plane geometry: the lever of a line about the middle of a disk says what is hit, and
-    whether the object turns left or right."""
+    """The lever arm of a line about the centre of a disk determines the contact and the direction
+    of rotation."""
     lines = SPACE.lines(np.array([x, y, theta]))
     reach = SPACE.object_radius + TIP
     for index, tapper in enumerate(SPACE.tappers):
         mount = tapper.mount
         along = np.array([math.cos(mount.theta), math.sin(mount.theta)])
         to = np.array([x - mount.x, y - mount.y])
-        lever = along[0] * to[1] - along[1] * to[0]  # of the middle, left of the line
+        # lever arm of the disk's centre, positive to the left of the line
+        lever = along[0] * to[1] - along[1] * to[0]
         if abs(lever) < reach * math.sin(math.radians(59.0)):
             assert lines.usable[index]
             travel = to @ along - math.sqrt(reach**2 - lever**2)
@@ -64,7 +65,7 @@ def test_a_disk_is_hit_where_its_line_passes(x: float, y: float, theta: float) -
         elif abs(lever) > reach * math.sin(math.radians(61.0)):
             assert not lines.usable[index]
         if lines.usable[index] and abs(lever) > 1e-6:
-            # A push on the object's right side turns it counter-clockwise.
+            # An impact on the object's right side turns it counter-clockwise.
             assert np.sign(lines.slope[index]) == np.sign(lever)
 
 
@@ -136,7 +137,7 @@ def test_the_grading_is_monotone_and_its_steps_are_limited(
 
 
 def test_trials_take_about_the_least_expected_time() -> None:
-    """Without anything to learn, goals take the time that the solution predicts, or a little less:
+    """If nothing needs to be learnt, goals take the predicted time, or a little less because
     interpolation on the coarse grid overestimates it."""
     space = make_fixed_space(CELL, objective="time")
     assert space.key() != SPACE.key()
@@ -250,7 +251,7 @@ def test_states_after_a_tap_have_the_scatter_with_its_floor() -> None:
 
 @pytest.mark.parametrize(("offset", "angle"), [(0.0006, 0.0), (0.0, 0.008), (-0.0005, 0.005)])
 def test_a_line_is_found_from_single_taps(offset: float, angle: float) -> None:
-    """Objects put down by hand at a dozen places: the line to 0.3 mm where it meets them."""
+    """The object is placed by hand at a dozen poses. The line is found to 0.3 mm at the object."""
     rng = np.random.default_rng(3)
     nominal = SPACE.tappers[0].mount
     true = Pose(

@@ -19,11 +19,12 @@ from tapping_cell.planning.kept_gains import gains_file
 
 SCATTER, CAMERA = Scatter(), CameraNoise(1e-4, math.radians(0.1))
 FILE = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
-"""An object as its file says, in the order of ``NAMES``."""
+"""Gains of an object that behaves as its file says, in the order of ``NAMES``."""
 
 
 def answer(true, commanded, orientation, rng, scatter=SCATTER, camera=CAMERA):
-    """What the camera sees of a tap: a world of its own, without the code under test."""
+    """Return the motion that the camera measures after a tap. This simulation does not use the code
+    under test."""
     noise = rng.standard_normal(3)
     length = math.hypot(commanded[0], commanded[1])
     slope = commanded[2] / length
@@ -69,14 +70,15 @@ def test_steady_gains_are_learnt_within_their_own_deviation(true):
 
 
 def test_the_error_is_as_large_as_the_belief_says():
-    """Objects that are as their files say but for the narrow prior's errors."""
+    """The true gains differ from the file by errors with the standard deviations of the narrow
+    prior."""
     rng = np.random.default_rng(5)
     squares = []
     for seed in range(300):
         true = np.array(FILE) + rng.standard_normal(6) * [0.04, 0.06, 0.01, 0.001, 0.03, 0.03]
         gains = learn(true, 6, seed)
         squares.append((gains.value - true) ** 2 / gains.deviation**2)
-    # The wide priors beside the narrow one make the belief a little too modest, never too sure.
+    # The wide priors make the stated deviation slightly too large, but never too small.
     mean = np.mean(squares, axis=0)
     assert np.all(mean < 1.35) and np.all(mean[:3] > 0.5)
 
@@ -89,7 +91,8 @@ def test_a_friction_far_from_the_files_is_believed_after_two_taps(friction):
 
 
 def test_one_improbable_component_leaves_the_others_to_be_learnt():
-    """An odd direction says nothing against the distance that was measured with it."""
+    """An improbable direction of motion does not prevent learning from the distance of the same
+    tap."""
     gains = learn(FILE, 10)
     before = gains.value[0]
     for _ in range(3):
@@ -102,7 +105,7 @@ def test_a_bumped_object_is_not_a_gain():
     after = gains.observe([0.01, 0.0, 0.05], [-0.02, 0.03, 1.0], 0.0, SCATTER, CAMERA)
     assert np.allclose(after.value, gains.value, atol=0.02)
     assert bool(after.surprised) and float(after.outliers) == float(gains.outliers) + 1
-    # Until the next tap agrees with one or the other, the larger gain is kept in mind.
+    # Until the next tap decides, the larger gain is considered possible.
     asked = np.array([0.01, 0.0, 0.0])
     assert after.spread(asked, SCATTER, 3.0).longest > 2 * gains.spread(asked, SCATTER, 3.0).longest
     calm = learn(FILE, 2, 3, after)

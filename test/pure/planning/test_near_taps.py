@@ -1,4 +1,5 @@
-"""The objective time: what taps beside the line are worth, and that the arm's way decides."""
+"""With the objective `time`, a tap with a shorter arm motion is chosen if it saves more time than
+its additional expected taps cost."""
 
 import math
 
@@ -104,7 +105,7 @@ def test_the_quickest_tap_comes_first(cell):
     _, strikes = space.strike_poses(pose, quick[:1])
     row = np.argmin(np.linalg.norm(taps.commanded - quick[0], axis=1))
     ways = np.array([times.to_strikes(times.parked, strikes)[0], times.mean_way])
-    # What it costs in taps is paid for by the ways, this one and the next.
+    # The additional taps cost less time than the arm's motions to this tap and the next one.
     assert (taps.follow[row] - taps.follow.min()) * times.mean_tap <= ways.sum()
 
 
@@ -127,7 +128,7 @@ def test_a_strike_has_the_expected_taps_and_seconds_of_the_policy(cell, goal):
     session.arm = times.parked
     strike = session.decide(np.zeros(3))
     taps = float(planner.taps_to_go(math.hypot(*goal[:2]), goal[2]))
-    if strike.detour:  # another tap than the policy's best one
+    if strike.detour:  # not the tap that the policy prefers
         assert strike.expected.taps > taps - 0.03
     else:
         assert strike.expected.taps == pytest.approx(taps, abs=0.03)

@@ -69,7 +69,7 @@ def test_expected_weights_against_sampling():
     cases = [(0.0, 0.0004, 0.0002), (0.0011, 0.0002, 0.0004), (-0.02, 0.001, 0.0005)]
     mean, along, aside = (np.array(column) for column in zip(*cases, strict=True))
     whole, inside = solver._radial_weights(grid, mean, along, aside)
-    value = np.sqrt(grid)  # any function that is not linear
+    value = np.sqrt(grid)  # an arbitrary nonlinear function
     assert np.allclose(whole.sum(axis=-1), 1.0, atol=1e-5)
     for row, (m, a, s) in enumerate(cases):
         drawn = np.hypot(m + a * rng.standard_normal(400_000), s * rng.standard_normal(400_000))
@@ -154,7 +154,7 @@ def test_other_cells_have_plans_too(settings):
 
 
 def test_a_rotation_beyond_half_a_turn_in_the_cones_units_still_costs_taps(settings):
-    """Beyond the grid, the taps to go grow linearly with the remaining rotation."""
+    """Beyond the grid, the remaining number of taps grows linearly with the remaining rotation."""
     policy = make_planner("optimal", settings)
     far = policy.taps_to_go(np.full(4, 0.09), np.array([3.0, 4.0, 5.0, 6.0]))
     largest = settings.cone_slope * settings.largest_distance

@@ -1,4 +1,4 @@
-"""Taps on polygons chosen for many trials at once, against those chosen for a session."""
+"""Taps on polygons chosen for many trials at once, compared with those chosen by a session."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PLANNER = make_planner("exact", PlannerSettings(cone_slope=TAP.cone_slope))
 
 
 def states(count, seed=3):
-    """Poses, goals, and the exact method's first choices."""
+    """Return poses, goals, and the first choices of the exact method."""
     rng = np.random.default_rng(seed)
     pose = rng.uniform([-0.1, -0.1, -math.pi], [0.1, 0.1, math.pi], (count, 3))
     goal = pose + rng.uniform([-0.03, -0.03, -0.3], [0.03, 0.03, 0.3], (count, 3))
@@ -58,7 +58,7 @@ def test_every_tap_is_given_by_a_contact_and_one_trial_is_chosen_for_as_many_are
 
 
 def test_the_choice_is_that_of_a_session():
-    """The same candidate, or one that the session ranks alike: within a tenth of a tap."""
+    """At least 80 % of the choices are those of a session."""
     pose, goal, first, gains = states(30, seed=8)
     chosen = contact_taps(pose, goal, first, gains.value, PLANNER, TAP)
     rough = replace(TAP, sliding=TAP.sliding.approximated())
@@ -81,7 +81,7 @@ def test_the_choice_is_that_of_a_session():
             if reached.size:
                 alike += bool(np.allclose(taps[reached[0]], chosen[row], atol=1e-9))
                 break
-    # The others: candidates of equal cost, or out of reach by the polygon's own slide.
+    # The remaining choices have the same cost, or the polygon's exact slide cannot reach them.
     assert alike >= 0.8 * rows.size
 
 

@@ -1,4 +1,4 @@
-"""Tolerances that no tap can meet are refused with the number that limits."""
+"""Tolerances that no tap can meet are refused, and the refusal states the limit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CAMERA_NOISE = CameraNoise(1e-5, math.radians(0.01))
 
 
 def at(tolerance: float, **others: float | CameraNoise | Scatter) -> PlannerSettings:
-    """Settings for a tolerance in mm and degrees."""
+    """Return settings for a tolerance in mm and degrees."""
     size = {"tolerance_position": 1e-3 * tolerance, "tolerance_angle": math.radians(tolerance)}
     return replace(PlannerSettings(camera=CAMERA_NOISE), **size, **others)
 
@@ -40,7 +40,7 @@ def test_fine_tolerances_are_taken_down_to_what_the_smallest_tap_allows() -> Non
     refused = precision_limit(coarse)
     assert "0.05 mm" in refused and "its 6 mm scatter by 0.3 mm" in refused
     assert precision_limit(replace(coarse, scatter=Scatter(0.005, 0.05, 0.002))) == ""
-    # What the camera cannot tell is the camera's to refuse.
+    # A tolerance below the camera's accuracy is refused elsewhere.
     assert precision_limit(replace(coarse, camera=CameraNoise(1e-4, 1e-3))) == ""
 
 

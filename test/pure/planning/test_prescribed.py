@@ -1,4 +1,5 @@
-"""Prescribed taps: what is asked for is what is struck, and never off the table or out of view."""
+"""Prescribed taps: the requested speed and incidence are used, and the object never leaves the
+table or the view."""
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ SQUARE = Polygon(((0.04, -0.04), (0.04, 0.04), (-0.04, 0.04), (-0.04, -0.04)), 0
 
 @pytest.fixture(scope="module", params=[DISK, SQUARE], ids=["disk", "square"])
 def cell(request):
-    """A space with the caution of experiments, its map, and the body."""
+    """Return a strike space with the safety margins of experiments, its map, and the body."""
     plain = StrikeSpace(make_tap(request.param), Workspace())
     space = StrikeSpace(make_tap(request.param), Workspace(), scatter=cautious(plain))
     return space, FreeSpace(space), request.param
@@ -93,7 +94,8 @@ def test_the_strike_has_the_speed_and_incidence_asked_for(cell, pose, speed, inc
 def test_the_object_stays_on_the_table_though_the_model_is_wrong(
     cell, pose, speed, incidence, friction, restitution, luck
 ):
-    """By the mechanics itself with other parameters: 1/0.85 and 1.1 make the slide longest."""
+    """The true motion is computed with other parameters; factors of 1/0.85 and 1.1 give the longest
+    slide."""
     space, _, body = cell
     decision = session(cell, speed, incidence).decide(pose, in_view=WHOLE_TABLE)
     if not isinstance(decision, Strike):
@@ -103,7 +105,8 @@ def test_the_object_stays_on_the_table_though_the_model_is_wrong(
     moved = truth.outcome(pose, decision.plan.strike_pose, speed)
     end = np.asarray(pose[:2]) + moved[:2] * (1 + 0.05 * luck)
     room = float(space.workspace.edge_distance(end))
-    # A tenth of the way is given to a model whose errors all add up.
+    # If all model errors add up, the object may come closer to the edge by a tenth of the slide's
+    # length.
     assert room >= body.bounding_radius - 0.1 * float(np.hypot(*moved[:2]))
     assert np.all(np.abs(end) < (0.33, 0.25))
 
@@ -115,7 +118,7 @@ def test_the_travel_is_as_near_as_can_be_to_the_direction(cell):
         assert isinstance(decision, Strike)
         heading = math.atan2(decision.commanded.y, decision.commanded.x)
         off = abs(float(wrap_angle(heading - wanted)))
-        # All directions with a disk; four with a square.
+        # A disk can move in all directions; a square only in four.
         assert off < (1e-6 if isinstance(body, Disk) else math.radians(45.1))
 
 

@@ -1,4 +1,4 @@
-"""Preset layouts: gaps, the shortest assignment, and who changes places with whom."""
+"""Preset layouts: gaps, the shortest assignment, and pairs that exchange their places."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def planner(settings):
 
 
 def slide(strike, pose, rng, gain=(1.0, 1.0), scatter=(0.05, 0.15, 0.017)):
-    """An object that answers with its own gains and scatter."""
+    """Return the pose after a tap of an object with the given gains and scatter."""
     command = strike.commanded
     noise = rng.standard_normal(3) * scatter
     length = math.hypot(command.x, command.y) * gain[0] * (1 + noise[0])
@@ -156,7 +156,7 @@ def test_an_object_that_has_fallen_off_or_is_not_known_is_refused(planner, space
 
 
 def test_an_object_that_cannot_be_struck_anywhere_is_refused(tap, planner):
-    """The arm reaches the goal's surroundings but nothing near the object."""
+    """The arm reaches the goal, but no strike pose near the object."""
     space = StrikeSpace(
         tap, Workspace(), lambda poses: np.hypot(poses[..., 0] - 0.15, poses[..., 1]) < 0.12
     )
@@ -212,7 +212,8 @@ def test_gains_of_an_earlier_run_are_used_at_once(planner, space, free, known):
     strike = session.decide((0.0, 0.0, 0.0))
     assert math.hypot(strike.commanded.x, strike.commanded.y) == pytest.approx(0.04)
     assert math.atan2(strike.commanded.y, strike.commanded.x) == pytest.approx(-0.1)
-    assert strike.commanded.theta == pytest.approx(0.1)  # 0.1 rad / (1.25 * 0.8)
+    # the desired rotation of 0.1 rad divided by the gains 1.25 * 0.8
+    assert strike.commanded.theta == pytest.approx(0.1)
     assert np.allclose(strike.predicted, (0.05, 0.0, 0.1))
 
 
@@ -224,7 +225,7 @@ def test_plans_are_made_for_the_box_in_which_a_long_look_stops(tap, space, free)
 
 
 def with_friction(strike, pose, friction, rng):
-    """Where a tap truly ends with friction other than the file's."""
+    """Return the true result of a tap if the friction differs from that in the file."""
     return slide(strike, pose, rng, (1 / friction, 1 / friction))
 
 
@@ -264,7 +265,7 @@ def test_an_object_that_taps_cannot_turn_is_refused_and_any_other_comes_to_its_g
     assert REFUSALS[end.reason] == ErrorCode.TAP_WITHOUT_ROTATION
     assert 3 <= session.taps <= 10
     assert "contact_friction" in end.sentence and "degrees from the goal" in end.sentence
-    # Its position can still be corrected, if the goal has the angle that the object has.
+    # The position can still be corrected if the goal has the object's current angle.
     kept = (*session.goal[:2], pose[2])
     again = PositioningSession(kept, planner, space, free, session.gains)
     end, _ = run(again, pose, rng, (1.0, gain))
@@ -290,7 +291,7 @@ def test_a_probe_begins_with_the_smallest_taps_and_ends_when_the_object_is_known
 
 
 def test_near_an_edge_an_unknown_object_is_refused_until_it_is_probed(planner, tap, known):
-    """A table on which even the smallest tap might be too long."""
+    """On this table even the smallest tap might be too long."""
     table = Workspace(length=0.118, width=0.118)
     space = StrikeSpace(tap, table)
     free = FreeSpace(space)
@@ -323,7 +324,7 @@ def test_after_a_slide_that_nothing_explains_the_next_tap_is_short(planner, spac
     usual = session.decide(pose)
     assert isinstance(usual, Strike)
     short = replace(usual, commanded=Pose(0.03, 0, 0), wanted=Pose(0.03, 0, 0))
-    session.observe(short, pose, (-0.06, 0.0, 0.0))  # three times as far as ever before
+    session.observe(short, pose, (-0.06, 0.0, 0.0))  # three times as far as in any tap before
     after = session.decide((-0.15, 0.0, 0.0))
     assert isinstance(after, Strike)
     assert math.hypot(after.wanted.x, after.wanted.y) < 0.5 * math.hypot(
@@ -343,7 +344,8 @@ def square_tap(contact_friction=0.2):
 
 
 def test_a_polygon_without_a_contact_for_the_safe_taps_is_refused_with_that_reason(known):
-    """A corridor along x; the edges pass on impulses at 45 degrees to it alone."""
+    """The table is a corridor along x, and the edges of the square transmit only impulses at 45
+    degrees to it."""
     tap = square_tap()
     space = StrikeSpace(tap, Workspace(length=0.6, width=0.1299))
     planner = make_planner("exact", PlannerSettings.for_tap(tap))

@@ -48,7 +48,7 @@ def test_the_probability_of_being_inside_is_that_of_drawn_poses(residual, spread
     st.sampled_from([1e-6, 0.015, 0.05, 0.1, 0.25]),
 )
 def test_nothing_is_called_done_that_is_inside_with_less_than_the_confidence(x, y, turn, noise):
-    """A reference of its own: draws of the true pose about the look."""
+    """Independent reference: random samples of the true pose around the observation."""
     found = float(inside_probability((x, y, turn), np.eye(3) * noise**2, 1.0, 1.0))
     if found < CONFIDENCE:
         return
@@ -97,7 +97,7 @@ def test_a_share_given_by_the_user_is_taken():
 
 @pytest.mark.parametrize("relative", [1e-4, 0.01, 0.1, 0.5, 2.0])
 def test_a_round_look_is_judged_as_by_a_fine_quadrature(relative):
-    """Independent reference: the noncentral chi-square distribution of the squared distance."""
+    """Independent reference: the Rice distribution of the distance, integrated numerically."""
     rng = np.random.default_rng(4)
     distance = np.abs(1.0 + relative * rng.normal(0.0, 2.0, 200))
     heading = rng.uniform(0.0, 7.0, 200)

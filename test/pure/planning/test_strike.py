@@ -27,7 +27,8 @@ angles = st.floats(-math.pi, math.pi)
 
 
 def outline_gap(space, pose, tip):
-    """Independent of the code: least gap of the tool (sampled discs) to the disk's edge."""
+    """Return the smallest distance between the tool (sampled by discs) and the disk's edge,
+    independently of the code under test."""
     s = space.settings
     gaps = [math.hypot(tip.x - pose.x, tip.y - pose.y) - space.tip_radius]
     for back in np.linspace(s.tool_start, s.tool_length, 400):
@@ -44,7 +45,7 @@ def test_a_strike_makes_the_displacement_from_its_standoff(space, tap, turn, hea
         [size * math.cos(heading), size * math.sin(heading), share * tap.cone_slope * size]
     )
     found = space.first_strike(pose, wanted[None, :])
-    if found is None:  # only because the tool would touch the object
+    if found is None:  # this must be because the tool would touch the object
         plan = tap.plan(wanted, pose)
         assert outline_gap(space, pose, Pose(*space.rest_pose(plan.strike_pose))) < 0.0015
         return
@@ -112,7 +113,7 @@ def test_a_keep_out_beside_the_path_stops_a_long_tap_only(tap):
 
 
 def test_places_that_cannot_be_tapped_back_are_not_workable(tap):
-    """An arm that can only strike towards +x can never bring anything back."""
+    """An arm that can only strike towards +x can never move an object back."""
 
     def reach(poses):
         return np.cos(poses[..., 2]) > 0.2
@@ -147,7 +148,7 @@ def test_the_outline_of_the_workable_region_has_it_on_one_side_only(tap):
     assert np.allclose(np.linalg.norm(across, axis=-1, keepdims=True), half)
     for one, other in zip(np.round(middle + across, 6), np.round(middle - across, 6), strict=True):
         assert (tuple(one) in cells) != (tuple(other) in cells)
-    # closed: every corner ends an even number of edges
+    # The outline is closed: each corner belongs to an even number of edges.
     _, counts = np.unique(np.round(edges.reshape(-1, 2), 6), axis=0, return_counts=True)
     assert np.all(counts % 2 == 0)
 
@@ -191,7 +192,8 @@ def test_impossible_strikers_are_refused(change):
 
 
 def test_a_decision_with_limits_and_keep_outs_is_quick(tap):
-    """The aim is 20 ms; 100 ms here leaves room for a busy machine (the median of many)."""
+    """The target is 20 ms. The limit of 100 ms for the median leaves a margin for a busy
+    machine."""
     table = Workspace(keep_outs=(CircleArea(0.1, 0.05, 0.02), CircleArea(-0.1, -0.05, 0.02)))
     space = StrikeSpace(tap, table)
     free = FreeSpace(space)

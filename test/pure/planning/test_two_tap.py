@@ -42,7 +42,8 @@ def test_inside_the_cone_one_tap_does_it(distance, share, variant, line):
 
 
 @given(st.floats(0.0, 0.03), st.floats(0.0, 0.35), variants, lines, st.floats(-1.0, 1.0))
-@example(0.0234375, 0.1875, "overshoot", 0.3, 1.0)  # just outside the cone: the nearest too narrow
+# just outside the cone
+@example(0.0234375, 0.1875, "overshoot", 0.3, 1.0)
 @example(0.02, 0.13, "overshoot", 0.6, -1.0)
 def test_after_the_first_tap_another_reaches_the_goal_wherever_on_the_error_line(
     distance, rotation, variant, line, error
@@ -51,7 +52,7 @@ def test_after_the_first_tap_another_reaches_the_goal_wherever_on_the_error_line
     tap = two_tap_choice(distance, rotation, settings, line)
     second = abs(distance - float(tap.distance))
     left = rotation - float(tap.rotation) * (1.0 + error * line)
-    if second < 1e-12:  # it was the direct tap
+    if second < 1e-12:  # a direct tap reaches the goal
         assert abs(rotation - float(tap.rotation)) < 1e-12
         return
     assert second >= SECOND_TAP_MARGIN * settings.smallest_distance * (1 - 1e-9)

@@ -1,4 +1,4 @@
-"""The memory of visited poses, against going round in circles."""
+"""The memory of visited poses prevents the planner from going round in circles."""
 
 from __future__ import annotations
 
@@ -42,13 +42,14 @@ def test_the_goal_itself_stays_free_however_close_a_visited_pose_was() -> None:
 
 @given(st.integers(2, 6))
 def test_a_walk_along_a_line_leaves_a_dead_end(length: int) -> None:
-    """On a line of places the goal seems near beyond a wall; the way out is behind the start."""
+    """The places form a line. The goal seems to be near, but it is behind a wall, and the only way
+    out leads back past the start."""
     visited = VisitedPoses(np.array([1.0, 0.0, 0.0]))
     place = length
     for _ in range(40 * length**2):
         choices = [each for each in (place - 1, place + 1) if each <= length]
         poses = np.array([[0.02 * each, 0.0, 0.0] for each in choices])
-        estimate = 1.0 + length - np.array(choices, dtype=float)  # towards the wall
+        estimate = 1.0 + length - np.array(choices, dtype=float)  # smaller towards the wall
         cost = estimate + visited.extra(poses, estimate)
         best = int(np.argmin(cost))
         visited.add(np.array([0.02 * place, 0.0, 0.0]), 1.0 + float(cost[best]))

@@ -1,4 +1,5 @@
-"""The timeline of a run with fixed tappers: charging, flight, slide, images, decision."""
+"""The timeline of a run with fixed tappers: charging, motion of the striker, slide, images,
+decision."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from tapping_cell.report.activities import activities
 
 
 class Recorded:
-    """A bag with messages of the given times, s."""
+    """A bag with messages at the given times, s."""
 
     def __init__(self, *messages: tuple[str, float, Any]) -> None:
         self._messages = messages

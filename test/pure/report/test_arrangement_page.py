@@ -1,4 +1,4 @@
-"""The report of an arrangement: what happened to each object, in which order, and why."""
+"""The report of an arrangement: the moves of each object, their order, and their reasons."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def tap(number: int, name: str, before: Pose, after: Pose | None, purpose: str) 
 
 @pytest.fixture
 def run() -> ArrangementRun:
-    """Two objects exchange their places; one of them makes way first."""
+    """Return a run in which two objects exchange their places and one of them moves out of the way
+    first."""
     middle = Pose(0.05, 0.06, 0.2)
     taps = (
         tap(1, "<b> 2", OTHER, middle, AWAY),
@@ -95,7 +96,8 @@ def test_the_page_tells_each_object_and_each_reason(run: ArrangementRun) -> None
     shown = text.replace("&nbsp;", " ")
     assert "-100.0 mm, 0.0 mm, 0.0 deg" in shown and "100.0 mm, 0.0 mm, 28.6 deg" in shown
     assert "<b> 2" not in text, "a name is text, not HTML"
-    assert len(re.findall("<svg", text)) == 3 + 3  # before, between, after; three moves
+    # views before, between and after the moves, and one per move
+    assert len(re.findall("<svg", text)) == 3 + 3
     assert "http" not in text
 
 

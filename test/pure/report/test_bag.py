@@ -1,4 +1,4 @@
-"""Bags are what ROS's own tools read, and survive the death of their writer."""
+"""Bags can be read by ROS's own tools, and remain readable if the recorder is killed."""
 
 from __future__ import annotations
 
@@ -182,10 +182,10 @@ def test_a_killed_writer_leaves_all_that_was_flushed(tmp_path: Path) -> None:
     bag = read_bag(tmp_path / "bag")
     assert not bag.whole
     assert [message.stamp for message in bag.messages] == list(range(1, 41))
-    # The library of MCAP gets the same out of it, record by record.
+    # The MCAP library reads the same records.
     stream = StreamReader(io.BytesIO(bag_file(tmp_path / "bag").read_bytes()))
     found = []
-    with pytest.raises(Exception):  # noqa: B017 - at the cut it may raise any of its own
+    with pytest.raises(Exception):  # noqa: B017 - the exception raised at the cut is not specified
         for record in stream.records:
             found.append(type(record).__name__)
     assert found.count("Message") == 40

@@ -1,4 +1,4 @@
-"""Error codes are declared once, in ErrorCode.msg, and every one of them is reported somewhere."""
+"""Error codes are declared only in ErrorCode.msg, and each of them is reported somewhere."""
 
 from __future__ import annotations
 

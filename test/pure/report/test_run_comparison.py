@@ -1,4 +1,4 @@
-"""The comparison of runs: a table that its reader sorts."""
+"""The comparison of runs is a table that the reader can sort."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RUN = Run(
     outline=(),
     table_size=(0.6, 0.4),
 )
-# Name, seconds, start; as text, 10.0 would come before 9.0.
+# Name, duration in s, start. Sorted as text, 10.0 would come before 9.0.
 RUNS = [("run 2", 10.0, Pose(0.03, 0.0, 0.0)), ("run 10", 9.0, None), ("run 1", 100.0, RUN.goal)]
 
 
@@ -69,7 +69,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     [
         ("run", ["run 1", "run 2", "run 10"], ["run 10", "run 2", "run 1"]),
         ("time", ["run 10", "run 2", "run 1"], ["run 1", "run 2", "run 10"]),
-        # The start of run 10 is unknown: it stays last.
+        # The start of run 10 is unknown, so it is always last.
         ("distance at the start", ["run 1", "run 2", "run 10"], ["run 2", "run 1", "run 10"]),
     ],
 )

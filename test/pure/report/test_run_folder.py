@@ -1,4 +1,4 @@
-"""The run folder says what happened, in mm and degrees, and is made of the bag alone."""
+"""The run folder describes a run in mm and degrees, and can be rebuilt from the bag alone."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ VOID = {"meta", "img", "br"}
 
 
 class Page(HTMLParser):
-    """A page's words and resources; every element must be closed in its order."""
+    """Collects a page's words and resources; each element must be closed in the right order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What the report says of one tap, and the film of a run."""
+"""The report's description of a tap, and the film of a run."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SPREAD = ((4e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 4e-4))
 
 
 def tap(number: int = 1, **changed: Any) -> TapRow:
-    """A tap of 40 mm along x with a turn of 0.2 rad, unless something else is said."""
+    """Return a tap of 40 mm along x with a rotation of 0.2 rad; ``changed`` replaces fields."""
     plain: dict[str, Any] = {
         "number": number,
         "tap_id": number,

@@ -1,4 +1,4 @@
-"""The simulated picture shows the arm where it truly is, over what it covers."""
+"""The simulated image shows the arm at its true position, hiding what is below it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AIM = Pose(-0.04, 0.02, 0.5) @ Pose(-0.07, 0.0, 0.0)
 
 
 def reaching() -> np.ndarray:
-    """Joints with the tip before the object."""
+    """Return joints with which the tip is next to the object."""
     tip = CELL.arm_base.inverse() @ AIM
     solution = CELL.file.arm.geometry().inverse((tip.x, tip.y, 0.006, tip.theta))
     assert solution.joints is not None
@@ -35,13 +35,13 @@ def solids(joints):
 
 
 def changed(parts) -> np.ndarray:
-    """Pixels that parts of the arm change, (rows, columns)."""
+    """Return the pixels (rows, columns) that the given parts of the arm change."""
     with_arm = SCENE.render(TRUE, occluders=parts)
     return np.asarray(with_arm != SCENE.render(TRUE))
 
 
 def test_the_striker_is_where_the_tip_is() -> None:
-    """Behind the tip the tool is drawn, before it the table is free."""
+    """The tool is drawn behind the tip, and the table in front of the tip is free."""
     striker, tool, *_ = solids(reaching())
     seen = changed([striker, tool])
     for along, covered in ((-0.05, True), (0.012, False)):

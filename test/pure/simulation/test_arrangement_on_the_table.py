@@ -1,4 +1,5 @@
-"""An arrangement with the simulated world: a tap that hits another object is noticed and mended."""
+"""An arrangement in the simulated world: a tap that hits another object is noticed and
+corrected."""
 
 from __future__ import annotations
 
@@ -32,7 +33,8 @@ TABLE = CELL.file.table
 ONE, OTHER = CELL.object.name, "second disk"
 STARTS = {ONE: Pose(-0.12, 0.0, 0.0), OTHER: Pose(0.06, 0.005, 0.0)}
 GOALS = {ONE: Pose(-0.05, 0.0, 0.0), OTHER: STARTS[OTHER]}
-"""The second disk is at its goal already; the first one has 20 mm left to the other afterwards."""
+"""The second disk starts at its goal. When the first disk is at its goal, the gap between them is
+20 mm."""
 
 
 def tabletop() -> Tabletop:
@@ -54,7 +56,7 @@ def bodies() -> list[Body]:
 
 
 class Camera:
-    """Observes the true poses with the camera's noise; a longer observation has less."""
+    """Observes the true poses with the camera's noise; a longer observation has less noise."""
 
     def __init__(self, body: Body) -> None:
         self._noise = body.planner.settings.camera
@@ -75,8 +77,8 @@ class Camera:
 @pytest.mark.parametrize("too_strong", [1, 0])
 def test_after_a_true_contact_both_objects_are_brought_to_their_goals(too_strong: int) -> None:
     """The first ``too_strong`` taps have three times the planned speed, so that the first disk hits
-    the other one; the planner leaves room for slides of several times the planned length. Without
-    such a tap nothing is touched."""
+    the other one, although the planner leaves a clearance for slides of several times the planned
+    length. Without such a tap nothing is touched."""
     top, now = tabletop(), 0.0
     table = bodies()
     session, camera = ArrangementSession(table), Camera(table[0])

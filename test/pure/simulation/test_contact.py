@@ -1,4 +1,5 @@
-"""The contact integrated in time, against closed forms, an independent integral, and physics."""
+"""The contact integrated in time, compared with closed forms, an independent integral, and physical
+laws."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ STILL = Motion(0.0, 0.0, 0.0)
 
 
 def smooth(_: Motion) -> Acceleration:
-    """A table without friction."""
+    """Return the acceleration on a table without friction: zero."""
     return Acceleration(0.0, 0.0, 0.0)
 
 
@@ -32,7 +33,7 @@ def collided(
     incidence: float,
     speed: float,
 ) -> tuple[Motion, Flight, float]:
-    """A ball that comes from -x and meets the body at y = ``along``."""
+    """Simulate a ball that comes from -x and meets the body at y = ``along``."""
     outline = Outline(body, (0.0, 0.0))
     contact = Contact(outline, body.mass, body.inertia, striker, law, smooth)
     if isinstance(body, Polygon):
@@ -68,7 +69,8 @@ def test_a_free_striker_launches_a_round_body_as_the_closed_form_says(
     striker_mass: float,
     ring: bool,
 ) -> None:
-    """B3 = 0: the normal direction does not depend on sliding, and all restitutions agree."""
+    """With B3 = 0, the normal direction does not depend on sliding, and all definitions of
+    restitution agree."""
     body = Ring(0.05, 0.1, 0.01) if ring else DISK
     striker = Striker(striker_mass, 0.0054, "free")
     law = ContactLaw(restitution, friction, 1e-4)
@@ -77,7 +79,7 @@ def test_a_free_striker_launches_a_round_body_as_the_closed_form_says(
         speed, incidence, (-body.bounding_radius, 0.0)
     )
     size = float(np.hypot(*closed.velocity))
-    # The contact's point wanders by the way that the ball makes meanwhile.
+    # The contact point moves along the edge during the contact.
     way = speed * law.contact_time / body.bounding_radius
     off = (0.005 + 3 * way) * size
     assert math.hypot(motion.vx, motion.vy) == pytest.approx(size, abs=off)
@@ -105,8 +107,8 @@ def test_off_centre_it_is_the_impact_with_energetic_restitution(
     friction: float,
     constraint: Literal["free", "linear_bearings"],
 ) -> None:
-    """The same impact in the plane of impulses (Stronge 1990): tiny steps of the normal impulse,
-    until the normal's work in restitution is e^2 of that in compression."""
+    """The reference integrates the same impact over small steps of the normal impulse (Stronge
+    1990), until the work of the normal force in restitution is e^2 of that in compression."""
     striker = Striker(0.1, 0.0054, constraint)
     law = ContactLaw(restitution, friction, 5e-5)
     motion, _, _ = collided(SQUARE, striker, law, along, incidence, 0.3)
@@ -181,7 +183,8 @@ def test_the_contact_lasts_as_long_as_the_truth_says() -> None:
 
 
 def test_a_contact_that_is_compliant_along_the_tangent_gives_back_of_the_sliding() -> None:
-    """What sticks rigidly keeps no sliding; a spring returns it the other way."""
+    """A rigid contact that sticks keeps no sliding velocity; a tangential spring returns part of it
+    in the opposite direction."""
     striker = Striker(0.1, 0.0054, "free")
     rigid, _, _ = collided(DISK, striker, ContactLaw(0.8, 2.0, 1e-4), 0.0, 0.5, 0.3)
     soft, _, _ = collided(DISK, striker, ContactLaw(0.8, 2.0, 1e-4, 0.8), 0.0, 0.5, 0.3)

@@ -1,4 +1,5 @@
-"""The emulated Grbl answers as Grbl's documentation says, and its arm moves as physics says."""
+"""The emulated Grbl answers according to Grbl's documentation, and its arm moves according to
+physics."""
 
 from __future__ import annotations
 
@@ -121,7 +122,7 @@ def test_lines_wait_for_room_and_all_are_run() -> None:
     long = b"".join(b"G1X%dF600\n" % (i % 2) for i in range(1, 12))
     exchange(emulator, long, 30.0, 30.05)
     answers = exchange(emulator, long, 30.1, 60.0)
-    assert answers.count("ok") >= 11 - 4  # what did not fit in 128 bytes was lost
+    assert answers.count("ok") >= 11 - 4  # bytes beyond the buffer of 128 were lost
     assert not emulator.moving(60.0)
 
 
@@ -143,7 +144,7 @@ def test_repeatability_has_its_own_spread_and_is_seeded() -> None:
     for i in range(400):
         exchange(emulator, b"G1X%dF6000\n" % (i % 2), 1 + i, 1.99 + i)
         ends.append(emulator.joints(1.99 + i)[0] - math.radians(i % 2))
-    # The first line goes to where the arm is already.
+    # The first line is excluded because the arm is already there.
     assert np.std(ends[1:]) == pytest.approx(spread, rel=0.15)
 
 

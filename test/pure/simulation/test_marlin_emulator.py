@@ -1,4 +1,4 @@
-"""The emulated Marlin answers wrong lines as real boards do (measured on real firmware)."""
+"""The emulated Marlin answers wrong lines like real boards (measured with real firmware)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of a slide are evenly spaced in the world's time, however late the machine is."""
+"""Images of a slide are evenly spaced in simulated time, even if the machine is late."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ PERIOD = 1 / 30
 
 
 def play(pace: Pace, ticks: list[float], launch: float, slide: float) -> list[tuple[float, float]]:
-    """Times (machine, world) of the pictures; the world is at rest but for one slide."""
+    """Return the times (machine, world) of the images. The world is at rest except for one
+    slide."""
     taken: list[tuple[float, float]] = []
     world = ticks[0]
     for now in ticks:
-        # The launch is announced at the machine's time, the slide ends in the world's.
+        # The slide begins at a time of the machine, but ends at a time of the world.
         at_rest = now < launch or world >= launch + slide
         time = pace.next_picture(now, at_rest)
         if time is not None:

@@ -1,4 +1,4 @@
-"""The rendered camera against brute force: exact places, honest blur, and time."""
+"""The rendered camera compared with brute force: geometry, blur, and computing time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def scene() -> SceneRenderer:
 
 
 def brute_force(scene: SceneRenderer, pose: np.ndarray, window: tuple[int, int, int, int]):
-    """1 where white is printed, 0 where black, by 8 x 8 points a pixel, blurred like the lens."""
+    """Return 1 where the surface is white and 0 where it is black, sampled by 8 x 8 points per
+    pixel and blurred like the lens."""
     x0, y0, x1, y1 = window
     fine = 8
     offsets = (np.arange(fine) + 0.5) / fine - 0.5
@@ -54,7 +55,8 @@ def brute_force(scene: SceneRenderer, pose: np.ndarray, window: tuple[int, int, 
     inside = (column >= 0) & (column < size) & (row >= 0) & (row < size)
     value = np.where(inside, pattern[row.clip(0, size - 1), column.clip(0, size - 1)], True)
     soft = gaussian_filter(value.astype(float), BLUR * fine)
-    # The blur given to the renderer includes the pixel's own area: points, not means, are compared.
+    # The renderer's blur includes the pixel's own area. Therefore, point values are compared
+    # instead of means over pixels.
     return 0.5 * (
         soft[fine // 2 - 1 :: fine, fine // 2 - 1 :: fine]
         + soft[fine // 2 :: fine, fine // 2 :: fine]
@@ -113,8 +115,8 @@ def test_the_object_leaves_no_trace_and_may_leave_the_image(scene):
 
 
 def test_the_side_wall_shows_towards_the_camera(scene):
-    """Seen from the middle, a disk at the right hides the table beyond its top's outer edge
-    only."""
+    """The camera is above the middle. A disk on the right hides the table only beyond the outer
+    edge of its top."""
     pose = np.array([0.25, -0.02, 0.0])
     image = scene.render(pose).astype(float)
     inner_top, inner_base = (
@@ -155,7 +157,7 @@ def test_coverage_of_a_polygon_is_its_area():
 
 def test_a_frame_takes_little_of_its_33_ms(scene):
     def least(frames: int, step: float) -> float:
-        """Least time of a frame, in ms of this process: others share the machine."""
+        """Return the shortest processor time of a frame, ms; other programs do not affect it."""
         spent = []
         for k in range(frames):
             begin = time.process_time()

@@ -1,4 +1,4 @@
-"""The world's slide, integrated point by point, against closed forms and against physics."""
+"""The simulated slide, integrated point by point, compared with closed forms and physical laws."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_uniform_body_slides_as_the_closed_forms_say(
 def test_the_steps_are_short_enough_for_every_law_at_once(
     vx: float, spin: float, anisotropy: float
 ) -> None:
-    """Against a tight integration of the same forces by an integrator of another kind."""
+    """The reference integrates the same forces with another method and a small tolerance."""
     law = replace(
         PLAIN,
         slope=(0.004, -0.003),
@@ -129,7 +129,7 @@ def test_a_tilted_table_draws_downhill_but_does_not_move_what_rests() -> None:
 
 @pytest.mark.parametrize(("heading", "power"), [(0.4, -0.5), (0.4 + math.pi / 2, 0.5)])
 def test_the_grain_brakes_less_along_than_across(heading: float, power: float) -> None:
-    """Along the grain mu / sqrt(ratio), across it mu sqrt(ratio)."""
+    """The friction is mu / sqrt(ratio) along the grain and mu sqrt(ratio) across it."""
     ratio, speed = 1.6, 0.3
     slide = slide_of(DISK, replace(PLAIN, anisotropy=ratio, grain=0.4))
     end, _ = slide.rest(Motion(0.0, 0.0, 0.0, speed * math.cos(heading), speed * math.sin(heading)))
@@ -139,7 +139,7 @@ def test_the_grain_brakes_less_along_than_across(heading: float, power: float) -
 
 
 def test_friction_that_depends_on_speed() -> None:
-    """A plain slide is a quadrature: x = int v dv / (mu(v) g)."""
+    """Without rotation, the distance is an integral: x = int v dv / (mu(v) g)."""
     law = replace(PLAIN, slow_rise=0.8, slow_speed=0.04, viscous=1.5)
     end, _ = slide_of(DISK, law).rest(Motion(0.0, 0.0, 0.0, 0.25))
 
@@ -151,7 +151,8 @@ def test_friction_that_depends_on_speed() -> None:
 
 
 def test_a_patch_has_its_own_friction() -> None:
-    """Onto the patch's far half of the plane: energy is used up at one rate and then at another."""
+    """The object slides onto a patch that covers a half-plane and loses energy there at another
+    rate."""
     law = replace(PLAIN, patches=((1.05, 0.0, 1.0, 2.5),))
     small = Disk(radius=0.002, mass=0.1, height=0.01)
     end, _ = slide_of(small, law).rest(Motion(0.0, 0.0, 0.0, 0.6))
@@ -166,7 +167,8 @@ def test_a_disk_that_rests_on_its_rim_slides_as_a_ring_of_its_inertia() -> None:
     law = replace(PLAIN, torque_factor=1.3)
     slide = slide_of(DISK, law, SupportTruth(pressure="rim"))
     end, _ = slide.rest(Motion(0.0, 0.0, 0.0, 0.2, 0.0, 4.0))
-    # The ring's own inertia is m R^2, the disk's half of it: twice the torque factor.
+    # The ring's moment of inertia is m R^2, which is twice the disk's. Therefore, its torque factor
+    # is doubled, too.
     ring = Sliding(Ring(0.048, 0.2455, 0.012), friction=0.17, torque_factor=2.6, gravity=GRAVITY)
     distance, rotation, _ = ring.rest(0.2, 4.0)
     assert end.x == pytest.approx(float(distance), rel=5e-3)
@@ -177,7 +179,7 @@ def test_three_points_carry_what_the_centre_of_mass_says() -> None:
     support = SupportTruth(pressure="three_points", feet_radius=1.0, mass_offset=(0.012, 0.0))
     points, grip = sample_support(DISK, support)
     assert grip @ points == pytest.approx([0.012, 0.0], abs=1e-12)
-    # Moments about the line of the two feet at -R / 2.
+    # Equilibrium of moments about the line through the two feet at -R / 2.
     assert grip[0] == pytest.approx((0.012 + 0.024) / 0.072)
 
 

@@ -1,4 +1,5 @@
-"""Several objects on one simulated table: gaps, impacts, who is struck, and what is reported."""
+"""Several objects on one simulated table: gaps, impacts, the object that is struck, and the
+reports."""
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ solids = st.sampled_from(SOLIDS)
 
 
 def rim(solid: Solid, motion: Motion) -> np.ndarray:
-    """Points all along the outline."""
+    """Return points along the whole outline."""
     corners = solid.at(motion)
     edges = np.roll(corners, -1, axis=0) - corners
     shares = np.linspace(0.0, 1.0, 400)[:, None, None]
@@ -70,7 +71,7 @@ def test_the_gap_is_the_least_distance_of_the_outlines(
         p, q = rim(first, here), rim(second, there)
         nearest = np.hypot(*(p[:, None, :] - q[None, :, :]).T).min()
         assert gap.distance == pytest.approx(nearest, abs=2e-4)
-        # Moved by the gap along its normal, the first touches the second.
+        # Moved by the gap along its normal, the first object touches the second.
         nx, ny = gap.normal
         moved = here._replace(x=here.x + gap.distance * nx, y=here.y + gap.distance * ny)
         assert gap_between(first, second, moved, there).distance == pytest.approx(0.0, abs=1e-9)
@@ -119,7 +120,7 @@ def named(content: ObjectFile, name: str) -> ObjectFile:
 
 
 def tabletop(*starts: tuple[float, float, float], contents: tuple[ObjectFile, ...] = ()):
-    """Objects at these places: the cell's disk and squares, or those given."""
+    """Return a table with objects at these places: the cell's disk and squares, or ``contents``."""
     files = contents or (
         CELL.object,
         *(named(SQUARE, f"square {n}") for n in range(1, len(starts))),
@@ -171,7 +172,7 @@ def test_a_hit_off_the_middle_turns_the_other_object() -> None:
     top = tabletop((-0.10, 0.03, 0.0), (0.0, 0.0, 0.0))
     assert top.strike(Pose(-0.17, 0.03, 0.0), 0.006, 1.0, 0.0)
     settle(top)
-    # Pushed along +x above its centre, the square turns clockwise.
+    # The square is pushed along +x above its centre, so it turns clockwise.
     assert top.poses["square 1"].theta < -0.02
 
 

@@ -1,4 +1,4 @@
-"""The simulated world as evaluation asks it."""
+"""The interface through which evaluation uses the simulated world."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_the_truth_and_the_gains_count_and_the_generator_decides() -> None:
         world.answer(poses, poses, wanted, gains, np.random.default_rng(7)) for _ in range(2)
     )
     assert np.array_equal(first, again)
-    # Half of the distance for twice the friction, and the gain on top.
+    # Twice the friction halves the distance, and the gain multiplies it.
     ratio = np.hypot(*first[:, :2].T) / np.hypot(*wanted[:, :2].T)
     assert ratio == pytest.approx(0.75, rel=0.15)
     assert not math.isclose(ratio[0], ratio[1])

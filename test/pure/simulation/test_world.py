@@ -1,4 +1,5 @@
-"""The simulated world answers a strike as its truth says, and not as the planner believes."""
+"""The simulated world reacts to a strike according to its true parameters, not to the planner's
+parameters."""
 
 from __future__ import annotations
 
@@ -101,7 +102,8 @@ def spread(truth: TruthFile) -> np.ndarray:
 def test_taps_scatter_from_one_to_the_next_as_the_truth_says() -> None:
     ends = spread(replace(PLAIN, scatter=ScatterTruth(speed=0.05, spin=0.0, direction=0.02)))
     distance = np.hypot(ends[:, 0] - START.x, ends[:, 1] - START.y)
-    # Distance goes with the square of the speed: 5 % becomes 10 %; 40 draws know it to a quarter.
+    # The distance is proportional to the square of the speed, so 5 % becomes 10 %. 40 samples
+    # determine the scatter to within a quarter.
     assert 0.07 < distance.std() / distance.mean() < 0.14
     heading = np.arctan2(ends[:, 1] - START.y, ends[:, 0] - START.x)
     assert 0.014 < heading.std() < 0.028
@@ -148,7 +150,7 @@ def test_where_it_comes_to_rest_does_not_depend_on_when_it_is_looked_at(gaps: li
     for gap in gaps:
         time += gap
         glimpsed.advance(time)
-        # Between two looks it moves no faster than a striker of that mass can make it.
+        # The object never moves faster than a striker of this mass can push it.
         assert math.dist(glimpsed.pose[:2], before[:2]) < 0.3 * gap + 1e-9
         before = glimpsed.pose
     glimpsed.advance(10.0)
@@ -158,7 +160,8 @@ def test_where_it_comes_to_rest_does_not_depend_on_when_it_is_looked_at(gaps: li
 
 
 def test_a_striker_follows_through_to_the_end_of_its_stroke() -> None:
-    """A light object struck by a heavy, dead striker is pushed on; a short stroke ends that."""
+    """A heavy striker that hardly rebounds keeps pushing a light object; a short stroke ends
+    this."""
     content = replace(CELL.object, mass=0.02, restitution=0.1, friction=0.6)
     striker = Striker(0.3, 0.0054, "linear_bearings")
     tip = Pose(START.x - 0.0054 - 0.048 - 0.005, START.y, 0.0)
@@ -173,10 +176,10 @@ def test_a_striker_follows_through_to_the_end_of_its_stroke() -> None:
 
     alone = moved(0.025, 0.0)
     pushed = moved(0.025, 2.0)
-    # The one impact: (1 + e) m_s / (m + m_s) of the striker's speed.
+    # After a single impact, the object has (1 + e) m_s / (m + m_s) times the striker's speed.
     speed = 1.1 * 0.3 / 0.32 * 0.2
     assert alone == pytest.approx(speed**2 / (2 * 0.6 * 9.81), rel=0.02)
-    # To where the tip stops, and then as far as the push has left it fast.
+    # The object is pushed to the end of the striker's stroke and then slides on.
     assert 0.020 < pushed < 0.023
     assert alone < moved(0.012, 2.0) < pushed
 
@@ -190,7 +193,7 @@ def test_a_centre_of_mass_off_the_middle_turns_a_push_through_the_middle() -> No
         world.strike(tip, 0.006, 0.3, 0.0)
         return settled(world).theta
 
-    # Struck to the right of its centre of mass it turns to the left.
+    # Struck to the right of its centre of mass, the object turns to the left.
     assert turned(0.004) > 0.01
     assert turned(-0.004) == pytest.approx(-turned(0.004), rel=1e-6)
     assert turned(0.0) == pytest.approx(0.0, abs=1e-9)
@@ -220,7 +223,8 @@ def test_every_supplied_world_answers_a_tap(file: Path) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.7])
 def test_small_taps_end_beside_their_end_by_the_floor(share: float) -> None:
-    """The floor of the scatter at the end of taps of two sizes, along, across and in rotation."""
+    """The final pose of taps of two lengths scatters by the floor: along the tap, across it, and in
+    rotation."""
     floor = ScatterTruth(position_floor=3e-4, angle_floor=0.004)
     tap = CELL.object.tap(STRIKER)
     for distance in (0.003, 0.02):

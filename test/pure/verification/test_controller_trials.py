@@ -1,4 +1,5 @@
-"""The trials of the benchmark arm-controllers: one of each kind, and that they can fail."""
+"""The trials of the benchmark arm-controllers: one of each kind passes, and a defect makes them
+fail."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Error codes made to happen in the simulated cell, in virtual time, as a technician reads them.
+"""Error codes provoked in the simulated cell, in virtual time.
 
-Each scenario ends with a code on a published state or on a goal's result, and checks that its
-sentence names what is wrong. ``test_every_code_is_named_in_a_test`` finds codes without a test.
+Each scenario ends with a code in a published state or in a goal's result, and checks that the
+sentence names the cause. ``test_every_code_is_named_in_a_test`` finds codes without a test.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ LONG_S = 90.0
 
 
 class SwappedPorts(Trial):
-    """A cell whose drivers open the port of the other board."""
+    """A cell in which each driver opens the port of the other board."""
 
     def _lines(self) -> tuple[SerialLine, ...]:
         return self.physical.tapper_line, self.physical.arm_line
@@ -61,7 +61,8 @@ class HighTravel(Trial):
 
 
 class ReportedCell:
-    """A cell without faults of its own, and every code that its nodes report, with its sentence."""
+    """A cell without injected faults that collects the codes reported by its nodes, with their
+    sentences."""
 
     def __init__(self, kind: type[Trial] = Trial) -> None:
         self.trial = kind(seed=21, faults=False)
@@ -79,7 +80,7 @@ class ReportedCell:
             self.codes.setdefault(message.error_code, message.error_msg)
 
     def ready(self) -> None:
-        """Bring the cell up, and forget what was reported before it was ready."""
+        """Start the cell, and discard the reports from before it was ready."""
         self.trial.bring_up()
         self.trial.physical.world.place(START)
         self.run(2.0)
@@ -97,14 +98,15 @@ class ReportedCell:
             assert word in self.codes[code], self.codes[code]
 
     def goal(self, goal: Pose = GOAL, **fields: Any) -> None:
-        """Send an action goal."""
+        """Send a goal to the action."""
         request = PositionObject.Goal(goal_pose=PoseStamped(pose=to_message(goal)), **fields)
         request.goal_pose.header.frame_id = "table"
         planner = self.trial.processes["tap_planner"]
         planner.request("position_object", request, object(), self._take)
 
     def tap(self, number: int, expires_in: float = 10.0) -> TapCommand:
-        """Return a program's tap behind the object; ``number`` distinguishes its id."""
+        """Return a tap command of another program, with the striker behind the object; ``number``
+        distinguishes its id."""
         now = self.trial.clocks["tap_planner"].now().ros
         command = TapCommand(request=TapCommand.TAP, tap_id=now // 10**9 + number)
         command.header.frame_id = "table"
@@ -117,11 +119,11 @@ class ReportedCell:
         return command
 
     def send(self, command: TapCommand, only: str = "") -> None:
-        """Publish a command, to one node or to all."""
+        """Publish a command to all nodes, or to one only."""
         self.trial.network.publish("program", "tap_command", command, only=only)
 
     def break_line(self, name: str, kind: FaultKind, length: int = 1, lasting: float = 0.0) -> None:
-        """Let a fault strike the next byte that a board sends."""
+        """Disturb the next bytes that a board sends."""
         layer = getattr(self.trial.physical, f"{name}_line").layer
         way = Direction.TO_HOST
         layer.add(LineFault(kind, way, layer.count(way), length, lasting))
@@ -138,7 +140,7 @@ def ready_cell(cell: ReportedCell) -> ReportedCell:
     return cell
 
 
-# The boards and their lines
+# The boards and their lines.
 
 
 def test_ports_that_are_swapped_are_told_by_both_drivers() -> None:
@@ -153,7 +155,8 @@ def test_an_arm_at_another_baud_rate_is_unreadable(cell: ReportedCell) -> None:
     layer.emulator = WrongBaud(layer.emulator, 115200, 250000)
     cell.trial.start()
     cell.run(4.0)
-    cell.trial.interrupt_arm_power()  # it greets, as most boards do whenever the port is opened
+    # the board sends a greeting, as most boards do when the port is opened
+    cell.trial.interrupt_arm_power()
     cell.read(ErrorCode.ARM_REPLY_GARBLED, "no text", "check arm.baud")
 
 
@@ -211,7 +214,7 @@ def test_a_motor_without_power_is_a_fault_of_the_tapper(ready_cell: ReportedCell
     ready_cell.read(ErrorCode.TAPPER_FAULT, "check", "motor")
 
 
-# Commands
+# Commands.
 
 
 def test_a_command_that_comes_after_its_expiry_is_refused(ready_cell: ReportedCell) -> None:
@@ -247,7 +250,7 @@ def test_a_board_refuses_a_shot_number_that_another_program_has_used() -> None:
     assert of_tapper(caught.value) == ErrorCode.TAPPER_SPENT
 
 
-# Goals
+# Goals.
 
 
 def test_a_goal_with_more_taps_than_the_cell_allows_is_refused(ready_cell: ReportedCell) -> None:
@@ -270,7 +273,8 @@ def test_more_frames_than_the_camera_delivers_are_too_few(cell: ReportedCell) ->
 
 @pytest.mark.parametrize("state", [TapperState.CHARGING, TapperState.CHARGED])
 def test_a_tapper_that_is_charged_for_somebody_else_is_busy_for_a_goal(state: int) -> None:
-    """Only a cell without an arm shows it: with one, the arm is busy as well."""
+    """The tapper's state only matters in a cell without an arm, because otherwise the arm is busy
+    as well."""
     monitor = CellMonitor(silence_limit=0.5)
     monitor.expect(has_arm=False)
     monitor.on_tapper(TapperState(state=state, tappers=["east"]), Now(1.0, 10**9))
@@ -306,7 +310,7 @@ def test_a_board_that_is_charged_keeps_the_other_from_charging() -> None:
 
 
 def test_every_code_is_named_in_a_test() -> None:
-    """A new code must be made to happen by a test."""
+    """Each error code must be provoked by a test."""
     text = "\n".join(path.read_text() for path in TESTS.rglob("*.py"))
     codes = {name for name, value in vars(ErrorCode).items() if isinstance(value, int)}
     assert codes - {"NONE"} - set(re.findall(r"\b[A-Z][A-Z_]+\b", text)) == set()

@@ -1,4 +1,5 @@
-"""The positioning cell in virtual time: one board or two, no arm, every fault, and it can fail."""
+"""The positioning cell in virtual time: one board or two, no arm, all faults. A defect makes the
+checks fail."""
 
 from __future__ import annotations
 
@@ -42,7 +43,7 @@ def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
 
 
 def test_the_invariants_notice_what_they_forbid() -> None:
-    """A release as it must never be, made up from a real one, breaks each of them."""
+    """Modified copies of a real release each violate one of the invariants."""
     trial = FixedTrial(1, faults=False, mix=MIX)
     assert trial.run(1).violations == []
     good = next(one for one in trial.physical.releases)

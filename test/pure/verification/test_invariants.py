@@ -1,5 +1,5 @@
-"""The invariants about motions of the arm notice what they forbid: its controller is made to move
-behind the back of every node."""
+"""The motion invariants detect forbidden motions: the test moves the controller without any
+node."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def trial() -> Trial:
 
 
 def violated_by_a_motion(trial: Trial) -> set[str]:
-    """Names of the invariants that a motion of the arm, which no node commands, violates."""
+    """Return the names of the invariants violated by a motion that no node has commanded."""
     trial.scheduler.run(trial.scheduler.now + 1.0)
     assert trial.checker.violations == []
     trial.physical.arm_board.receive(JOG, trial.scheduler.now)

@@ -1,7 +1,7 @@
-"""Numbers that no node would send, in every numeric field of every message, while a tap is made.
+"""Extreme numbers in all numeric fields of all messages, during a tap.
 
-A message of another publisher may hold anything. No machine may raise, nothing unsafe may happen,
-and afterwards the cell works on.
+Other publishers may send any values. No state machine may raise an exception, nothing unsafe may
+happen, and the cell must work afterwards.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Setter = Callable[[Any], None]
 
 
 def changes(message: Any) -> Iterator[Setter]:
-    """Functions that each set one number of such a message to an extreme value."""
+    """Yield functions, each of which sets one number of such a message to an extreme value."""
     if isinstance(message, list):
         for index, item in enumerate(message[:4]):
             if isinstance(item, float):
@@ -110,7 +110,7 @@ def test_no_number_in_a_message_disturbs_the_cell(names: tuple[str, ...]) -> Non
     trial.scheduler.run(trial.scheduler.now + lasting + 1.0)
     assert [process.defects for process in trial.processes.values() if process.defects] == []
     assert trial.checker.violations == []
-    # The estimates of the other computers' clocks need 10 s to forget a forged stamp.
+    # A forged stamp affects the estimates of the clock differences for 10 s.
     trial.scheduler.run(trial.scheduler.now + 12.0)
     results: list[Any] = []
     goal = PositionObject.Goal(goal_pose=PoseStamped(pose=to_message(Pose(-0.02, 0.02, 0.0))))

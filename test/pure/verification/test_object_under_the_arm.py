@@ -1,4 +1,4 @@
-"""An object that lies where the arm at rest hides it, in the whole simulated cell."""
+"""An object that is hidden by the resting arm, in the complete simulated cell."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def idle(cell: ScenarioCell) -> bool:
 
 
 def put_under_the_arm(cell: ScenarioCell) -> None:
-    """Put the object at the place nearest to the middle where the arm at rest hides it."""
+    """Put the object at the place nearest to the middle where the resting arm hides it."""
     now = cell.trial.scheduler.now
     grid = [(x, y) for x in np.arange(-0.18, 0.19, 0.03) for y in np.arange(-0.12, 0.13, 0.03)]
     for x, y in sorted(grid, key=lambda place: float(np.hypot(*place))):
@@ -45,7 +45,7 @@ def put_under_the_arm(cell: ScenarioCell) -> None:
 
 
 def move_by_hand(cell: ScenarioCell) -> None:
-    """Have somebody move the arm over the table, and leave it there."""
+    """Simulate a person who moves the arm over the table and leaves it there."""
     point = JointTrajectoryPoint(positions=OVER_THE_TABLE)
     point.time_from_start.sec = 4
     names = ["shoulder", "elbow", "quill", "tool"]
@@ -56,7 +56,7 @@ def move_by_hand(cell: ScenarioCell) -> None:
 
 
 def tap_by_a_program(cell: ScenarioCell) -> None:
-    """Have a program without a planner tap the object, as the planner has tapped it before."""
+    """Let another program repeat a tap that the planner has made before."""
     cell.begin()
     assert cell.run(120.0, lambda: bool(cell.ends()))
     cell.run(5.0)  # the arm parks
@@ -72,7 +72,7 @@ def tap_by_a_program(cell: ScenarioCell) -> None:
 
 
 def send_goal(cell: ScenarioCell) -> None:
-    """Send the goal and forget the end of the former one, which is published until then."""
+    """Send the goal and discard the end of the previous one, which is published until then."""
     cell.trial.send_goal(GOAL)
     assert cell.run(5.0, lambda: cell.plans[-1].state not in FINAL)
     cell.plans.clear()
@@ -112,7 +112,7 @@ def test_without_an_object_the_arm_is_moved_once_a_goal_and_then_told(cell: Scen
 
 
 def test_a_stopped_arm_is_not_moved_off_the_object(cell: ScenarioCell) -> None:
-    """Neither a goal nor a command of its own moves an arm that was stopped."""
+    """An arm that was stopped is moved neither by a goal nor by its own commands."""
     move_by_hand(cell)
     put_under_the_arm(cell)
     cell.trial.press_emergency_stop(60.0)

@@ -1,4 +1,4 @@
-"""What a client and a person can do to a goal, told of one cell in virtual time."""
+"""Actions of clients and people during a goal, in a simulated cell in virtual time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FINAL = (PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 
 
 class ScenarioCell:
-    """A cell that is ready, and everything that its nodes say from then on."""
+    """A cell that is ready, with the messages that its nodes publish from then on."""
 
     def __init__(self) -> None:
         self.trial = Trial(seed=21)
@@ -46,16 +46,17 @@ class ScenarioCell:
         self.plans.clear()
 
     def run(self, duration: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Let virtual time pass; whether the condition came."""
+        """Let virtual time pass; return whether the condition was met."""
         self.trial.scheduler.run(self.trial.scheduler.now + duration, until)
         return until()
 
     def ends(self) -> list[int]:
-        """Error codes of the goals that have ended; an end is told again until the next goal."""
+        """Return the error codes of the goals that have ended. The end of a goal is published until
+        the next goal."""
         return list(dict.fromkeys(plan.error_code for plan in self.plans if plan.state in FINAL))
 
     def begin(self) -> None:
-        """Send the goal and wait until the arm is on its way to the first tap."""
+        """Send the goal and wait until the arm moves to the first tap."""
         self.trial.send_goal(GOAL)
         assert self.run(20.0, lambda: self.arm.state == ArmState.MOVING and self.arm.tap_id > 0)
 
@@ -131,7 +132,8 @@ def test_nothing_is_drawn_while_a_node_hangs_and_the_tap_goes_on_after_it(
 def test_nothing_moves_while_the_emergency_stop_flaps_and_impatient_people_clear_and_home(
     cell: ScenarioCell,
 ) -> None:
-    """A loose contact at 100 Hz, and every service called 50 times a second meanwhile."""
+    """The emergency stop has a loose contact that switches at 100 Hz, while each service is called
+    50 times per second."""
     cell.begin()
     trial = cell.trial
     for step in range(200):

@@ -1,4 +1,5 @@
-"""The deterministic simulator: one seed is one trace, nothing unsafe happens, and it can fail."""
+"""The deterministic simulator: a seed always gives the same trace, nothing unsafe happens, and a
+defect makes the checks fail."""
 
 from __future__ import annotations
 

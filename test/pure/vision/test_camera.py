@@ -1,4 +1,4 @@
-"""The camera model against the formulas of its definition, and its refusals."""
+"""The camera model: its defining formulas, and invalid parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ place = st.floats(-0.45, 0.45)
 
 
 def by_definition(camera: CameraModel, x: float, y: float) -> tuple[float, float]:
-    """OpenCV's documented model, written out."""
+    """Project a point by OpenCV's documented model."""
     d = (*camera.distortion, *([0.0] * (8 - len(camera.distortion))))
     k1, k2, p1, p2, k3, k4, k5, k6 = d
     r2 = x * x + y * y
@@ -42,19 +42,20 @@ def test_projection_is_the_definition_and_rays_undo_it(values, x, y, count):
     try:
         camera = CameraModel(1280, 1024, 1100.0, 1120.0, 630.0, 515.0, tuple(values[:count]), model)
     except CameraError:
-        reject()  # folds back inside the image
+        reject()  # this lens folds back inside the image
     pixel = camera.project([2.0 * x, 2.0 * y, 2.0])
     assert pixel == pytest.approx(by_definition(camera, x, y), abs=1e-8)
     assert camera.rays(pixel) == pytest.approx([x, y], abs=1e-8)
 
 
 def wide_lens(half_angle: float) -> CameraModel:
-    """A fisheye whose radius grows with the angle, as rational_polynomial, to ``half_angle`` deg in
-    the corners."""
+    """Return a fisheye lens whose radius grows with the angle, as a rational_polynomial model, with
+    ``half_angle`` deg in the corners."""
     angle = np.radians(np.linspace(0.0, half_angle, 80))
     r = np.tan(angle)
     powers = r[:, None] ** [2, 4, 6]
-    # angle (1 + k4 r^2 + k5 r^4 + k6 r^6) = r (1 + k1 r^2 + k2 r^4 + k3 r^6)
+    # The model as an equation that is linear in k: angle (1 + k4 r^2 + k5 r^4 + k6 r^6) = r (1 + k1
+    # r^2 + k2 r^4 + k3 r^6).
     columns = np.hstack([r[:, None] * powers, -angle[:, None] * powers])
     k = np.linalg.lstsq(columns, angle - r, rcond=None)[0]
     focal = math.hypot(640.0, 512.0) / math.radians(half_angle)
@@ -76,7 +77,7 @@ def test_rays_of_a_wide_lens_are_seen_at_their_pixels(half_angle):
 def test_a_lens_that_folds_back_inside_the_image_is_refused():
     with pytest.raises(CameraError, match="pixel \\(0, 0\\).*fold back"):
         CameraModel(1280, 1024, 500.0, 500.0, 639.5, 511.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
-    # In the middle of such a lens all is well, and beyond its fold there is nothing to see.
+    # In the middle of the image such a lens is valid; beyond the fold there are no rays.
     small = CameraModel(640, 512, 500.0, 500.0, 319.5, 255.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
     assert np.isfinite(small.rays([0.0, 0.0])).all()
     assert np.isnan(small.rays([-320.0, -256.0])).all()
@@ -153,7 +154,8 @@ def test_a_calibrations_own_deviations_are_read_and_belong_to_its_numbers(tmp_pa
     stated = load_camera_model(path)
     assert plain.deviations == ()
     assert stated.deviations == (0.05, 0.06, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0)
-    # The same camera, whoever tells its numbers: a camera_info message has no deviations.
+    # Models with and without deviations compare equal, because a camera_info message has no
+    # deviations.
     assert stated == plain
     with pytest.raises(CameraError, match="deviations"):
         dataclasses.replace(plain, deviations=(0.1, -1.0))

@@ -1,4 +1,4 @@
-"""The covariance against many random calibrations: corners by projection, no pictures."""
+"""The covariance compared with many random calibrations: corners by projection, without images."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 from tapping_cell.vision.table.tracker import TableState, TableTracker
 
 ROW = 0.05
-"""Standard deviation of one row of an edge, pixels; 60 rows a side."""
+"""Standard deviation of one edge row in pixels; each side has 60 rows."""
 HEIGHT = 0.012
 TRIALS = 150
 
 
 def erroneous_camera(random: np.random.Generator, scale: float) -> CameraModel:
-    """A calibration that is off by as much as OpenCV's usually is, times ``scale``."""
+    """Return a calibration with errors typical of OpenCV's calibration, times ``scale``."""
     n = scale * random.standard_normal(8)
     usual = np.array([0.0015, 0.004, 1.2e-4, 1.2e-4, 0.0])
     d = np.array(CAMERA.distortion) + usual * np.append(n[4:], 0.0)
@@ -35,7 +35,8 @@ def erroneous_camera(random: np.random.Generator, scale: float) -> CameraModel:
 
 
 def erroneous_map(random: np.random.Generator, misprint: float) -> ReferenceMap:
-    """A table file whose markers are printed ``misprint`` m beside their places."""
+    """Return a table file whose marker positions are wrong by ``misprint`` m, as if the markers had
+    been printed inaccurately."""
     return ReferenceMap(
         REFERENCES.dictionary,
         tuple(
@@ -51,7 +52,7 @@ def erroneous_map(random: np.random.Generator, misprint: float) -> ReferenceMap:
 
 
 def noisy_edges(view: View, random: np.random.Generator) -> MarkerEdges:
-    """The references' sides as the true camera sees them, with the noise of their rows."""
+    """Return the references' sides as the true camera sees them, with noise of each row."""
     corners = REFERENCES.corners()
     share = (np.arange(BINS) + 0.5) / BINS
     start, end = corners[:, :, None], np.roll(corners, -1, axis=1)[:, :, None]
@@ -69,7 +70,7 @@ def noisy_edges(view: View, random: np.random.Generator) -> MarkerEdges:
 
 @pytest.mark.parametrize(("lens", "misprint"), [(0.0, 0.0), (0.3, 0.0), (0.0, 3e-5), (1.0, 1e-4)])
 def test_the_normalised_error_follows_chi_square(lens, misprint):
-    """The error of a point of the table through camera and table files that are exact or not."""
+    """The error of an object's pose, with exact and inexact camera and table files."""
     normalised = []
     for trial in range(TRIALS):
         random = np.random.default_rng([trial, 5])
@@ -79,7 +80,8 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
         state = tracker.update(noisy_edges(view, random), np.arange(len(REFERENCES.markers)))
         assert state is TableState.STEADY and tracker.pose is not None
         true = random.uniform([-0.25, -0.17, -np.pi], [0.25, 0.17, np.pi])
-        # A disk's marker as four points of its plane: where do the files put them?
+        # An object's marker is represented by four points. Compute where the files place these
+        # points.
         arms = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         points = transform_points(true, arms)
         erroneous = View(tracker.camera, tracker.pose)
@@ -90,13 +92,14 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
         likely, covariance = tracker.judge(true + error, HEIGHT)
         error -= likely
         normalised.append(error @ np.linalg.solve(covariance, error))
-    # Mean of 150 chi-squares of 3 degrees of freedom: standard deviation 0.2.
+    # The mean of 150 chi-square values with 3 degrees of freedom has a standard deviation of 0.2.
     assert 2.4 < np.mean(normalised) < 3.7
     assert np.mean(np.array(normalised) < 7.815) > 0.90
 
 
 def test_a_measured_map_may_be_stretched_and_turned_as_a_whole():
-    """What its markers agree about is in the covariance, as it is over many maps so deformed."""
+    """The covariance includes a deformation that all markers have in common. It is compared with
+    the errors of many randomly deformed maps."""
     deviation, place = 3e-5, np.array([0.2, -0.1, 0.7])
     judged = []
     for references in (REFERENCES, dataclasses.replace(REFERENCES, deviation=deviation)):
@@ -109,7 +112,8 @@ def test_a_measured_map_may_be_stretched_and_turned_as_a_whole():
     middle = middles.mean(axis=0)
     random = np.random.default_rng(5)
     deformed = random.standard_normal((20000, 2, 2))
-    # So that the markers move by the deviation in x and in y, root mean square.
+    # Scale the deformation so that the markers move by the deviation in x and in y (root mean
+    # square).
     moved = np.einsum("kij,mj->kmi", deformed, middles - middle)
     deformed *= deviation / np.sqrt((moved**2).mean())
     turn = 0.5 * (deformed[:, 1, 0] - deformed[:, 0, 1])

@@ -1,4 +1,4 @@
-"""Faults of the camera and on the table that a stranger's films showed."""
+"""Faults of the camera and of the table that occurred in recorded films."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def pictures() -> list[np.ndarray]:
 
 
 def copied(image: np.ndarray, corners: np.ndarray, x: int, y: int) -> np.ndarray:
-    """The picture with the patch of these corners (4, 2) once more, at (x, y)."""
+    """Return the image with a copy of the patch around these corners (4, 2) at (x, y)."""
     low, high = corners.min(axis=0).astype(int) - 12, corners.max(axis=0).astype(int) + 12
     patch = image[low[1] : high[1], low[0] : high[0]]
     twice = image.copy()
@@ -52,7 +52,7 @@ def test_what_a_search_found_wrong_is_said_of_every_frame_until_the_next(picture
     problems = []
     for number in range(1, 40):
         twice = copied(pictures[number % 6], corners, 250, 650)
-        twice[0, 0] = number  # no picture like one before
+        twice[0, 0] = number  # makes the image different from all earlier ones
         problems.append(tracker.update(twice, number * FRAME).problem)
     first = problems.index(Problem.DUPLICATE_MARKER)
     assert first <= 30

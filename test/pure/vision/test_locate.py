@@ -1,4 +1,4 @@
-"""The verb ``locate``: files in, numbers out, and refusals in words."""
+"""The verb ``locate``: its input files, results and refusals."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ def test_poses_in_mm_and_degrees(folder, capsys):
 
 
 def test_a_viewers_rotation_of_a_photograph_is_not_applied(folder, capsys):
-    """A JPEG whose EXIF orientation says "turn by 90 degrees": the lens knows nothing of that."""
+    """The EXIF orientation of a JPEG is ignored, because the lens model refers to the pixels as
+    stored."""
     good, data = cv2.imencode(".jpg", cv2.imread(str(folder / "shot0.png")))
     assert good
     orientation = bytes.fromhex("49492a00080000000100120103000100000006000000" + "00000000")
@@ -89,13 +90,14 @@ def test_a_viewers_rotation_of_a_photograph_is_not_applied(folder, capsys):
 
 
 def test_files_as_strangers_have_them(folder, capsys):
-    """12 of 16 bits, a portrait that the file says to turn, colour, other formats: one answer."""
+    """12 of 16 bits, rotated portraits, colour and other formats give the same result."""
     grey = cv2.imread(str(folder / "shot0.png"), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(folder / "deep.png"), grey.astype(np.uint16) * 16)
     cv2.imwrite(str(folder / "grey.tiff"), grey)
     cv2.imwrite(str(folder / "colour.bmp"), cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
     cv2.imwrite(str(folder / "float.tiff"), grey.astype(np.float32))
-    # A viewer turns it by a quarter clockwise (Exif orientation 6) into the camera's size.
+    # A viewer rotates this image by 90 degrees clockwise (Exif orientation 6), which gives the
+    # camera's size.
     turned = cv2.rotate(grey, cv2.ROTATE_90_COUNTERCLOCKWISE)
     coded = cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
     tag = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0"

@@ -1,4 +1,5 @@
-"""Edges and photometric alignment on brute-force images, not the project's renderer's."""
+"""Edges and photometric alignment, tested on brute-force images instead of the project's
+renderer."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ PIXEL = 0.7 / 1150.0
 
 
 def scene(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Image, true pose and corners in pixels disturbed by half a pixel."""
+    """Return an image, the true pose, and the marker's corners in pixels with noise of 0.5 pixels
+    (standard deviation)."""
     random = np.random.default_rng(seed)
     pose = random.uniform([-0.24, -0.17, -np.pi], [0.24, 0.17, np.pi])
     noise = random.normal(0.0, 2.0, (1024, 1280))
@@ -34,13 +36,14 @@ def scene(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def errors(found: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
-    """mm and degrees."""
+    """Return the errors in mm and degrees."""
     turn = abs(float(wrap_angle(found[2] - pose[2])))
     return float(np.hypot(*(found - pose)[:2])) * 1e3, np.degrees(turn)
 
 
 def test_one_frame_by_edges_and_by_all_pixels():
-    """The figures of the accuracy table, medians and 90 % of 24 scenes; and the covariance."""
+    """The figures of the accuracy table (median and 90 % quantile of 24 scenes), and the
+    covariance."""
     template = make_template(MARKER, PIXEL, 0.35 * PIXEL)
     by_edges, by_pixels, normalised = [], [], []
     for seed in range(24):
@@ -60,7 +63,8 @@ def test_one_frame_by_edges_and_by_all_pixels():
     assert np.all(np.quantile(by_edges, 0.9, axis=0) < [0.02, 0.05])
     assert np.all(np.median(by_pixels, axis=0) < [0.002, 0.003])
     assert np.all(np.quantile(by_pixels, 0.9, axis=0) < [0.005, 0.01])
-    # 24 scenes of 3 degrees of freedom: chi-square of 72, 99.8 % between 40 and 115, over 24.
+    # The chi-square value of 24 scenes with 3 degrees of freedom each is between 40 and 115 with a
+    # probability of 99.8 %.
     assert 40 / 24 < np.mean(normalised) < 115 / 24
 
 
@@ -77,7 +81,7 @@ def test_a_marker_that_stays_is_aligned_in_one_step_as_by_a_whole_alignment():
         deviation = np.sqrt(np.diag(whole.covariance))
         assert np.all(np.abs(again.pose - whole.pose) < 0.3 * deviation)
         assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.15)
-        # Elsewhere, or in other light, it must be aligned anew.
+        # In another place or with other light, the stored linearisation is refused.
         elsewhere = start + np.array([PIXEL, 0.0, 0.0])
         assert align_again(image, known.linearisation, MARKER, elsewhere) is None
         assert (
@@ -106,7 +110,7 @@ def test_blur_moves_nothing_and_is_estimated():
         aligned = align(soft, VIEW, template, MARKER, fit.pose)
         template = make_template(MARKER, PIXEL, aligned.blur)
     assert errors(aligned.pose, pose)[0] < 0.005
-    # The pixel's own area has a variance of 1/12 pixel^2.
+    # The pixel area itself has a variance of 1/12 pixel^2.
     assert aligned.blur / PIXEL == pytest.approx(np.sqrt(1.1**2 + 1 / 12), rel=0.05)
 
 
@@ -126,7 +130,7 @@ def test_the_object_lies_where_its_marker_says():
         marker,
     )
     assert pose == pytest.approx(true)
-    # An uncertain angle of the marker swings the object's centre about it.
+    # The uncertainty of the marker's angle adds to the uncertainty of the object's centre.
     assert covariance[0, 0] + covariance[1, 1] == pytest.approx(2e-10 + 1e-6 * (0.02**2 + 0.01**2))
 
 
@@ -173,7 +177,8 @@ def test_rays_of_a_window_are_the_cameras():
 
 
 def test_camera_pose_of_a_tilted_view_is_not_square():
-    """The edges' square is fitted in the plane: a tilt of 5 degrees leaves no bias in the size."""
+    """The edges are fitted in the plane of the marker, so a tilt of 5 degrees causes no error of
+    the size."""
     view = View(CAMERA, CameraPose.above((0.06, 0.0, 0.7)))
     pose = np.array([-0.2, 0.1, 0.3])
     image = area_sampled_marker(view, MARKER, pose)
@@ -184,7 +189,8 @@ def test_camera_pose_of_a_tilted_view_is_not_square():
 
 
 def test_light_that_falls_across_a_marker_moves_no_side():
-    """A marker in light that grows by 0.15 % a pixel, as in the darkest corner of the table."""
+    """The brightness on the marker grows by 0.15 % per pixel, as in the darkest corner of the
+    table."""
     shifts = []
     for seed in range(4):
         random = np.random.default_rng(seed)
@@ -197,13 +203,13 @@ def test_light_that_falls_across_a_marker_moves_no_side():
         seen = np.rint(np.clip(lit + noise, 0.0, 255.0)).astype(np.uint8)
         fit = fit_marker(VIEW, refine(seen, quad[None], 10), 0, MARKER)
         shifts.append((fit.pose - pose)[:2] / PIXEL)
-    # Not corrected, all markers seem 0.008 pixel nearer to the light.
+    # Without correction, all markers would appear 0.008 pixels closer to the light.
     assert np.abs(np.mean(shifts, axis=0)).max() < 0.002
 
 
 @pytest.mark.parametrize("smear", [5.0, 8.5, 11.0, 15.0])
 def test_a_marker_smeared_by_motion_is_right_or_known_to_be_uncertain(smear):
-    """Smeared by that many pixels, begun up to three pixels beside."""
+    """The marker is smeared by ``smear`` pixels, and the search begins up to three pixels away."""
     random = np.random.default_rng(int(smear))
     measured = 0
     for _ in range(4):

@@ -1,5 +1,5 @@
-"""Noise that a camera has smoothed or compressed: what the covariances by edges and by all pixels
-make of it."""
+"""Correlated noise, caused by smoothing or compression in the camera: its effect on the covariances
+by edges and by all pixels."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def compressed(image: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("camera", [smoothed, compressed])
 def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(camera):
-    """Of noise taken for independent, smoothed noise makes 14 of it; right is 3."""
+    """The correct value is 3. If the smoothed noise were treated as independent, it would be 14."""
     clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)
     clean = cv2.GaussianBlur(clean, (0, 0), 0.8)
     x, y = VIEW.project(PLACE[:2], MARKER.height).astype(int)
@@ -49,13 +49,15 @@ def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(cam
         error = aligned.pose - PLACE
         error[2] = wrap_angle(error[2])
         normalised.append(error @ np.linalg.solve(aligned.covariance, error))
-    # Chi-square of 120 degrees of freedom over 40: four standard deviations.
+    # A chi-square value with 120 degrees of freedom, divided by 40. The bounds are four standard
+    # deviations.
     assert 1.5 < np.mean(normalised) < 4.5
 
 
 @pytest.mark.parametrize(("block", "least", "most"), [(1, 0.8, 1.2), (4, 2.0, 4.0)])
 def test_rows_that_err_alike_tell_less(block, least, most):
-    """``spread`` against how the place of a marker's sides really varies: noise in whole blocks."""
+    """``spread`` grows if the noise of neighbouring rows is correlated; the noise is constant in
+    blocks."""
     clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)
     x, y = VIEW.project(PLACE[:2], MARKER.height).astype(int)
     window = slice(y - 80, y + 80), slice(x - 80, x + 80)

@@ -1,4 +1,5 @@
-"""Objects without a marker: found, measured with an honest covariance, or refused in words."""
+"""Objects without a marker are found and measured with a correct covariance, or refused with a
+sentence."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ def scene(outline: ObjectOutline, pose: CameraPose = POSE, seed: int = 0, **more
 
 
 class Film:
-    """Frames at 30 Hz into a tracker."""
+    """Passes frames at 30 Hz to a tracker."""
 
     def __init__(self, outline: ObjectOutline) -> None:
         self.tracker = PoseTracker(CAMERA, REFERENCES, outline)
@@ -58,7 +59,7 @@ class Film:
 
 
 def error(seen: Observation, pose: np.ndarray) -> np.ndarray:
-    """x, y in m and theta in rad."""
+    """Return the errors x, y in m and theta in rad."""
     assert seen.pose is not None, seen.sentence
     d = np.array(seen.pose) - pose
     d[2] = wrap_angle(d[2])
@@ -103,14 +104,14 @@ def test_an_outline_that_says_no_angle_is_refused(given, words):
 def brute_force(
     view: View, outline: ObjectOutline, pose: np.ndarray, samples: int = 6
 ) -> np.ndarray:
-    """Top, wall and table by rays through every sub-pixel: independent of the renderer."""
+    """Render top, wall and table by rays through each sub-pixel, independently of the renderer."""
     seen = view.project(transform_points(pose, outline.points(90)), outline.height)
     x0, y0 = np.floor(seen.min(axis=0)).astype(int) - 14
     x1, y1 = np.ceil(seen.max(axis=0)).astype(int) + 15
     inside = (np.arange(samples) + 0.5) / samples - 0.5
     xs = (np.arange(x0, x1)[:, None] + inside).ravel()
     ys = (np.arange(y0, y1)[:, None] + inside).ravel()
-    # What the lens does at every sixth pixel, splines between (a lens is smooth).
+    # Rays are computed at every sixth pixel and interpolated by splines, because a lens is smooth.
     grid_x, grid_y = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
     nodes = view.camera.rays(np.stack(np.meshgrid(grid_x, grid_y), axis=-1))
     rays = np.moveaxis(between(grid_y, grid_x, nodes, ys, xs), 0, -1)
@@ -144,7 +145,7 @@ def test_sharp_images_made_by_brute_force_are_measured_without_bias(outline, pos
     d = fit.pose - pose
     # A pixel is 0.6 mm.
     assert np.all(np.abs(d) < [2e-5, 2e-5, 6e-4])
-    # Without noise a pixel's square shape already counts as a difference.
+    # Even without noise, the area of the pixels causes small differences.
     assert abs(fit.size - 1.0) < 5e-4 and fit.seen > 0.7
 
 
@@ -157,7 +158,7 @@ def test_an_object_that_stays_is_measured_as_by_a_whole_fit(outline):
         whole = fit_outline(image, shown.view, outline, HOME)
         again = fit_again(image, known.linearisation, HOME)
         deviation = np.sqrt(np.diag(whole.covariance))
-        # Pixels at the band's rim differ, and which sectors agree.
+        # The pixels at the edge of the band and the accepted sectors differ slightly.
         assert np.all(np.abs(again.pose - whole.pose) < 0.7 * deviation)
         assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.3)
     moved = HOME + np.array([3e-4, 0.0, 0.0])
@@ -167,7 +168,7 @@ def test_an_object_that_stays_is_measured_as_by_a_whole_fit(outline):
 
 
 def test_a_tall_triangle_is_not_explained_by_a_wall_that_is_not_there():
-    """Sides of its wall as bright as its top would shift and shrink it by a pixel."""
+    """A model with walls as bright as the top would shift and shrink the triangle by a pixel."""
     random = np.random.default_rng(21)
     corners = 0.042 * np.array([[1.0, 0.0], [-0.5, 0.8], [-0.55, -0.8]])
     outline = ObjectOutline(0.022, True, vertices=tuple(map(tuple, corners)))
@@ -197,21 +198,22 @@ def test_the_normalised_error_is_that_of_the_covariance(outline):
         film = Film(outline)
         for _ in range(4):
             place = random.uniform([-0.22, -0.15, -3.1], [0.22, 0.15, 3.1])
-            # A place that the search misses at first is looked for again a tenth of a second later.
+            # If the search misses an object at first, it is repeated 0.1 s later.
             seen = film.rest(shown, 12, place)
             d = error(seen, place)
             errors.append(d)
             normalised.append(d @ np.linalg.solve(seen.covariance, d))
     assert np.quantile(np.abs(errors), 0.9, axis=0) == pytest.approx([0, 0, 0], abs=6e-4)
     assert np.all(np.abs(errors)[:, :2] < 4e-5)
-    # 3 degrees of freedom, 8 looks; the table's and the rim's biases are shared by some of them.
+    # Mean of 8 observations with 3 degrees of freedom each. Some of them share systematic errors of
+    # the table and the edge.
     assert 0.2 < np.mean(normalised) < 6.0
     assert np.max(normalised) < 20.0
 
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
 def test_where_no_rim_can_be_none_is_fitted(outline):
-    """Some pixels beside the true place it may be; on the bare table not."""
+    """The outline is accepted a few pixels from the true pose, but not on the empty table."""
     shown = scene(outline, noise=4.0, light_falloff=0.67)
     random = np.random.default_rng(7)
     pixel = 0.7 / CAMERA.fx
@@ -247,7 +249,7 @@ def test_a_shadow_moves_nothing():
 
 
 def cover(pose: np.ndarray, low: float, high: float) -> Occluder:
-    """Something dark over the object's part from x = low to high in its own frame."""
+    """Return an occluder that covers the object from x = low to high in its own frame."""
     square = np.array([[low, -0.07], [high, -0.07], [high, 0.07], [low, 0.07]])
     corners = transform_points(pose, square)
     return Occluder(np.column_stack([corners, np.full(4, 0.02)]), level=20.0)
@@ -263,7 +265,7 @@ def test_a_covered_part_is_done_without_and_most_of_it_is_not_guessed():
     for _ in range(4):
         seen = film.show(shown.render(HOME, occluders=[cover(HOME, -0.08, 0.02)]))
         assert not seen.visible and seen.pose is None and len(seen.sentence) > 30
-    # Without its dot the angle is not known.
+    # The angle is unknown if the dot is hidden.
     seen = film.show(shown.render(HOME, occluders=[cover(HOME, 0.02, 0.04)]))
     assert not seen.visible
 
@@ -295,7 +297,8 @@ def test_two_of_a_kind_are_not_chosen_from():
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
 def test_an_object_under_the_edge_of_a_hard_shadow_is_found(outline):
-    """A shadow takes half of the light, and in proportion of the noise, from a part of it."""
+    """A shadow reduces the brightness of a part of the object to one half, and the noise there in
+    proportion."""
     y, x = np.mgrid[0 : CAMERA.height, 0 : CAMERA.width]
     for number in range(2):
         place = HOME * [1, 1, 0] + [0.0, 0.0, 1.5 * number]

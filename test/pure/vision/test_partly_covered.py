@@ -1,4 +1,4 @@
-"""Something dark or bright beside the marker must not be taken for its edge."""
+"""A dark or bright object beside the marker must not be mistaken for the marker's edge."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tapping_cell.vision.markers.search import patterns_agree
 
 
 def test_a_plate_along_a_side_moves_no_accepted_pose():
-    """Plates whose edge lies within 5 mm of one side or two, at any grey level."""
+    """Plates at any grey level, whose edge is within 5 mm of one or two sides."""
     scene = renderer()
     random = np.random.default_rng(3)
     pattern = [marker_pattern(MARKER.dictionary, MARKER.id)]

@@ -1,4 +1,4 @@
-"""Rest is declared soon and never while moving; fusion is a mean that survives outliers."""
+"""Rest is reported soon, but never during a motion; fusion is a mean that tolerates outliers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def measured(random: np.random.Generator, pose: np.ndarray) -> np.ndarray:
 )
 @settings(max_examples=150, deadline=None)
 def test_rest_is_declared_within_150_ms(seed, speed, direction, phase, angle):
-    """A slide with 0.17 g of friction that ends at time 0, seen at a random phase of the frames."""
+    """A slide with 0.17 g of friction ends at time 0; the phase of the frames is random."""
     random = np.random.default_rng(seed)
     track = Track()
     deceleration = 1.67
@@ -42,7 +42,8 @@ def test_rest_is_declared_within_150_ms(seed, speed, direction, phase, angle):
         left = 0.5 * deceleration * min(time, 0.0) ** 2 if time > stop else 0.5 * speed * -stop
         pose = end - left * np.array([np.cos(direction), np.sin(direction), 20.0])
         motion = track.add(10.0 + time, measured(random, pose), COVARIANCE)
-        # Struck a moment before the frame it has not moved yet: nobody could tell.
+        # Exclude frames in which the struck object has not yet moved measurably, and those just
+        # before rest.
         if (time - stop) * speed > 1e-4 and deceleration * -time > 0.0005:
             assert motion.rest_since is None
         if time >= 0.15 - FRAME:
@@ -52,9 +53,11 @@ def test_rest_is_declared_within_150_ms(seed, speed, direction, phase, angle):
 
 
 def delay_of_rest(random: np.random.Generator, rate: float, lose: bool) -> float:
-    """A slide of random friction and speed that ends at time 0: when rest is declared, s.
+    """Return the time at which rest is reported after a slide of random friction and speed that
+    ends at time 0.
 
-    Noise as the tracker has it: by edges while the object moves, by all pixels when it hardly does.
+    The noise is as in the tracker: larger (by edges) during the motion, and smaller (by all pixels)
+    when the object hardly moves.
     """
     track = Track()
     deceleration, speed = random.uniform(0.3, 5.0), random.uniform(0.02, 0.6)
@@ -72,7 +75,8 @@ def delay_of_rest(random: np.random.Generator, rate: float, lose: bool) -> float
         sigma = SIGMA if way - before > 1e-4 else SIGMA / 3.0
         before = way
         motion = track.add(10.0 + time, pose + random.normal(0.0, sigma), np.diag(sigma**2))
-        # Struck a moment before the frame it has not moved yet: nobody could tell.
+        # Exclude frames in which the struck object has not yet moved measurably, and those just
+        # before rest.
         if begin < time < -0.0005 / deceleration and way > 1e-4:
             assert motion.rest_since is None
         if time > 0.0 and motion.rest_since is not None:
@@ -158,7 +162,8 @@ def test_fused_error_follows_its_covariance():
         error = mean - true
         error[2] = wrap_angle(error[2])
         normalised.append(error @ np.linalg.solve(covariance, error))
-    # 900 degrees of freedom over 300: 3 +- 4 standard deviations, the tails a little clipped.
+    # The mean of 300 chi-square values with 3 degrees of freedom each. The bounds are four standard
+    # deviations. The fusion slightly reduces the weight of large errors.
     assert 2.4 < np.mean(normalised) < 3.6
 
 

@@ -1,4 +1,4 @@
-"""A still scene is measured rarely, and every change of it at once."""
+"""A scene at rest is measured rarely, and each change of it immediately."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_looks_at_another_object_that_lies_still_cost_no_more() -> None:
         seen = measure(number)[0]
         assert seen.visible and seen.at_rest and seen.stamp == 1.0 + number * FRAME
     assert 8 <= tracker.measured - before <= 14
-    # The other one alone moves: it is measured at once.
+    # If only the other object moves, it is measured immediately.
     poses[1] += [0.001, 0.0, 0.0]
     before = tracker.measured
     assert measure(120)[0].pose == pytest.approx(tuple(poses[1]), abs=5e-4)

@@ -1,5 +1,5 @@
-"""A lifted or tilted object, and a table that is not as its file says: seen as exact squares of
-space, projected point by point."""
+"""A lifted or tilted object, and a table that differs from its file, seen as exact squares in space
+that are projected point by point."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ VIEW = View(CAMERA, CameraPose.above((0.01, -0.02, 0.7), aim=(0.03, 0.01), spin=
 PLACES = [(x, y) for x in (-0.3, 0.0, 0.3) for y in (-0.22, 0.0, 0.22) if (x, y) != (0.0, 0.0)]
 MARKER = ObjectMarker("APRILTAG_36h11", 1, 0.05, 0.012, offset=(0.004, -0.003, 0.4))
 NOISE = 0.02
-"""Pixels by which a row's edge scatters."""
+"""Standard deviation of a row's edge in pixels."""
 
 
 def edges_of(corners: np.ndarray, random: np.random.Generator, bloom: float = 0.0) -> MarkerEdges:
-    """Edges of squares in space, corners (M, 4, 3), as VIEW shows them; ``bloom`` px outwards."""
+    """Return the edges of squares in space, corners (M, 4, 3), as VIEW shows them, enlarged by
+    ``bloom`` px."""
     share = (np.arange(BINS) + 0.5) / BINS
     ahead = np.roll(corners, -1, axis=1)
     sides = corners[:, :, None] + share[:, None] * (ahead - corners)[:, :, None]
@@ -43,8 +44,8 @@ def edges_of(corners: np.ndarray, random: np.random.Generator, bloom: float = 0.
 
 
 def object_corners(pose: np.ndarray, lift: float, tilt: float) -> np.ndarray:
-    """Corners (4, 3) of the marker of an object at ``pose``, turned by ``tilt`` about its x axis
-    through its middle and lifted by ``lift`` (m, rad)."""
+    """Return the corners (4, 3) of the marker of an object at ``pose``, tilted about the x axis
+    through its centre by ``tilt`` rad, and lifted by ``lift`` m."""
     cos, sin = math.cos(MARKER.offset[2]), math.sin(MARKER.offset[2])
     flat = UNIT_CORNERS * MARKER.size @ np.array([[cos, sin], [-sin, cos]]) + MARKER.offset[:2]
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -54,7 +55,8 @@ def object_corners(pose: np.ndarray, lift: float, tilt: float) -> np.ndarray:
 
 
 def judged(pose: np.ndarray, lift: float, tilt: float, seed: int) -> tuple:
-    """Deviation of the shape (None: no square at all), and error of the measured pose (3,)."""
+    """Return the deviation of the shape (None if it is not a square), and the error of the measured
+    pose (3,)."""
     edges = edges_of(object_corners(pose, lift, tilt)[None], np.random.default_rng(seed))
     fit = fit_marker(VIEW, edges, 0, MARKER)
     if fit is None:
@@ -115,7 +117,8 @@ def references(places=PLACES, size=0.04) -> ReferenceMap:
 
 
 def reference_edges(table: ReferenceMap, seed: int, moved=(), bloom=0.0) -> MarkerEdges:
-    """Edges of the table's markers; ``moved``: pairs of a row and its shift (x, y) in m."""
+    """Return the edges of the table's markers; ``moved`` contains pairs of a row and its shift (x,
+    y) in m."""
     flat = table.corners()
     for row, shift in moved:
         flat[row] += shift
@@ -124,7 +127,7 @@ def reference_edges(table: ReferenceMap, seed: int, moved=(), bloom=0.0) -> Mark
 
 
 def off(tracker: TableTracker) -> float:
-    """How far the tracker's view has a place of the table from where it is, in m."""
+    """Return the largest error, in m, of the tracker's view at three places of the table."""
     assert tracker.pose is not None
     points = np.array([[0.1, 0.05], [-0.15, 0.1], [0.05, -0.1]])
     seen = View(CAMERA, tracker.pose).on_plane(VIEW.project(points, 0.012), 0.012)

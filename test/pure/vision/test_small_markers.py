@@ -1,4 +1,5 @@
-"""Markers as on photographs: small, seen obliquely, found with a corner some pixels off."""
+"""Markers as in photographs: small, seen obliquely, found with a corner that is wrong by some
+pixels."""
 
 from __future__ import annotations
 
@@ -14,13 +15,14 @@ from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
 from tapping_cell.vision.table.tracker import side_noise
 
 FINE = 12
-"""Samples of the picture along a pixel."""
+"""Samples per pixel in each direction."""
 
 
 def picture(
     pattern: np.ndarray, corners: np.ndarray, noise: float = 2.0, seed: int = 0, blur: float = 0.6
 ) -> np.ndarray:
-    """Area-sampled 160 x 120 picture of a printed pattern (one module of margin) on grey."""
+    """Return an area-sampled image of 160 x 120 pixels of a printed pattern, with a margin of one
+    module, on grey."""
     sheet = np.kron(np.pad(pattern, 1, constant_values=True), np.ones((30, 30))) * 150.0 + 40.0
     begin, end = 30.0 - 0.5, 30.0 * (pattern.shape[0] + 1) - 0.5
     source = np.array([[begin, begin], [end, begin], [end, end], [begin, end]], dtype=np.float32)
@@ -59,7 +61,7 @@ def test_markers_of_a_pixel_and_a_half_a_module_are_measured_as_well_as_they_say
         assert right.all()
         shift = edges.corners[0].mean(axis=0) - corners.mean(axis=0)
         errors.append(np.linalg.norm(shift))
-        # Four lines of this noise place the middle to half of its variance in x and y.
+        # Four sides with this noise determine the centre with half of its variance in x and y.
         normalised.append(shift @ shift / (0.5 * side_noise(edges, 1.0)[0] ** 2))
     assert np.max(errors) < 0.1
     assert np.mean(normalised) < 3.5
@@ -93,12 +95,12 @@ def test_another_pattern_or_half_of_it_is_not_believed():
     assert fit_pattern(image, corners, pattern) is not None
     for other in (6, 7, 8, 9):
         assert fit_pattern(image, corners, marker_pattern("APRILTAG_36h11", other)) is None
-    # A quarter of a turn is another pattern, too.
+    # A pattern rotated by 90 degrees is another pattern.
     assert fit_pattern(image, np.roll(corners, 1, axis=0), pattern) is None
     covered = image.copy()
     covered[:, 82:] = 110
     assert fit_pattern(covered, corners, pattern) is None
-    # Something dark along one side, as wide as the margin.
+    # A dark strip as wide as the margin along one side.
     covered = picture(pattern, corners, noise=0.0)
     outside = [np.rint(corners[1] + t * (corners[1] - corners[0]) / 8) for t in (0.1, 1.2)]
     along = corners[2] - corners[1]
@@ -106,13 +108,13 @@ def test_another_pattern_or_half_of_it_is_not_believed():
     cv2.fillConvexPoly(covered, band.astype(np.int32), [45])
     assert fit_pattern(covered, corners, pattern) is None
     assert fit_pattern(np.full_like(image, 128), corners, pattern) is None
-    # Quads that are none: what a search or a wild prediction may say.
+    # Invalid quadrilaterals that a search or a wrong prediction may return.
     for quad in (np.full((4, 2), np.nan), corners[[0, 1, 1, 0]], corners + 70.0, corners[::-1]):
         assert fit_pattern(image, quad, pattern) is None
 
 
 def test_no_pattern_is_blurred_until_it_fits_another():
-    """A wide blur and a doubtful place explain much: such a fit is no measurement."""
+    """With much blur and an uncertain place, many patterns fit. Such a fit must be refused."""
     corners = square(24.0, 0.2)
     image = picture(marker_pattern("ARUCO_ORIGINAL", 6), corners, blur=0.9)
     assert fit_pattern(image, corners, marker_pattern("ARUCO_ORIGINAL", 6)) is not None
@@ -122,8 +124,8 @@ def test_no_pattern_is_blurred_until_it_fits_another():
 
 
 def test_a_corner_that_the_search_saw_elsewhere():
-    """One corner off by four pixels, as where glare breaks the outline: found from a search, not
-    from a last place."""
+    """One corner is wrong by four pixels, as if glare had interrupted the outline. The marker is
+    found after a search, but not from its last pose."""
     pattern = marker_pattern("ARUCO_ORIGINAL", 11)
     corners = square(34.0, 0.1)
     image = picture(pattern, corners)
@@ -140,7 +142,7 @@ def test_a_corner_that_the_search_saw_elsewhere():
 
 
 def test_an_oblique_marker():
-    """Five modules of pixels along, one and a half across."""
+    """The modules are five pixels long and one and a half pixels wide."""
     pattern = marker_pattern("4X4_50", 3)
     corners = np.array([[50.2, 50.4], [108.7, 48.1], [117.3, 64.2], [43.6, 66.9]])
     image = picture(pattern, corners)
@@ -161,7 +163,8 @@ def test_sides_of_a_fitted_pattern_claim_no_more_than_the_fit():
 
 
 def test_searches_of_one_image_add_up():
-    """What one search finds is not lost in the next; two places of one id are two markers."""
+    """The detections of one search are kept in the next one; two places of one id are two
+    markers."""
     here, beside = square(20.0, 0.0), square(20.0, 0.0) + 0.4
     elsewhere = square(20.0, 0.0, (40.0, 40.0))
     first = Detections({1: here, 2: here, 3: here}, (7,))

@@ -1,4 +1,4 @@
-"""Unknown objects traced in rendered pictures, against the shapes that were drawn."""
+"""Unknown objects traced in rendered images, compared with the shapes that were drawn."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def corners_on_table(found: TracedObject) -> np.ndarray:
 
 
 def farthest(found: np.ndarray, true: np.ndarray) -> float:
-    """Largest distance of a true corner from the nearest that was found."""
+    """Return the largest distance of a true corner from the nearest traced corner."""
     apart = np.linalg.norm(found[:, None] - true[None], axis=2)
     return float(apart.min(axis=0).max()) if len(found) == len(true) else math.inf
 
@@ -71,9 +71,10 @@ def test_a_polygon_without_a_marker(brighter: bool) -> None:
     found = traced(WEDGE, appearance, pose)
     assert found.marker is None and found.brighter == brighter
     true = transform_points(np.array(pose), WEDGE)
-    # A dark wall beside a dark top cannot be told from it: off the middle the rim is its foot.
+    # A dark wall next to a dark top cannot be distinguished from it. Therefore, away from the image
+    # centre, the traced outline includes the foot of the wall.
     assert farthest(corners_on_table(found), true) < (4e-4 if brighter else 1.5e-3)
-    # The frame's origin is the middle of the area, its x axis along the longest side.
+    # The frame's origin is the centroid, and its x axis is parallel to the longest side.
     vertices = np.array(found.vertices)
     sides = np.roll(vertices, -1, axis=0) - vertices
     longest = sides[np.hypot(*sides.T).argmax()]

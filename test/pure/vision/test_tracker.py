@@ -1,4 +1,5 @@
-"""The whole of seeing on rendered frames: accuracy, covariance, and every trouble in its words."""
+"""The complete vision on rendered frames: accuracy, covariance, and the messages for all
+problems."""
 
 from __future__ import annotations
 
@@ -35,13 +36,13 @@ def scene() -> SceneRenderer:
 
 @pytest.fixture(scope="module")
 def bumped() -> SceneRenderer:
-    """The camera tilted by 0.3 degrees."""
+    """Return a scene whose camera was tilted by 0.3 degrees."""
     turned = POSE.moved([math.radians(0.3), 0.0, 0.0, 0.0, 0.0, 0.0])
     return renderer(turned, seed=1)
 
 
 class Film:
-    """Frames at 30 Hz into a tracker."""
+    """Passes frames at 30 Hz to a tracker."""
 
     def __init__(self, tracker: PoseTracker | None = None) -> None:
         self.tracker = tracker or PoseTracker(CAMERA, REFERENCES, MARKER)
@@ -58,7 +59,7 @@ class Film:
 
 
 def error(observation: Observation, pose: np.ndarray) -> np.ndarray:
-    """x, y in mm and theta in degrees."""
+    """Return the errors x, y in mm and theta in degrees."""
     assert observation.pose is not None
     d = np.array(observation.pose) - pose
     return np.array([d[0] * 1e3, d[1] * 1e3, np.degrees(wrap_angle(d[2]))])
@@ -101,7 +102,7 @@ def test_a_slide_is_followed_and_its_end_noticed(scene):
 
 
 def test_exact_files_give_small_errors_and_a_covariance_that_says_so():
-    """Pose of the camera, noise, blur and light differ from scene to scene."""
+    """Camera pose, noise, blur and light differ between the scenes."""
     random = np.random.default_rng(8)
     normalised, errors = [], []
     for number in range(6):
@@ -122,7 +123,8 @@ def test_exact_files_give_small_errors_and_a_covariance_that_says_so():
             errors.append(d)
             normalised.append(d @ np.linalg.solve(seen.covariance, d))
     assert np.all(np.quantile(np.abs(errors), 0.95, axis=0) < [8e-6, 8e-6, np.radians(0.01)])
-    # Mean of 30 chi-squares of 3 degrees of freedom, five of a scene share the table's average.
+    # Mean of 30 chi-square values with 3 degrees of freedom; the five values of a scene share the
+    # error of the table's mean.
     assert 1.8 < np.mean(normalised) < 4.2
     assert np.mean(np.array(normalised) < 7.815) > 0.85
 
@@ -318,7 +320,7 @@ def test_the_camera_pose_is_found_from_the_map(scene):
 
 
 def test_a_wrong_lens_is_corrected_by_the_references(scene):
-    """A calibration twice as wrong as usual, at the edge of the table."""
+    """The calibration has twice the usual errors, and the object is at the edge of the table."""
     off = dataclasses.replace(
         CAMERA,
         fx=1151.0,
