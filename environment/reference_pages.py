@@ -103,7 +103,7 @@ def _tables(parser: argparse.ArgumentParser) -> Iterator[str]:
         yield "\n| option | default | meaning |\n| --- | --- | --- |\n"
         yield from rows
     for name, own in inner:
-        yield f"\n### `{parser.prog.split(' ', 1)[1]} {name}`\n"
+        yield f"\n### `{parser.prog.rsplit(' ', 1)[-1]} {name}`\n"
         yield from _tables(own)
 
 
