@@ -139,7 +139,7 @@ def _print(report: dict[str, Any]) -> None:
         "(rows x mm, y mm, theta degrees; columns i mm, j mm, beta degrees)"
     )
     for title, figures in (
-        ("assuming that the travel turns with the striker, as in the paper", report),
+        ("assuming that the direction of travel rotates with the striker, as in the paper", report),
         ("with the direction of travel from the impact model", report["physical"]),
     ):
         print(f"\n{title}:")

@@ -210,7 +210,8 @@ class CellMonitor:
         return None
 
     def lost(self, now: Now) -> bool:
-        """Return whether arm or tapper is lost; their drivers reconnect automatically."""
+        """Return whether the connection to arm or tapper is lost; their drivers reconnect
+        automatically."""
         arm, tapper = self.arm, self.tapper
         arm_lost = self.has_arm and (
             self.silent("arm", now) or (arm is not None and arm.state == ArmState.DISCONNECTED)

@@ -2,7 +2,7 @@
 
 ``python environment/generate_messages.py`` writes this file from the installed message packages.
 ``ROS_TYPE`` names the message that a class mirrors; ``nodes/message_conversion.py`` converts.
-Units and meanings stand in ``msg_defs``.
+Units and meanings are documented in ``msg_defs``.
 """
 
 from __future__ import annotations

@@ -291,7 +291,8 @@ class Gains:
         return Spread(np.broadcast_to(factor, slope.shape), aside - expected[..., None])
 
     def largest_rotation_gain(self, probability: float) -> Array:
-        """Return the rotation gain (...,) below which the true one is with ``probability``."""
+        """Return the upper bound (...,) of the true rotation gain that holds with
+        ``probability``."""
         return self.rotation.quantile(np.array([1.0, 0.0, 0.0]), probability)
 
     def predicted_covariance(

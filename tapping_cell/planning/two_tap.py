@@ -63,7 +63,7 @@ def two_tap_choice(
         second = subgoal
     turn = _first_rotation(theta, k * np.abs(first), k * second, error_line)
 
-    # The plan needs taps above the limit: rotate as much as one tap can and stay near the goal.
+    # The plan needs taps above the limit: rotate as much as one tap can, and stay near the goal.
     too_large = ~direct & (np.maximum(np.abs(first), second) > most)
     tap = np.where(direct, np.clip(r, least, most), np.where(too_large, most, first))
     turn = np.where(direct, np.minimum(theta, k * r) * most / np.maximum(r, most), turn)

@@ -101,7 +101,7 @@ class VirtualTransport:
         """Return the available bytes, waiting up to ``timeout`` s for the first."""
         deadline = self._clock.now + timeout
         if timeout > 0:
-            # Real time passes during any wait; rounding must not make virtual time stand still.
+            # As real time does, virtual time must advance during every wait, despite rounding.
             deadline = max(deadline, math.nextafter(self._clock.now, math.inf))
         while True:
             self._require()

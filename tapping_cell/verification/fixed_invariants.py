@@ -68,12 +68,12 @@ class FixedInvariantChecker(InvariantChecker):
             )
         if self._motion_at_check:
             self.violate(
-                "fired at motion it saw",
-                f"shot {shot} was released although the last observation that the tapper had"
-                " received at its last check showed the object in motion",
+                "fired at observed motion",
+                f"shot {shot} was fired although the latest observation at the tapper's last "
+                "check showed the object in motion",
             )
         if not release.object_at_rest and not self._recently_moved(release.time):
-            self.violate("object in motion", f"shot {shot} was released while the object moved")
+            self.violate("object in motion", f"shot {shot} was fired while the object moved")
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer of a machine to a query of its running job."""
@@ -117,7 +117,7 @@ class FixedInvariantChecker(InvariantChecker):
             unnoticed = now - max(since, self.unread_until())
             if unnoticed > UNNOTICED_S:
                 self.violate(
-                    "striker out unnoticed",
+                    "striker out unreported",
                     f"the tapper reports its strikers at their mounts; that of '{name}' has been"
                     f" out for {now - since:.1f} s",
                 )

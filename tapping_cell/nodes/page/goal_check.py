@@ -24,7 +24,7 @@ class GoalCheck:
 
     @cached_property
     def free(self) -> FreeSpace:
-        """Map of workable places."""
+        """Map of the places where the object can be tapped."""
         return FreeSpace(assembly.make_strike_space(self._cell))
 
     @cached_property

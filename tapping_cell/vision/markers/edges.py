@@ -162,7 +162,7 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
     end = quads[:, [1, 2, 3, 0]].reshape(-1, 2)
     step = np.abs(end - start)
     steep = step[:, 1] > step[:, 0]
-    along = steep.astype(np.intp)  # row coordinate: y for a steep side, else x
+    along = steep.astype(np.intp)  # coordinate along the side: y for a steep side, otherwise x
     each = np.arange(4 * count)
     p0, q0 = start[each, along], start[each, 1 - along]
     p1, q1 = end[each, along], end[each, 1 - along]
@@ -314,7 +314,7 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
     slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
     length = samples.half_width + 0.5
-    # The slope is along the coordinate itself, so the outward signs cancel.
+    # The slope refers to the coordinate itself, so the signs of the outward direction cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 

@@ -56,7 +56,8 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     size = marker.size
     # Side k of the unit square is at distance 1/2 along this normal.
     normals = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
-    # One step suffices: the corners are accurate to hundredths of a pixel, so the fit is linear.
+    # One step is sufficient: the corners are accurate to hundredths of a pixel, so the fit is
+    # nearly linear.
     normal = se2.transform_points([0.0, 0.0, pose[2]], normals)[:, None, :]
     arm = points - pose[:2]
     distance = (normal * arm).sum(axis=-1) - 0.5 * size
@@ -116,8 +117,8 @@ def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
     Four sides have eight positions and rotations, of which a square determines four. The other four
-    degrees of freedom show glare, sharpening, compression and bent paper. Because they are a small
-    sample, a prior for their usual value is included.
+    degrees of freedom show glare, sharpening, compression and bent paper. As four values are a
+    small sample, a prior for their usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total

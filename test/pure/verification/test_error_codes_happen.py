@@ -302,7 +302,7 @@ def test_a_board_that_is_charged_keeps_the_other_from_charging() -> None:
     with pytest.raises(HardwareFault, match="port 0 is not at rest") as caught:
         boards.charge(2, 0.01, channel=cell_channel(1, 0))
     assert of_tapper(caught.value) == ErrorCode.TAPPER_OTHER_ACTIVE
-    assert "one tapper at a time" in str(caught.value)
+    assert "only one tapper may be charged at a time" in str(caught.value)
 
 
 def test_every_code_is_named_in_a_test() -> None:
