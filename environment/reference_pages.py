@@ -174,6 +174,7 @@ FILES: tuple[tuple[str, str, type], ...] = (
         TruthFile,
     ),
 )
+_TITLES = {kind: title.lower() for title, _, kind in FILES}
 
 
 def configuration_page() -> str:
@@ -201,7 +202,9 @@ def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str
         held = _sections_in(hints[entry.name])
         name = f"{prefix}{entry.name}"
         meaning = limits.description
-        if held is not None:
+        if held in _TITLES:
+            meaning += f"; keys as in the {_TITLES[held]}"
+        elif held is not None:
             known = written.setdefault(held, name)
             if known == name:
                 inner.append((name, held))

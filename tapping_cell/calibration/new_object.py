@@ -1,4 +1,4 @@
-"""Initial file of an object of which only shape, height and appearance are known."""
+"""Initial object file if only shape, height and appearance of the object are known."""
 
 from __future__ import annotations
 

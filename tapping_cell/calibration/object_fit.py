@@ -420,7 +420,7 @@ def _taps(
 def _inflation(misfits: Sequence[Misfit]) -> float:
     """Return the factor by which intervals widen if the runs do not fit the model (Birge 1932).
 
-    In that case the runs, not the taps, are the independent samples.
+    If the runs do not fit, the runs, not the taps, are the independent samples.
     """
     ratios = [misfit.inflation for misfit in misfits if misfit.cause == "setting"]
     return math.sqrt(max([1.0, *ratios]))

@@ -79,7 +79,8 @@ def sum_by_trial(jacobian: Array, residuals: Array, rows: Rows, count: int) -> t
 def eliminated(equations: NormalEquations) -> tuple[Array, Array]:
     """Compute gradient (n, s) and curvature (n, s, s) of each trial in the shared parameters.
 
-    The local parameters are eliminated, that is, optimal for the given shared parameters.
+    The local parameters are eliminated: they have their optimal values for the given shared
+    parameters.
     """
     by_shared, by_gradient = _solved(equations, equations.h_local)
     return _reduced(equations, by_shared, by_gradient)

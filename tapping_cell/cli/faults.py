@@ -252,7 +252,7 @@ def _mix(arguments: argparse.Namespace) -> Mix:
 
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
-    """Run the dialects in parallel, as far as the number of processes allows."""
+    """Run the dialects in parallel, limited by the number of processes."""
     with ProcessPoolExecutor(min(arguments.jobs, len(dialects))) as pool:
         jobs = [pool.submit(soak, d, arguments.soak, arguments.seed) for d in dialects]
         runs = [job.result() for job in jobs]

@@ -1,4 +1,4 @@
-"""Collection of all errors in a document, of which ``build`` reports only the first."""
+"""Collect all errors in a document; ``build`` reports only the first one."""
 
 from __future__ import annotations
 

@@ -508,7 +508,7 @@ class ArmDriver:
         )
 
     def _begin_call(self) -> None:
-        """Count what is received by this call."""
+        """Start to count the bytes and lines that this call receives."""
         counters = self._dialect.counters
         counters.received = ReceivedBytes()
         self._lines_before = counters.lines, counters.bad_lines

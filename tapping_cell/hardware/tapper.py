@@ -565,7 +565,7 @@ class TapperDriver:
         return reply
 
     def _begin_exchange(self) -> None:
-        """Count what is received from now on."""
+        """Start to count the received bytes and requests."""
         self._received = ReceivedBytes()
         self._sends = self._damaged = 0
 

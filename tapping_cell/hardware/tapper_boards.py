@@ -1,4 +1,5 @@
-"""Driver of all tapper boards of a cell as one device, so that at most one striker is ever charged.
+"""Driver that combines all tapper boards of a cell into one device, so that at most one striker is
+charged at a time.
 
 All boards belong to one driver and one thread. A board is charged, and its shot released, only
 after every other board has replied that it is at rest with its strikers at their mounts. No message

@@ -282,7 +282,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         )
 
     def _scene_of(self, command: TapCommand) -> Scene | None:
-        """Return what the camera must see after a tap, or None if it is not known."""
+        """Return the scene that the camera must see after a tap, or None if the scene is not
+        known."""
         if self._camera is None or not self._options.withdraw_until_seen:
             return None
         poses = (command.object_pose, command.predicted_pose, command.strike_pose)
@@ -308,7 +309,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run_withdrawal(now)
 
     def _clear_view(self, command: TapCommand, now: Now) -> None:
-        """Move to a place from which the camera sees what the arm hides now."""
+        """Move the arm to a pose in which it does not hide the area that it hides now."""
         self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
         self._last_tap_id = command.tap_id
         self._error = (ErrorCode.NONE, "")

@@ -645,8 +645,8 @@ class PlannerLogic:
         if names:
             self._log(
                 LogLevel.WARNING,
-                f"{', '.join(map(repr, names))} moved although another object was tapped; planning "
-                "anew",
+                f"{', '.join(map(repr, names))} moved although another object was tapped; "
+                "making a new plan",
             )
 
     def _exhausted(self, task: Task) -> CodedError | None:
@@ -783,14 +783,14 @@ class PlannerLogic:
             self._confirmed = Confirmation(shot, now.steady)
             return ConfirmTap.Response(accepted=True)
         return ConfirmTap.Response(
-            error_code=code, error_msg=f"tap {shot.number} is planned anew: {sentence}"
+            error_code=code, error_msg=f"tap {shot.number} is planned again: {sentence}"
         )
 
     def _drop_proposal(self, why: str, now: Now) -> None:
         """Drop the proposed tap, observe the object again and plan another tap."""
         shot, self._proposed = self._proposed, None
         assert shot is not None
-        self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned anew: {why}")
+        self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned again: {why}")
         self._observe_after = now.steady
         self._enter(Event.TAP_DROPPED, S.LOOKING, now, self._settings.observe_deadline)
 
@@ -958,8 +958,8 @@ class PlannerLogic:
         return min(elapsed, self._monitor.unseen_for(now)) > HIDDEN_S
 
     def _move_arm_aside(self, now: Now) -> None:
-        """Move the arm off the object that it may hide: first to its park pose, then once more to a
-        pose from which the camera sees what the arm hides at its present place."""
+        """Move the arm, because it may hide the object: first to its park pose, then once more to a
+        pose in which the area that it hides now is visible."""
         if self._withdrawn_tap_id not in (0, self._parked_tap_id):
             self._park(now)
             return

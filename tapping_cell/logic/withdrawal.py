@@ -94,7 +94,7 @@ def uncovering(
     current: Joints,
     motion: MotionSettings,
 ) -> tuple[Waypoint, ...]:
-    """Return waypoints to the pose that hides the least of what the arm hides now.
+    """Return waypoints to the pose that hides the least of the area that the arm hides now.
 
     Several poses may hide equally little; the arm then selects the quickest. The park pose is used
     if no other hides less, if the lens position ``camera`` in ``table`` is not known, or if the arm

@@ -164,8 +164,8 @@ class Gains:
         """Convert residuals (..., 3), dx, dy (m) and rotation (rad), for a planning method.
 
         Returns the distance (m), the rotation (rad) scaled such that the cone has its nominal
-        slope, and the heading (rad). The distance is not scaled, so that the box and the smallest
-        tap keep their size.
+        slope, and the heading (rad). The distance is not scaled, so that the stopping box and the
+        smallest tap keep their size.
         """
         left = np.asarray(remaining, dtype=float)
         turn = left[..., 2] / self.value[..., 1]

@@ -175,7 +175,8 @@ def _cell(value: float, text: str) -> str:
 
 def _groups(groups: Sequence[Group]) -> str:
     head = (
-        "<tr><th>planner</th><th>object</th><th>reached</th><th>taps, mean</th><th>taps, most</th>"
+        "<tr><th>planner</th><th>object</th><th>reached</th><th>taps, mean</th><th>taps, "
+        "maximum</th>"
         "<th>measured residual, mean</th><th>time, mean</th></tr>"
     )
     lines = [

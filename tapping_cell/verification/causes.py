@@ -146,7 +146,8 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
     ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,
 }
-"""For each error code of a goal, the kinds of faults of which one must have been injected."""
+"""For each error code of a goal, the kinds of faults that can cause it; at least one of them must
+have been injected."""
 CONDITIONS = frozenset(
     {
         ErrorCode.NONE,

@@ -392,7 +392,7 @@ def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
         t.network.publish("somebody_else", name, message)
 
     leaves = ", then withdraws the tap" if withdraws else ""
-    return strike, f"somebody else publishes {name} {number} times at 100 Hz{leaves}"
+    return strike, f"another program publishes {name} {number} times at 100 Hz{leaves}"
 
 
 def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:

@@ -19,7 +19,8 @@ UNNOTICED_S = 3.0
 all its repetitions, or the board's wait for a released striker, which its state shows."""
 
 LINE_POSITION_M, LINE_ANGLE_RAD = 0.005, 0.1
-"""Maximum deviation of a commanded line, with what was learnt about it, from the cell file."""
+"""Maximum deviation of a commanded line, which includes learnt corrections, from the line in the
+cell file."""
 
 
 @dataclass(slots=True)

@@ -1,4 +1,5 @@
-"""Mutation tests: defects in the product's code, each of which the invariants must detect.
+"""Mutation tests: defects that are inserted into the product's code. The invariants must detect
+each of them.
 
 A mutant that is not detected shows that the guard it disables has no effect. A mutant is a small
 replacement in the source of one module, applied while the module is imported. The files on disk are

@@ -32,7 +32,7 @@ class GoalCheck:
         return assembly.make_fixed_space(self._cell)
 
     def prepare(self) -> None:
-        """Compute what the first check needs."""
+        """Compute the data that the first check needs."""
         _ = self._fixed if self._cell.file.arm is None else self.free
         self.ready = True
 

@@ -399,8 +399,8 @@ class RunRecorder(CellNode[Parameters]):
         self._begin(plan, refused=False)
 
     def _on_arrangement_state(self, report: ArrangementState) -> None:
-        """Begin or end the recording of an arrangement, of which each move is a goal of the
-        planner."""
+        """Begin or end the recording of an arrangement. Each move of an arrangement is a goal of
+        the planner."""
         if not self.active:
             return
         if self._arranging and self._ends_at is None:

@@ -325,7 +325,7 @@ def _along(p: Array, levels: Array, mask: Array) -> Array:
 
 
 def _outermost(window: int) -> int:
-    """Number of pixels at each end of a window from which the levels are taken. In a narrow window,
+    """Number of pixels at each end of a window that determine the levels. In a narrow window,
     the second pixel already belongs to the edge."""
     return 1 if window <= 7 else 2
 

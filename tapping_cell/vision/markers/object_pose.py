@@ -116,7 +116,7 @@ def _metres(pixels: Array, seen: Array) -> Array:
 def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
-    Four sides have eight positions and rotations, of which a square determines four. The other four
+    Four sides have eight positions and rotations. A square determines four of them; the other four
     degrees of freedom show glare, sharpening, compression and bent paper. As four values are a
     small sample, a prior for their usual value is included.
     """

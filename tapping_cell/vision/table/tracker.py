@@ -90,8 +90,8 @@ class TableTracker:
         self._field_frames = 0.0
 
     def update(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Process one frame's reference markers; ``rows`` (M,) are the rows of the map of
-        ``edges``, all of which must be good."""
+        """Process one frame's reference markers; ``rows`` (M,) are the rows of the map for
+        ``edges``; all edges must be good."""
         s = self.settings
         if len(rows) < s.least_references:
             return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
