@@ -187,7 +187,7 @@ class KeepGoal:
 
 @dataclass(frozen=True, slots=True)
 class TouchGoal:
-    """Update the age of the stored goal, because a goal that is too old is not resumed."""
+    """Reset the age of the stored goal. A goal that is too old is not resumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,7 +207,7 @@ class GoalHandling:
         Return an error if any of them was not observed since the steady time ``since``.
         """
         if isinstance(task, ArrangementTask):
-            return None  # an arrangement observes every object itself
+            return None  # an arrangement itself observes every object
         names = self.other_objects.unobserved(since)
         if names:
             return (

@@ -39,7 +39,8 @@ _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _SIMPLE_STEPS = 400
-# The tolerance is relative to each component, down to this fraction of the largest component.
+# The tolerance is relative to each component, or to this fraction of the largest component if that
+# is larger.
 _SMALLEST_SHARE = 1e-3
 
 

@@ -130,7 +130,8 @@ class FreeSpace:
         edges = []
         for axis in (0, 1):
             i, j = np.nonzero(np.diff(padded, axis=axis))
-            # Because of the padding, the line after padded cell i is the line before cell i.
+            # The map is padded by one cell, so the boundary behind padded cell i is the boundary
+            # before cell i.
             first = np.stack([i, j], axis=-1).astype(float)
             first[:, 1 - axis] -= 1.0
             along = np.eye(2)[1 - axis]

@@ -119,7 +119,7 @@ class FixedInvariantChecker(InvariantChecker):
             if unnoticed > UNNOTICED_S:
                 self.violate(
                     "striker out unreported",
-                    f"the tapper reports its strikers at their mounts; that of '{name}' has been"
-                    f" out for {now - since:.1f} s",
+                    "the tapper reports that all strikers are at their mounts, but that of "
+                    f"'{name}' has been out for {now - since:.1f} s",
                 )
                 self._cell.out_since[name] = math.inf

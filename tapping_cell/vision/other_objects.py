@@ -38,8 +38,8 @@ class RoundRobin:
     def due(self, stamp: float, always: Collection[int] = ()) -> list[int]:
         """Return the indices of the objects to measure in the frame with this stamp (s).
 
-        These are the objects in ``always``, and the object measured longest ago if :data:`PERIOD`
-        has passed.
+        These are the objects in ``always`` and, if :data:`PERIOD` has passed, the object whose last
+        measurement is the oldest.
         """
         chosen = set(always)
         if self._measured_at:

@@ -337,7 +337,7 @@ class RunRecorder(CellNode[Parameters]):
             (now - max(0, clock - received) if received else now, name, data)
             for name, data, received in self._polled.take(names)
         ]
-        # At the beginning of an arrangement, its own state precedes that of the planner.
+        # At the beginning of an arrangement, process arrangement_state before plan_state.
         arrangements = [entry for entry in waiting if entry[1] == "arrangement_state"]
         others = [entry for entry in waiting if entry[1] != "arrangement_state"]
         for stamp, name, data in (*arrangements, *sorted(others, key=lambda entry: entry[0])):

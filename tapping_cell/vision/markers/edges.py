@@ -27,8 +27,9 @@ _SOFT = 0.02
 beside the edge are contaminated. The result is then biased towards the middle of the window, so the
 measurement is repeated until result and window agree."""
 _USUAL = 0.68
-"""Half width of a window in modules, at most 4 pixels. A narrower window ends in the blur of its
-edge; a wider one, on small markers, in the blur of the modules behind the black border."""
+"""Half width of a window in modules, at most 4 pixels. The ends of a narrower window would lie in
+the blur of the edge. The ends of a wider window would, on small markers, lie in the blur of the
+modules behind the black border."""
 _WIDE, _WIDEST = 0.75, 8
 """Half width of the window for blurred edges (motion, defocus), in modules and at most in pixels.
 Wider windows would reach the modules next to the black border."""

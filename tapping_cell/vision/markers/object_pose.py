@@ -35,9 +35,9 @@ _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width, in pixels and as a fraction of the side. A larger
 difference means that an object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
-"""Allowed ratio of this difference to that of nearby reference markers (root mean square), for a
-poor lens, bent paper or a sharpened image; and the largest difference that this ratio may allow, as
-a fraction of the side."""
+"""Allowed ratio of this difference to that of nearby reference markers (root mean square), which
+accounts for a poor lens, bent paper or a sharpened image. The second value limits the difference
+that this ratio allows, as a fraction of the side."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
