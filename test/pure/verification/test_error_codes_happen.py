@@ -154,7 +154,7 @@ def test_an_arm_at_another_baud_rate_is_unreadable(cell: ReportedCell) -> None:
     cell.trial.start()
     cell.run(4.0)
     cell.trial.interrupt_arm_power()  # it greets, as most boards do whenever the port is opened
-    cell.read(ErrorCode.ARM_REPLY_GARBLED, "no text", "check arm.baud")
+    cell.read(ErrorCode.ARM_REPLY_GARBLED, "not text", "check arm.baud")
 
 
 @pytest.mark.parametrize(
