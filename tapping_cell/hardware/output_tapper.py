@@ -227,7 +227,7 @@ class OutputTapperDriver:
                 f" ({1e3 * self.settings.latency:.0f} ms), so nothing was switched: this computer"
                 " was too slow",
             )
-        # From here on the output may be on, until it is proven off.
+        # From here on the output may be on, until it is confirmed off.
         self._release_by = math.inf
         try:
             on, off = self._send_pulse(pulse)
@@ -303,7 +303,7 @@ class OutputTapperDriver:
         over = self._off_since(asked)
         proven_off = over if seen else off in (Answer.DONE, Answer.UNREPORTED)
         if not proven_off:
-            # Reconnecting switches the output off and waits for the proof.
+            # Reconnecting switches the output off and waits for the confirmation.
             self._connected = False
             self.counters.last_error = (
                 f"{self._link.name} did not confirm that it is off after shot {shot}"

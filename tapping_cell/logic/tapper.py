@@ -624,8 +624,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._discharge((of_tapper(fault), fault.sentence))
             return
         if fault.reason in OF_THE_TAP and name == "charge" and self.state is S.DISCHARGING:
-            # The tap was given up before, and the board has now refused to continue charging, for
-            # example because it discharged automatically while this process was suspended.
+            # The tap had already been given up, and the board refuses to continue charging, for
+            # example because it discharged while this process was suspended.
             self._run("discharge", tapper_jobs.discharge)
             return
         if self._tap is not None:
