@@ -150,8 +150,8 @@ def _print(report: dict[str, Any]) -> None:
         print(f"  times [{error}]: [{product}]    norm {figures['norm']:.3f}")
     sweep = report["sweep"]
     print(
-        f"\nThe norm is below one for {100 * sweep['share_below_one']:.0f} % of {sweep['taps']} taps "
-        f"of {sweep['distance_mm'][0]:g} to {sweep['distance_mm'][1]:g} mm inside the cone of "
+        f"\nThe norm is below one for {100 * sweep['share_below_one']:.0f} % of {sweep['taps']} "
+        f"taps of {sweep['distance_mm'][0]:g} to {sweep['distance_mm'][1]:g} mm inside the cone of "
         f"{sweep['cone_deg_per_mm']:.3f} degrees/mm\n  "
         f"({100 * sweep['share_below_one_physical']:.0f} % if the impact model determines the "
         f"direction of travel), and for every tap of at most "
