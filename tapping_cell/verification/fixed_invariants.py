@@ -15,8 +15,8 @@ from tapping_cell.verification.physical_cell import Release
 OTHERS_ASKED_S = 0.1
 """Maximum age, at the last check, of the other boards' replies that they are at rest."""
 UNNOTICED_S = 3.0
-"""Maximum time for which a striker may be out before the tapper's node reports it: a request with
-all its repetitions, or the board's wait for a released striker, which its state shows."""
+"""Maximum time for which a striker may be out before the tapper's node reports it. It covers a
+request with all its repetitions, and the time for which a board waits for a released striker."""
 
 LINE_POSITION_M, LINE_ANGLE_RAD = 0.005, 0.1
 """Maximum deviation of a commanded line, which includes learnt corrections, from the line in the

@@ -1,4 +1,4 @@
-"""Schedule for measuring the other objects: in turn, and those being tapped in every frame."""
+"""Schedule for measuring the other objects: tapped ones in every frame, the rest in turn."""
 
 from __future__ import annotations
 
