@@ -268,7 +268,7 @@ def _three_axes(cell: ControllerCell, rng: np.random.Generator) -> None:
 
 
 def _unswitched_axis(cell: ControllerCell, rng: np.random.Generator) -> None:
-    """The tool is in no homing cycle and is not named in axes_without_switch."""
+    """The tool's axis is not homed, and axes_without_switch in the cell file does not list it."""
     emulator = cell.emulator
     emulator.receive(b"$46=0\n$/axes/a/homing/cycle=0\n", cell.clock.now)
     words = "homing leaves out axis A .*axes_without_switch"

@@ -334,9 +334,9 @@ def _outermost(window: int) -> int:
 def _level_noise(window: int) -> float:
     """Factor on the variance of a side's line, because the levels come from the same rows.
 
-    The edge position is the sum of a window's pixels divided by the contrast. Each pixel has the
-    weight -1. The outermost pixels at each end, whose mean is a level, have an additional total
-    weight of half the window.
+    The edge position is the sum of a window's pixels divided by the contrast. Each pixel of the
+    window has the weight -1 in the sum. The outermost pixels at each end, whose mean is a level,
+    have an additional total weight of half the window.
     """
     end = _outermost(window)
     outer = 0.5 * window / end - 1.0
