@@ -103,7 +103,7 @@ def _tables(parser: argparse.ArgumentParser) -> Iterator[str]:
         yield "\n| option | default | meaning |\n| --- | --- | --- |\n"
         yield from rows
     for name, own in inner:
-        yield f"\n### `{parser.prog.split(' ', 1)[1]} {name}`\n"
+        yield f"\n### `{parser.prog.rsplit(' ', 1)[-1]} {name}`\n"
         yield from _tables(own)
 
 
@@ -174,6 +174,7 @@ FILES: tuple[tuple[str, str, type], ...] = (
         TruthFile,
     ),
 )
+_TITLES = {kind: title.lower() for title, _, kind in FILES}
 
 
 def configuration_page() -> str:
@@ -202,7 +203,9 @@ def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str
         held = _sections_in(hints[entry.name])
         name = f"{prefix}{entry.name}"
         meaning = limits.description
-        if held is not None:
+        if held in _TITLES:
+            meaning += f"; keys as in the {_TITLES[held]}"
+        elif held is not None:
             known = written.setdefault(held, name)
             if known == name:
                 inner.append((name, held))

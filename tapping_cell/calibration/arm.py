@@ -433,8 +433,9 @@ def _notes(
         for b in range(a):
             if abs(correlation[a, b]) > _CORRELATED:
                 warnings.append(
-                    f"{_IN_WORDS[free[b]]} and {_IN_WORDS[free[a]]} are known mainly together"
-                    f" (correlation {correlation[a, b]:+.3f}); their combined effect on the wrist"
+                    f"{_IN_WORDS[free[b]]} and {_IN_WORDS[free[a]]} are known mainly in "
+                    f"combination (correlation {correlation[a, b]:+.3f}); their combined "
+                    "effect on the wrist"
                     " is known better than each value"
                 )
     elbow = record.joints[used, 1] + values["elbow_zero"]

@@ -10,7 +10,7 @@ from tapping_cell.hardware.scara import Branch, Joints, ScaraGeometry
 from tapping_cell.se2 import Pose
 
 TURN = math.radians(120.0)
-"""Maximum angle of the tool to either side of the line from the shoulder."""
+"""Maximum angle between the tool and the line from the shoulder, on either side."""
 _INSIDE = 0.01
 """Clearance to the joint limits, in rad, so that an uncalibrated zero cannot stop a move."""
 _TRIED = 50

@@ -5,8 +5,8 @@ H_i (t - t_0), with the score s_i and the information H_i of the fit. One Newton
 estimate of a resample and its standard error, so thousands of resamples cost only a matrix product.
 Trials are resampled within each run, so every run keeps its number of trials. The interval is the
 studentised one (percentile-t; Davison and Hinkley, Bootstrap Methods and their Application, 1997,
-section 5.2.1). Its coverage is correct even for few trials, for which the plain percentile interval
-is too short.
+section 5.2.1). Its coverage is correct even for few trials; the plain percentile interval would be
+too short.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 
 REPLICATES = 2000
 LEVEL = 0.95
-_MOST_STD = 5.0  # clip in standard errors: a resample can lack the trials that fix a parameter
+# clip, in standard errors: a resample may lack the trials that determine a parameter
+_MOST_STD = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -417,7 +417,7 @@ def _result(
     worst = max(deviations["fx"] / model.fx, deviations["fy"] / model.fy)
     if worst > _WORST_FOCAL:
         raise CalibrationRefused(
-            f"these views leave the focal length uncertain by {100 * worst:.1f} % (one standard"
+            f"with these views the focal length is uncertain by {100 * worst:.1f} % (one standard"
             f" deviation; at most {100 * _WORST_FOCAL:g} % is accepted): tilt the target more, fill"
             " the image with it, take more views"
         )
@@ -449,7 +449,7 @@ def _warnings(
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     if rms > _HIGH_RMS:
         warnings.append(
-            f"corners lie {rms:.2f} pixels (rms) from their reprojections; a flat target in "
+            f"corners are {rms:.2f} pixels (rms) from their reprojections; a flat target in "
             "sharp photographs gives 0.1 to 0.3. Check that the target is flat and its sizes "
             "are right"
         )

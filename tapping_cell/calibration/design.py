@@ -4,8 +4,9 @@ A run repeats taps with one striker speed and one incidence (section 3.1 of the 
 of ten trials). At small incidences the contact sticks, which determines the impact constants. At
 large incidences it slides throughout, which determines the contact friction. Two speeds separate
 speed-dependent effects from others. The start pose varies on purpose: from the middle of the table
-the object is tapped outwards in varying directions, and from elsewhere back to the middle. So the
-effect of the table's tilt cancels in each pair of trials, and nobody has to return the object.
+the object is tapped outwards in varying directions, and from elsewhere back to the middle. The
+effect of the table's tilt therefore cancels in each pair of trials, and an operator does not have
+to return the object.
 """
 
 from __future__ import annotations

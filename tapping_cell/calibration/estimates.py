@@ -58,7 +58,8 @@ def slide_estimates(
         width = spread(slide.score, slide.information, runs, seed)
     except ValueError as problem:
         raise RecordError(message) from problem
-    # Also check the information of the fit: exact slides without rotation have no spread.
+    # Also check the information of the fit, because noise-free slides without rotation have no
+    # spread.
     expected = np.sqrt(np.diag(np.linalg.inv(slide.information.sum(axis=0))))
     if max(float(np.max(width.std[:2])), float(np.max(expected[:2]))) > _UNKNOWN:
         raise RecordError(message)
@@ -133,8 +134,8 @@ def scatter_estimates(
     """Estimate the scatter of launches (speed, spin, direction) and displacements.
 
     The scatter of distance and rotation includes the model's ``errors``, because a planner should
-    expect both. Where small taps scatter more than in proportion, it is divided into a share and a
-    floor.
+    expect both. If small taps scatter more than in proportion to their size, the scatter is divided
+    into a part proportional to the size and a constant floor.
     """
     expected = {entry.quantity: entry.total for entry in errors}
     place, angle = _parts(measured, tapped, impact, runs)
@@ -143,7 +144,7 @@ def scatter_estimates(
         expected["distance"] = math.hypot(place.shares[0], between.get("distance", 0.0))
     if angle is not None and angle.floor > 0.0:
         expected["rotation"] = math.hypot(angle.shares[0], between.get("rotation", 0.0))
-    # The relative scatter of the rotation is meaningless for taps that hardly turn the object.
+    # The relative scatter of the rotation is not defined for taps that hardly rotate the object.
     clear = np.abs(tapped.rotation) > 0.2 * tapped.distance
     rotation = np.where(clear, tapped.rotation, 1.0)
     columns = {
@@ -215,7 +216,8 @@ def floor_estimates(
 def _parts(
     measured: Launches, tapped: Launches, impact: ImpactFit, runs: Sequence[int]
 ) -> tuple[Parts | None, Parts | None]:
-    """Divide the scatter within the runs into shares and floors: position and angle."""
+    """Divide the scatter of position and angle within the runs into proportional parts and
+    floors."""
     labels = np.asarray(runs)
     return (
         scatter_parts(

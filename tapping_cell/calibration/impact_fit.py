@@ -283,9 +283,8 @@ def _scatter(
 
 
 def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
-    """Fix the contact friction, because contacts that stick explain the launches equally well.
-
-    The file's friction is kept unless it explains the launches worse. This gives no bound on the
+    """Fix the contact friction, because sticking contacts explain the launches equally well. The
+    file's friction is kept unless it explains the launches worse. The launches give no bound on the
     friction, because an error elsewhere in the model can make sliding contacts appear to stick.
     """
     known = model.known["contact_friction"]

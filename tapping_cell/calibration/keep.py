@@ -23,8 +23,8 @@ from tapping_cell.configuration.provenance import Provenance, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
 
 _SLACK = 1.01
-"""Maximum ratio of the new to the old value at which the new file does not count as worse, because
-files hold six digits and fits vary."""
+"""Maximum ratio of the new to the old value at which the new file does not count as worse. It is
+above 1 because files hold six digits and fits vary."""
 
 
 class KeptFile(ValueError):

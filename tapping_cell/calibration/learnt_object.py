@@ -2,9 +2,9 @@
 
 A tap planned with the mechanics of an object file launches the object with a known twist. The
 measured displacement then determines friction and torque factor. Both are fitted to all taps
-jointly by robust least squares. Restitution and contact friction are kept from the file. Their
-errors are absorbed by the friction, which becomes the value for which this cell's taps are
-accurate.
+jointly by robust least squares. Restitution and contact friction are kept from the file. The fitted
+friction compensates for their errors: it is the value with which the taps of this cell are
+predicted accurately.
 """
 
 from __future__ import annotations

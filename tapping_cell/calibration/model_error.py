@@ -7,8 +7,8 @@ deviations that depend on the contact point on the object or on the direction of
 
 Prediction: the error of a new tap has two sources, the scatter of a tap and the model's error at
 the tap's setting. The runs are a sample of the settings, so the two variances are those of a
-one-way random effects model, with Satterthwaite's degrees of freedom. So the interval widens if the
-model is wrong.
+one-way random effects model, with Satterthwaite's degrees of freedom. The interval therefore widens
+if the model is wrong.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _LEAST_TURN = 0.2
 """Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful."""
 _CAUSES = {
     "setting": "from run to run, that is with the striker's speed and the incidence",
-    "place": "with the contact point on the object: is the object's centre of mass or of friction "
-    "away from its middle?",
+    "place": "with the contact point on the object: is the centre of mass or of friction off "
+    "the object's middle?",
     "direction": "with the direction on the table: is the table level, and is the table's "
     "friction the same in all directions?",
 }

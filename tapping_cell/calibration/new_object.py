@@ -1,4 +1,4 @@
-"""Initial file of an object of which only shape, height and appearance are known."""
+"""Initial object file if only shape, height and appearance of the object are known."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TORQUE_FACTOR = 1.8
 the publication is 3.64)."""
 RESTITUTION, CONTACT_FRICTION = 0.6, 0.2
 """Values for a hard tip on plastic or soft metal. When the object is learnt, the fitted friction
-compensates their errors."""
+compensates for their errors."""
 DENSITY = 1500.0
 """Density in kg/m^3, between wood and aluminium, for objects of unknown mass. An error of the mass
 causes an error of the launch speed, which the friction fitted by learning compensates."""

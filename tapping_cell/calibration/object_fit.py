@@ -50,7 +50,7 @@ _LEAST_FRICTION_SPREAD = 0.01
 _MISFIT = 5.0
 _MOST_OUTLIERS = 0.25
 _CORRELATED = 0.9
-_LEAST_SPEED_ERROR = 0.01  # relative error of the striker's speed that is not reported
+_LEAST_SPEED_ERROR = 0.01  # smallest relative error of the striker's speed that is reported
 
 
 class SpeedPoint(NamedTuple):
@@ -309,13 +309,13 @@ def _fit_impact(
     rows = np.flatnonzero(known)
     if rows.size < len(used):
         sentences.append(
-            f"{len(used) - rows.size} of {len(used)} trials lack the striker's speed, the incidence"
-            " or a polygon's contact angle: the impact is "
+            f"{len(used) - rows.size} of {len(used)} trials have no striker speed, incidence "
+            "or (for polygons) contact angle: the impact is "
             + ("fitted without them." if rows.size >= LEAST_TRIALS else "not fitted.")
         )
     if rows.size < LEAST_TRIALS:
         return None
-    # A new fit starts from the model's own constants, not from the scales of the last fit.
+    # A new fit starts from the model's own constants, not from the scales of the previous fit.
     old = {"restitution": content.restitution, "contact_friction": content.contact_friction}
     scales = {"scale_b1": 1.0, "scale_b2": 1.0, "scale_b3": 1.0}
     model = ImpactModel(strikes.of(rows), body, striker, old | scales)
@@ -420,7 +420,7 @@ def _taps(
 def _inflation(misfits: Sequence[Misfit]) -> float:
     """Return the factor by which intervals widen if the runs do not fit the model (Birge 1932).
 
-    In that case the runs, not the taps, are the independent samples.
+    If the runs do not fit, the runs, not the taps, are the independent samples.
     """
     ratios = [misfit.inflation for misfit in misfits if misfit.cause == "setting"]
     return math.sqrt(max([1.0, *ratios]))
@@ -432,7 +432,7 @@ def _prediction_sentence(errors: Sequence[ModelError]) -> list[str]:
     widths = " and ".join(
         f"{100 * entry.half_width:.0f} % of the predicted {entry.quantity}" for entry in errors
     )
-    return [f"Of new taps with settings within those of these runs, 95 % come within {widths}."]
+    return [f"Of new taps with settings within those of these runs, 95 % are within {widths}."]
 
 
 def _slide_sentences(

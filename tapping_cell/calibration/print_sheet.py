@@ -94,8 +94,8 @@ def target_page(paper: tuple[float, float], target: Target) -> Page:
     room = (paper[0] - 2 * _MARGIN, paper[1] - 2 * _MARGIN - _FOOT)
     if width > room[0] + 1e-9 or height > room[1] + 1e-9:
         raise SheetError(
-            f"a {target.describe()} is {width * 1e3:g} x {height * 1e3:g} mm; the paper has "
-            f"room for {room[0] * 1e3:g} x {room[1] * 1e3:g} mm; use fewer or smaller squares"
+            f"a {target.describe()} is {width * 1e3:g} x {height * 1e3:g} mm; the printable "
+            f"area is {room[0] * 1e3:g} x {room[1] * 1e3:g} mm; use fewer or smaller squares"
         )
     left = 0.5 * (paper[0] - width)
     top = 0.5 * (paper[1] + _FOOT + height)
@@ -176,7 +176,8 @@ def reference_page(paper: tuple[float, float], references: ReferenceMap) -> Page
     sizes = {marker.size for marker in references.markers}
     side = ", ".join(f"{size * 1e3:g}" for size in sorted(sizes))
     text = (
-        f"reference markers {references.dictionary}, side {side} mm; frame table: the cross, in mm"
+        f"reference markers {references.dictionary}, side {side} mm; the cross marks the "
+        "origin of the frame table; lengths in mm"
     )
     return _page(paper, shapes, lines, text, labels)
 

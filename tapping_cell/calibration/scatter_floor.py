@@ -1,8 +1,8 @@
-"""Separation of a scatter into a share of the tap's size and a floor that small taps keep.
+"""Separation of a scatter into a part proportional to the tap's size and a constant floor.
 
 The deviations of series k at sizes L are normal with the variance (share_k L)^2 + floor^2. Shares
 and floor are maximum likelihood estimates. The floor is kept only if a likelihood ratio test shows
-that it is not zero; its value is on the edge of the range then, so the p-value is half of that of
+that it is not zero. As zero is the edge of the floor's range, the p-value is half of that of
 chi-squared with one degree of freedom (Self and Liang, JASA 82, 1987).
 """
 

@@ -26,8 +26,10 @@ LEAST_TRIALS = 8
 _LEAST_MOTION = 0.0002  # m
 _LEAST_SPEED = 0.02  # m/s: corresponds to a displacement of 0.1 mm at a friction of 0.2
 _FRICTION = (0.005, 5.0)
-_SPIN_GAIN = (0.3, 30.0)  # 1 + gamma kappa / 4 for torque factors to 20, with tolerance for noise
-_STRIKER_GAIN = (0.01, 2.5)  # 2 for an elastic impact by a heavy striker
+# 1 + gamma kappa / 4 for torque factors of up to 20, with tolerance for noise
+_SPIN_GAIN = (0.3, 30.0)
+# launch speed over striker speed: 2 for an elastic impact of a heavy striker
+_STRIKER_GAIN = (0.01, 2.5)
 _RATE = (0.5, 2.0)
 _SPEED_SHARE, _SPIN_SHARE = 0.03, 0.08  # default relative standard deviations
 _OTHER_NOISE = 6.0  # standard deviations

@@ -1,9 +1,9 @@
 """Least squares with local parameters of each trial and parameters shared by all trials.
 
 The residuals of a trial depend only on its own ``local`` parameters and on the ``shared``
-parameters. So the matrix of the normal equations is a bordered block-diagonal matrix. The local
-parameters are eliminated for each trial (Schur complement), and the effort is linear in the number
-of trials.
+parameters. The matrix of the normal equations is therefore a bordered block-diagonal matrix. The
+local parameters are eliminated for each trial (Schur complement), so the computing time is linear
+in the number of trials.
 
 Methods: Levenberg 1944 and Marquardt 1963; for the elimination, Triggs et al., "Bundle adjustment",
 2000, section 6.
@@ -79,7 +79,8 @@ def sum_by_trial(jacobian: Array, residuals: Array, rows: Rows, count: int) -> t
 def eliminated(equations: NormalEquations) -> tuple[Array, Array]:
     """Compute gradient (n, s) and curvature (n, s, s) of each trial in the shared parameters.
 
-    The local parameters are eliminated, that is, optimal for the given shared parameters.
+    The local parameters are eliminated: they have their optimal values for the given shared
+    parameters.
     """
     by_shared, by_gradient = _solved(equations, equations.h_local)
     return _reduced(equations, by_shared, by_gradient)

@@ -26,7 +26,8 @@ FINE, COARSE = 0.02, 0.12
 """Spacing of the tables in ln(torque factor). The interpolation errors are 3e-5 and 1e-3 of the
 rotation. A table takes a tenth of a second to compute, so a search starts with the coarse
 tables."""
-_FARTHEST = 14.0  # ln of the largest ratio of spin and speed; beyond it, the motion is pure
+# ln of the largest ratio of spin and speed; beyond it, one of the two motions is negligible
+_FARTHEST = 14.0
 _NEAREST = -20.0  # ln of the smallest distance from the terminal ratio
 _KNOTS = 1000
 _SPACING = 0.02
@@ -74,8 +75,8 @@ class _Curve:
         away = np.union1d(close, np.arange(width, 0.0, -_SPACING))
         ratio = self._terminal + sign * away
         rate = sign * self.table.ratio_rate(ratio)
-        # d ln(left) = d ratio / rate, left being the remaining time. The integration variable is
-        # ln(away), because the integrand is smooth in it.
+        # d ln(left) = d ratio / rate, where `left` is the remaining time. The integrand is smooth
+        # in ln(away), so this is the integration variable.
         slope = away / np.maximum(rate, 1e-12)
         steps = np.diff(np.log(away)) * (slope[1:] + slope[:-1]) / 2
         left = np.concatenate([[0.0], np.cumsum(steps)])

@@ -3,16 +3,17 @@
 Every trial has local parameters: its launch (speed and spin) and, if it has a track, its time of
 impact, its start pose and a small deviation of its friction. Friction and torque factor are shared.
 The residuals compare measured quantities: samples of the track, or initial velocities and
-displacement. So no velocity is computed from differences of noisy poses, a stop between two frames
-causes no error, and a small displacement is weighted by its noise.
+displacement. Therefore no velocity is computed from differences of noisy poses, a stop between two
+frames causes no error, and a small displacement is weighted by its noise.
 
 The fit minimises the squared residuals divided by their variances (``shared_least_squares.py``).
 This module defines the residuals and their derivatives.
 
 No object has an exactly uniform pressure distribution. If the centre of pressure is away from the
 centre of mass, friction rotates the object by an amount that depends on the direction of travel. A
-distance of half a millimetre changes the rotation of the paper's disk by a fifth. So the centre of
-pressure is also fitted, to first order, if the direction of travel is known in the object frame.
+distance of half a millimetre changes the rotation of the paper's disk by a fifth. The centre of
+pressure is therefore also fitted, to first order, if the direction of travel is known in the object
+frame.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
 _CENTRE_STD = 0.05  # prior of the centre of pressure; only worn or tilted objects exceed it
 _STARTS = (0.6, 1.5, 3.5)
-_FREE = 0.3  # prior of a trial's own friction when it is estimated from that trial alone
+_FREE = 0.3  # prior of a trial's friction if it is estimated from this trial alone
 _LEAST_SCATTER = 1e-4
 _NEAR_ONE = 1e-3
 
@@ -335,7 +336,8 @@ def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquation
     cost += float(np.sum((local[:, _FRICTION] / prior) ** 2))
     for unused in (_IMPACT, _START, _ANGLE):
         hessian[~problem.tracked, unused, unused] += 1.0
-    # The prior of the centre of pressure is divided among the trials, so that sums contain it once.
+    # The prior of the centre of pressure is divided among the trials, so that their sum contains it
+    # once.
     for index in (2, 3):
         hessian[:, _LOCAL + index, _LOCAL + index] += _CENTRE_STD**-2 / count
         gradient[:, _LOCAL + index] += at.shared[index] * _CENTRE_STD**-2 / count

@@ -190,8 +190,7 @@ def _without(
     result = calibrate_table(kept, sizes, dictionary, focal)
     sentence = (
         f"marker {marker} is left out: in no image is it consistent with the others (at best "
-        f"{error:.1f} pixels off); it does not lie flat on the table, has another size, or "
-        "was moved"
+        f"{error:.1f} pixels off); it is not flat on the table, has another size, or was moved"
     )
     return replace(result, warnings=(sentence, *result.warnings))
 
@@ -384,8 +383,8 @@ class _Problem:
         return matrix, right, float((residual**2).sum())
 
     def solve(self, poses: Sequence[CameraPose], markers: Array) -> tuple[list[CameraPose], Array]:
-        """Minimise by Levenberg-Marquardt; the frame is not fixed, but hardly moves in the
-        process."""
+        """Minimise by Levenberg-Marquardt. The frame is not fixed, but hardly moves during the
+        iterations."""
         poses, damping = list(poses), 1e-6
         matrix, right, cost = self._normal(poses, markers)
         for _ in range(_STEPS):

@@ -7,8 +7,8 @@ the striker's speed from the impact's ratio of launch to striker speed. The fitt
 
 which is the ideal drive (v ~ sqrt(E)) with a smooth deviation g. This deviation is a Gaussian
 process, averaged over amplitude and length scale by the marginal likelihood (Rasmussen and
-Williams, Gaussian Processes for Machine Learning, chapter 5). So the level a is fitted freely, and
-the deviation only as far as the data support it.
+Williams, Gaussian Processes for Machine Learning, chapter 5). The level a is thus fitted without a
+prior, and the deviation g only as far as the data support it.
 """
 
 from __future__ import annotations
@@ -140,7 +140,8 @@ def striker_speeds(record: TapRecord, tap: Tap) -> Array:
 
 def launch_ratio(impact: Impact, incidences: Array) -> Array:
     """Compute launch speed over striker speed for taps at the middle of the body's nearest side."""
-    # The contact is towards -x from the centre, at the distance of a polygon's nearest side.
+    # The contact lies towards -x from the centre; for a polygon, at the distance of the nearest
+    # side.
     angles = np.linspace(0.0, 2.0 * np.pi, 721)
     near = float(np.linalg.norm(impact.body.boundary(angles), axis=-1).min())
     result = impact.strike(1.0, incidences, np.array([-near, 0.0]))

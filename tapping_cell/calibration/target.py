@@ -181,7 +181,7 @@ def _charuco(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | s
     """Detect the corners of a ChArUco board that adjacent markers identify."""
     best: tuple[NDArray[np.intp], Array] = (np.zeros(0, dtype=np.intp), np.zeros((0, 2)))
     markers = 0
-    # Boards with an even number of rows made before OpenCV 4.6 begin with a marker.
+    # Boards with an even number of rows that were drawn by OpenCV before 4.6 begin with a marker.
     even = target.rows % 2 == 0
     for legacy in (False, True) if even and aruco.LEGACY_BOARDS else (False,):
         ids, corners, seen = aruco.detect_board(
@@ -242,7 +242,7 @@ def _blur(image: Image, target: Target, ids: NDArray[np.intp], pixels: Array) ->
     along = end - start
     length = np.linalg.norm(along, axis=1)
     normal = np.stack([-along[:, 1], along[:, 0]], axis=-1) / length[:, None]
-    # The white squares of a ChArUco board are only clear around their markers.
+    # The white squares of a ChArUco board are clear only around their markers.
     reach = np.clip(target.clear * float(np.median(length)), 2.0, 12.0)
     step = 0.5
     offsets = np.arange(-reach, reach + step, step)

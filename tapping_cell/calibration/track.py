@@ -13,7 +13,8 @@ from tapping_cell.calibration.trials import Track, Trial
 
 Array = NDArray[np.float64]
 
-_EDGE = 0.02  # fraction of the displacement near its ends within which a sample may be at rest
+# Samples within this fraction of the displacement from its start or its end may be at rest.
+_EDGE = 0.02
 _NOISE = 8.0  # standard deviations
 _LEAST_MOTION = 0.0002  # m: minimum displacement
 _GAP = 1.6  # maximum time between two samples, in camera periods

@@ -34,7 +34,8 @@ OUTCOMES = ("ok", "missed", "disturbed", "lost")
 ``missed``: the striker missed. ``disturbed``: something else moved the object. ``lost``: the camera
 lost the object. Fits use only the trials with the outcome ``ok``."""
 
-_TURNS = 100.0  # rad; most angles that are wrongly in degrees exceed it or contradict other columns
+# rad; most angles given in degrees by mistake exceed this limit or contradict other columns
+_TURNS = 100.0
 
 
 def _column(name: str, unit: str, low: float, high: float) -> Column:

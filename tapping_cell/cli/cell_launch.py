@@ -133,7 +133,7 @@ def _start(
             output="screen",
             respawn=node.respawn,
             respawn_delay=1.0,
-            # A node that refuses its configuration ends every time.
+            # A node with an invalid configuration would end again after each restart.
             respawn_max_retries=MOST_RESTARTS,
         )
         for node in nodes

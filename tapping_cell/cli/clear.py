@@ -1,7 +1,5 @@
-"""Clear the stop and the faults of arm and tapper of a running cell. This moves nothing.
-
-Press the clear button at the tapper first. If a node remains stopped, the command fails and names
-that node.
+"""Clear the stop and the faults of arm and tapper of a running cell. Nothing moves. Press the clear
+button at the tapper first. If a node remains stopped, the command fails and names this node.
 
     python -m tapping_cell clear
 """

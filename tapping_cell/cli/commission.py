@@ -1,4 +1,5 @@
-"""Commission a cell from no configuration to the first goal, with a measurement for each step.
+"""Commission a cell, from an empty configuration to the first goal, and verify each step by a
+measurement.
 
 The steps are: ports, controller, camera, table, homing, directions and limits, object, first tap at
 the lowest energy, arm, tapper, first goal. Until the first tap is made, the cell is in set-up mode:

@@ -67,8 +67,8 @@ class Crash:
 
     @property
     def clean(self) -> bool:
-        """Whether the trial was safe and the goal was reached. Only after a restart of
-        ``sim_world``, which resets the boards, may the cell need an operator instead."""
+        """Whether the trial was safe and the goal was reached. After a restart of ``sim_world``,
+        which resets the boards, it is sufficient that the cell requests an operator."""
         asked = self.ended == "needed an operator" and self.node == WORLD
         return not self.unsafe and (self.ended == "reached" or asked)
 
@@ -285,7 +285,7 @@ class CrashCell:
         seen, plan = self.seen, self.seen.plans[-1] if self.seen.plans else PlanState()
         arm, tapper = seen.arm, seen.tapper
         low = arm.tip_pose.position.z < LOW
-        # This is the first tap, or its successor if the first was given up.
+        # This is the first tap, or the next one if the first was given up.
         tap = next((c.tap_id for c in reversed(seen.commands) if c.request == TapCommand.TAP), 0)
         mine = tap > 0 and arm.tap_id == tap
         phases: dict[str, bool] = {
@@ -300,8 +300,8 @@ class CrashCell:
         return phases[phase]
 
     def _prepare(self) -> None:
-        """Bring the cell to rest with the object at its start, with simulated help of a person if
-        needed."""
+        """Bring the cell to rest with the object at its start; simulate an operator's actions if
+        required."""
         begin = time.monotonic()
         while self.client.missing():
             if time.monotonic() > begin + 120.0:
@@ -311,7 +311,7 @@ class CrashCell:
         future = self._reset.call_async(ResetWorld.Request(object_pose=to_message(START)))
         if not self.wait(future.done, 60.0):
             raise TimeoutError("sim_world does not answer reset_world")
-        # The true pose may arrive later than the camera's message, and its change is no strike.
+        # The true pose may arrive later than the camera's message; its change is not a strike.
         self.wait(
             lambda: (
                 self.client.object_state is not None

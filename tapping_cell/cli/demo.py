@@ -1,4 +1,4 @@
-"""Position an object in the simulated world, from starting the nodes to reaching the goal.
+"""Position an object in the simulated world, from the start of the nodes to the goal.
 
 Starts every node as a separate process, waits until the cell is ready, sends one goal, shows the
 taps as they happen and stops the nodes. The run folder contains report.html, summary.json,

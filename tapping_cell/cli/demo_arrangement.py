@@ -209,7 +209,7 @@ def _outcome(
     one: ObjectEnd, goal: Pose | None, true: tuple[float, float] | None
 ) -> tuple[str, ...]:
     """Return the outcome of one object as texts, in the order of ``HEAD``."""
-    place = "makes way only"
+    place = "only moved out of the way"
     if goal is not None:
         angle = math.degrees(goal.theta)
         place = f"{1000 * goal.x:.1f} mm, {1000 * goal.y:.1f} mm, {angle:.1f} deg"

@@ -146,7 +146,7 @@ class _NoMemory:
 
 
 def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
-    """Check the digital output that fires the tapper. It is switched off, never on."""
+    """Check the digital output that fires the tapper. The check only switches the output off."""
     rclpy.init()
     try:
         node = Node("doctor")

@@ -5,8 +5,8 @@ example:
   python -m tapping_cell evaluate --planner optimal --goal 10 0 10 --camera-noise 0.1 0.1
 
 Lengths are in mm, angles in degrees, shares in percent. With the model "abstract", a tap has the
-intended displacement plus scatter; the model "physics" simulates strike, collision and slide with
-true parameters that the planner does not know (--truth; or --truth-object if the planner uses a
+intended displacement plus scatter; the model "physics" simulates strike, impact and slide with true
+parameters that the planner does not receive (--truth, and --truth-object if the planner uses a
 fitted --object). With --table, the trials run on the cell's table, within the arm's reach, with
 edges and keep-outs; goals that are out of reach must be refused before the first tap. A cell with
 fixed tappers is evaluated on its own working area, with one row of results for each of

@@ -68,8 +68,8 @@ class TerminalCell(TrialCell):
 
     @contextmanager
     def _tapper_held(self) -> Iterator[None]:
-        # Same order of locks as during a release, in which the tapper's thread queries the arm's
-        # position.
+        # The order of the locks is the same as during a shot, when the tapper's thread queries the
+        # arm's position.
         with self._terminals[1].lock:
             yield
 

@@ -257,8 +257,8 @@ class TrialCell:
         try:
             arm_jobs.withdraw(self._arm_context, self._withdrawal, not_before=self.clock.now)
         except HardwareFault:
-            # The next tap recovers the cell. By now, the striker either has been released or will
-            # certainly not be released.
+            # The next tap recovers the cell. By now, the striker either has been fired or can no
+            # longer be fired.
             return outcome
         return outcome
 
@@ -318,7 +318,7 @@ class TrialCell:
                 self.arm.clear_fault()
         except HardwareFault as fault:
             if fault.reason is FaultReason.NEEDS_PERSON:
-                # Simulate the action that the message requires of a person.
+                # Simulate the action that the message requires of an operator.
                 self.tally.board_resets_asked += 1
                 with self._arm_held():
                     self.arm_device.power_cycle(self.clock.now)
@@ -400,15 +400,15 @@ class TrialCell:
         setattr(self.tally, outcome.value, getattr(self.tally, outcome.value) + 1)
 
     def check_reports(self) -> None:
-        """Compare every report with the true shots of the tapper, including shots that were fired
-        after the report."""
+        """Compare every report with the tapper's actual shots, including those fired after the
+        report."""
         fired = {shot for shot, _, _ in self.tapper_device.fires}
         for shot, outcome in self.reported.items():
             if outcome is not FireOutcome.UNKNOWN and (
                 (outcome is FireOutcome.FIRED) != (shot in fired)
             ):
                 self.tally.false_reports += 1
-                self._note(f"shot {shot} was falsely reported as {outcome.value}")
+                self._note(f"shot {shot} was wrongly reported as {outcome.value}")
 
     def forget(self) -> None:
         """Discard the recorded faults, shots and reports, and cancel the scheduled faults."""

@@ -5,17 +5,15 @@ seeded faults on the lines (bytes lost, late, doubled, flipped, split, merged; s
 vanish and return; boards that restart), and compares the drivers' reports with the true actions of
 the devices.
 
-    python -m tapping_cell faults --goals 1000 --seed 1   # the whole cell in simulated time
-    python -m tapping_cell faults --goals 500 --only 'freeze, freeze at a shot'
-    python -m tapping_cell faults --goals 1000 --fixed-tappers   # the positioning cell
-    python -m tapping_cell faults --replay 1000003        # one run of it again, with its trace
-    python -m tapping_cell faults --mutants               # would a missing guard be found?
-    python -m tapping_cell faults --taps 10000 --seed 1   # drivers and boards alone
-    python -m tapping_cell faults --taps 500 --dialect marlin --json
-    python -m tapping_cell faults --every-byte
-    python -m tapping_cell faults --pty --taps 20         # real terminals, in real time
-    python -m tapping_cell faults --soak 2                # hours of taps: does anything grow?
-    python -m tapping_cell faults --crashes               # nodes killed at every phase of a tap
+    python -m tapping_cell faults --goals 1000 --seed 1 # the whole cell in simulated time python -m
+    tapping_cell faults --goals 500 --only 'freeze, freeze at a shot' python -m tapping_cell faults
+    --goals 1000 --fixed-tappers # the positioning cell python -m tapping_cell faults --replay
+    1000003 # repeat one run and print its trace python -m tapping_cell faults --mutants # check
+    that each missing guard is detected python -m tapping_cell faults --taps 10000 --seed 1 #
+    drivers and boards only python -m tapping_cell faults --taps 500 --dialect marlin --json python
+    -m tapping_cell faults --every-byte python -m tapping_cell faults --pty --taps 20 # real
+    terminals, in real time python -m tapping_cell faults --soak 2 # hours of taps, to detect memory
+    growth python -m tapping_cell faults --crashes # kill the nodes at every phase of a tap
 
 The exit code is 0 only if nothing was fired twice or unsafely, nothing hung and every report was
 true.
@@ -254,7 +252,7 @@ def _mix(arguments: argparse.Namespace) -> Mix:
 
 
 def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
-    """Run the dialects in parallel, as far as the number of processes allows."""
+    """Run the dialects in parallel, limited by the number of processes."""
     with ProcessPoolExecutor(min(arguments.jobs, len(dialects))) as pool:
         jobs = [pool.submit(soak, d, arguments.soak, arguments.seed) for d in dialects]
         runs = [job.result() for job in jobs]
@@ -338,7 +336,7 @@ def _in_words(result: dict[str, object]) -> str:
     lines = [
         f"{name.replace('_', ' '):<16} {result[name]}" for name in result if name != "by_fault"
     ]
-    lines.append("outcomes of taps in which a fault struck:")
+    lines.append("outcomes of taps with a fault:")
     by_fault = result["by_fault"]
     assert isinstance(by_fault, dict)
     for kind, counts in by_fault.items():

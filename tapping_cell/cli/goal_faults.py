@@ -76,7 +76,7 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
         return 2
     chosen = [mutant for mutant in mutants if not names or mutant.name in names]
     if not as_json:
-        print(f"{'taken out':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
+        print(f"{'removed':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
     results: list[dict[str, object]] = []
     for mutant in chosen:
         caught = hunt(mutant, goals, seed, jobs)
@@ -95,10 +95,9 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
 
 
 def hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
-    """Search for a violation with an active mutant, in ``jobs`` processes at a time.
-
-    Return the mutant's name and finding, the number of goals, and the violated invariant, empty if
-    the mutant was not detected.
+    """Search for a violation with an active mutant, in ``jobs`` processes at a time. Return the
+    mutant's name and finding, the number of goals, and the violated invariant (empty if the mutant
+    was not detected).
     """
     done = 0
     while done < goals:

@@ -94,7 +94,7 @@ class Ended:
     def sentence(self) -> str:
         """Description of the end."""
         if self.status == -signal.SIGKILL:
-            # The node could not write why, so its last lines are about something else.
+            # The node could not write the reason, so its last lines do not explain its end.
             return (
                 f"the node {self.name} ended by the signal SIGKILL, sent from outside or by the"
                 " kernel for lack of memory"
@@ -109,8 +109,8 @@ class Ended:
 class Graph:
     """The nodes of one cell as processes.
 
-    Use as a context manager: every process has ended when the block is left for any reason. If this
-    process itself is killed, the kernel ends the children.
+    Use as a context manager: at the end of the block, every process has ended. If this process
+    itself is killed, the kernel ends the child processes.
     """
 
     def __init__(
@@ -314,7 +314,7 @@ class Domain:
         """Select the domain in this process and its children.
 
         A reserved domain is known to be free only on this machine, so discovery is limited to this
-        machine, whatever the shell's setting.
+        machine regardless of the shell's setting.
         """
         os.environ["ROS_DOMAIN_ID"] = str(self.number)
         if self.held is None:

@@ -1,4 +1,5 @@
-"""Taps of a run folder from which properties of the object or the tappers are estimated."""
+"""Select the taps of a run folder that are suitable for estimating properties of the object or the
+tappers."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def _print(report: dict[str, Any]) -> None:
         "(rows x mm, y mm, theta degrees; columns i mm, j mm, beta degrees)"
     )
     for title, figures in (
-        ("assuming that the travel turns with the striker, as in the paper", report),
+        ("assuming that the direction of travel rotates with the striker, as in the paper", report),
         ("with the direction of travel from the impact model", report["physical"]),
     ):
         print(f"\n{title}:")
@@ -150,9 +150,10 @@ def _print(report: dict[str, Any]) -> None:
         print(f"  times [{error}]: [{product}]    norm {figures['norm']:.3f}")
     sweep = report["sweep"]
     print(
-        f"\nOver {sweep['taps']} taps of {sweep['distance_mm'][0]:g} to "
-        f"{sweep['distance_mm'][1]:g} mm inside the cone of {sweep['cone_deg_per_mm']:.3f} "
-        f"degrees/mm:\n  norm below one in {100 * sweep['share_below_one']:.0f} % "
-        f"({100 * sweep['share_below_one_physical']:.0f} % with the impact's y row), and "
-        f"in all taps of at most {sweep['all_below_one_up_to_mm']:.0f} mm"
+        f"\nThe norm is below one for {100 * sweep['share_below_one']:.0f} % of {sweep['taps']} "
+        f"taps of {sweep['distance_mm'][0]:g} to {sweep['distance_mm'][1]:g} mm inside the cone of "
+        f"{sweep['cone_deg_per_mm']:.3f} degrees/mm\n  "
+        f"({100 * sweep['share_below_one_physical']:.0f} % if the impact model determines the "
+        f"direction of travel), and for every tap of at most "
+        f"{sweep['all_below_one_up_to_mm']:.0f} mm."
     )

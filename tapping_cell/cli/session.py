@@ -161,7 +161,7 @@ def follow(
 ) -> Finished:
     """Show a goal's progress tap by tap until it ends. ``check`` may raise an exception to abort;
     ``person`` confirms taps if given."""
-    # An animated status line would corrupt the person's input.
+    # An animated status line would corrupt the operator's input.
     with console.status("goal sent") if person is None else nullcontext() as status:
         for event in client.events():
             check()

@@ -242,8 +242,8 @@ def _recorded(folder: Path) -> list[Trial]:
 
 
 def _refused(cell: Cell, design: Design) -> str:
-    """Return why a tap of the design is infeasible even from the middle; empty if all are
-    feasible."""
+    """Return why a tap of the design is infeasible even with the object in the middle of the table;
+    empty if all taps are feasible."""
     feasibility = TapFeasibility(cell)
     for run in design.runs:
         problem = feasibility.problem(run.striker_speed, run.incidence)

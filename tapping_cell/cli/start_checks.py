@@ -42,8 +42,7 @@ def refuse_unused(arguments: argparse.Namespace, needs: str, *names: str) -> Non
 def require_folder(folder: Path | None, option: str) -> None:
     """Check that a folder exists or can be created, without creating it.
 
-    Raises:
-        ConfigurationError: it is a file, or must not be written.
+    Raises: ConfigurationError: the path is a file, or the user may not write there.
     """
     if folder is None:
         return
@@ -61,8 +60,8 @@ def require_folder(folder: Path | None, option: str) -> None:
 
 
 def require_address(place: tuple[str, int], option: str) -> None:
-    """Check that a server may listen at an address and port. A port in use is no error here,
-    because the page waits until it is free.
+    """Check that a server may listen at an address and port. A port in use is not an error here,
+    because the page waits until the port is free.
 
     Raises:
         ConfigurationError: the address is not one of this computer, or the port is not allowed.

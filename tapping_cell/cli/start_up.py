@@ -25,7 +25,7 @@ PERSONS = (
     ErrorCode.MARKER_AMBIGUOUS,
     ErrorCode.CAMERA_MOVED,
 )
-"""Error codes that only a person's action clears. The cell itself has started."""
+"""Error codes that only an operator's action clears, although the cell itself has started."""
 STYLES = {
     "ready": "green",
     "warns": "yellow",
@@ -74,7 +74,7 @@ def judge(nodes: Sequence[str], state: dict[str, Any], ended: dict[str, str]) ->
     lines = tuple(_line(name, rows.get(name), ended, waits_for_world) for name in nodes)
     up = all(line.word not in ("starting", "waits") for line in lines)
     mode, code = state["mode"], state["code"]
-    # A cell at work also accepts a goal, which replaces the current one.
+    # A busy cell also accepts a goal; the new goal replaces the current one.
     takes = mode == "ready" or (mode == "moving" and state["plan"]["busy"])
     ready = up and takes and all(line.word != "fault" for line in lines)
     person = ""

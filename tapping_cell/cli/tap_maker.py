@@ -149,8 +149,8 @@ def trial_of(
         end_x=end.x,
         end_y=end.y,
         end_theta=end.theta,
-        # Standard deviation along one axis. The variance of the difference of two observations is
-        # twice that of one observation, here the sum of the variances in x and y.
+        # Standard deviation along one axis. One observation has the mean of the variances in x and
+        # y, and the difference of two observations has twice this variance.
         displacement_std=math.nan if lost else math.sqrt(spread[0, 0] + spread[1, 1]),
         rotation_std=math.nan if lost else math.sqrt(2 * spread[2, 2]),
         camera_rate_hz=camera_rate,

@@ -607,7 +607,7 @@ class FixedTapperSection:
 
 @dataclass(frozen=True, slots=True)
 class FixedTappersSection:
-    """Tappers at fixed mounts and the disc that they serve."""
+    """Tappers at fixed mounts and their working area."""
 
     working_area: tuple[float, float, float] = quantity(
         "disc that must contain the object's centre: x and y in the frame table, and radius",
@@ -631,7 +631,7 @@ class FixedTappersSection:
             raise ValueError(f"each tapper needs a name of its own; empty or repeated: {twice}")
         if self.working_area[2] <= 0.0:
             raise ValueError(
-                f"the radius of 'working_area' is {self.working_area[2]:g} m, must be above 0"
+                f"the radius of 'working_area' is {self.working_area[2]:g} m; it must be above 0"
             )
 
 
@@ -984,7 +984,8 @@ def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
 
 
 def cells_of(cell: Cell) -> dict[str, Cell]:
-    """Return the cell once for each of its objects, by name, with that object as its own.
+    """Return one copy of the cell for each of its objects, by name, in which this object is the
+    main object.
 
     Raises:
         ConfigurationError: an object file is invalid; see ``load_further_objects``.

@@ -18,7 +18,8 @@ from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
 
 LEAST_WORKABLE = 0.5
-"""Share of the usable area that the arm can serve below which a warning is reported."""
+"""A warning is reported if the arm can tap objects in less than this fraction of the usable
+area."""
 NOISE_MARGIN = 3.0
 """Number of standard deviations of the measured pose that should fit into the tolerance."""
 
@@ -169,7 +170,7 @@ def _planner(cell: Cell) -> Iterator[str]:
 
 
 def _reach(cell: Cell) -> tuple[list[str], list[str]]:
-    """Check how much of the usable area the arm can serve, using the planner's own map."""
+    """Check in how much of the usable area the arm can tap objects, with the planner's own map."""
     space = make_strike_space(cell)
     free = FreeSpace(space)
     fits = space.workspace.object_clearance(free.centres) >= space.object_radius
@@ -182,14 +183,15 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
     share = float(np.count_nonzero(free.workable)) / float(np.count_nonzero(fits))
     if share == 0.0:
         return [
-            f"{cell.path}: the arm can serve no place on the table: at every place, half or more "
-            "of all directions of taps are impossible; check 'arm.base', the links and the "
+            f"{cell.path}: the arm can tap the object at no place on the table: everywhere, "
+            "half or more of the directions of taps are impossible; check 'arm.base', the "
+            "links and the "
             "joint limits"
         ], []
     if share < LEAST_WORKABLE:
         return [], [
-            f"{cell.path}: only {100 * share:.0f} % of the places where the object fits can be "
-            "served by the arm; goals elsewhere are refused"
+            f"{cell.path}: only {100 * share:.0f} % of the places where the object fits are "
+            "within the arm's reach for taps; goals elsewhere are refused"
         ]
     return [], []
 
@@ -235,7 +237,8 @@ def _brake(cell: Cell) -> Iterator[str]:
     if not cell.arm.quill_brake:
         yield (
             f"{cell.path}: key 'arm.quill_brake' is false: whenever the quill's motor loses its "
-            "power (emergency stop, alarm, M112) the quill sinks onto whatever lies below it; fit "
+            "power (emergency stop, alarm, M112) the quill sinks onto the table or the object "
+            "below it; fit "
             "a brake or a counterweight and set the key to true"
         )
 

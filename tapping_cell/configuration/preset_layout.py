@@ -18,8 +18,8 @@ def preset_layout(
 ) -> dict[str, Pose]:
     """Return the goals of a preset for the objects at ``poses``; see ``preset_goals``.
 
-    ``cells``: see ``cells_of``. ``free``: map of the workable places of one of the objects, whose
-    middle is that of the layout; if None, it is computed.
+    ``cells``: see ``cells_of``. ``free``: map of the places where one of the objects can be tapped.
+    The middle of this map is the middle of the layout. If None, the map is computed.
 
     Raises:
         PlanningError: unknown preset, or fewer than two objects.

@@ -1,4 +1,4 @@
-"""Collection of all errors in a document, of which ``build`` reports only the first."""
+"""Collect all errors in a document; ``build`` reports only the first one."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _errors(kind: type, document: Any, source: str, key: str) -> list[str]:
 
 
 def _only(kind: type, name: str) -> type:
-    """Create a section class with one key alone, without the checks across keys."""
+    """Create a section class with only one key, without the checks across keys."""
     (entry,) = [field for field in dataclasses.fields(kind) if field.name == name]
     hint = typing.get_type_hints(kind)[name]
     fresh = dataclasses.field(default=entry.default, metadata=entry.metadata)

@@ -115,7 +115,7 @@ _StrictLoader.add_implicit_resolver(
 
 
 LARGEST_FILE = 1_000_000
-"""Maximum size of a file, in bytes, because a larger file would take minutes to parse."""
+"""Maximum size of a file, in bytes. A larger file would take minutes to parse."""
 
 
 def read_yaml(path: Path) -> Any:

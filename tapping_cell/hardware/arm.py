@@ -55,10 +55,10 @@ HOMING_LOST = frozenset(
 
 
 UNANSWERED = (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE, FaultReason.NEEDS_PERSON)
-"""Faults of a controller that is silent or strange, and of one whose replies are noise."""
+"""Faults of a controller that does not answer as expected, or whose replies are unreadable."""
 LEAST_BAD_LINES = 3
-"""Number of unreadable lines in one call from which they explain a timeout, if they are at least
-half of all lines."""
+"""Minimum number of unreadable lines in one call that explains a timeout; they must also be at
+least half of all lines."""
 OF_A_STOP = (FaultReason.STOPPED, FaultReason.ALARM, FaultReason.BOARD_RESET)
 """Reasons with which a call can fail because the arm was stopped."""
 
@@ -364,7 +364,7 @@ class ArmDriver:
         goal = path.places[-1]
         for attempt in range(MOVE_ATTEMPTS):
             self.counters.retries += attempt > 0
-            # From here on the arm may be at any point of the path.
+            # From here on, the arm may be anywhere on the path.
             self._confirmed = None
             refusal = self._send(path, deadline)
             if refusal is None:
@@ -508,22 +508,21 @@ class ArmDriver:
         )
 
     def _begin_call(self) -> None:
-        """Count what is received by this call."""
+        """Start to count the bytes and lines that this call receives."""
         counters = self._dialect.counters
         counters.received = ReceivedBytes()
         self._lines_before = counters.lines, counters.bad_lines
 
     def _named(self, fault: HardwareFault) -> HardwareFault:
-        """Return PROTOCOL in place of a fault whose cause is that the replies are unreadable.
-
-        While connecting, unreadable text means another firmware: UNKNOWN_FIRMWARE.
+        """Return PROTOCOL in place of a fault that is caused by unreadable replies. While
+        connecting, unreadable text indicates another firmware, so UNKNOWN_FIRMWARE is returned.
         """
         counters = self._dialect.counters
         lines = counters.lines - self._lines_before[0]
         bad = counters.bad_lines - self._lines_before[1]
         received, name = counters.received, self._transport.name
         if fault.reason in UNANSWERED and received.are_noise:
-            what = f"{received.strange} of {received.total} bytes from {name} are no text"
+            what = f"{received.strange} of {received.total} bytes from {name} are not text"
         elif fault.reason is FaultReason.TIMEOUT and bad >= max(LEAST_BAD_LINES, 0.5 * lines):
             what = f"{bad} of {lines} lines from the arm's controller on {name} were unreadable"
         else:
@@ -584,7 +583,7 @@ class ArmDriver:
     def _halted(self, fault: HardwareFault) -> HardwareFault:
         """Stop an arm whose motion has not ended, and latch the reason."""
         fault = self._named(fault)
-        result = "the arm was stopped" if self.stop() else "a stop could not be sent to it"
+        result = "the arm was stopped" if self.stop() else "a stop could not be sent to the arm"
         return self._latch(
             HardwareFault(fault.reason, f"{fault}; {result}: clear the fault and home again")
         )

@@ -92,7 +92,7 @@ def refuse(findings: Sequence[Finding]) -> None:
     if differences:
         raise HardwareFault(
             FaultReason.SETTINGS_MISMATCH,
-            "the controller's settings differ from what is needed: "
+            "the controller's settings differ from the required ones: "
             + "; ".join(differences)
             + ": set them on the controller or correct the configuration",
         )

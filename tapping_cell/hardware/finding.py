@@ -18,7 +18,7 @@ class Finding:
     command: str = ""
     """Command to type at the controller to correct it; empty if there is no such command."""
     storable: bool = False
-    """True if the command may be sent without a person at the arm. Such a command changes neither
+    """True if the command may be sent without an operator at the arm, because it changes neither
     the scale nor the speed of any motion."""
 
     @property

@@ -16,7 +16,8 @@ from tapping_cell.se2 import Pose
 STRIKER_RADIUS = 0.004
 """Radius of the rods that represent the strikers, m."""
 PULSE_ACCELERATION = 500.0
-"""Acceleration of a striker by its coil from which its effort is derived, m/s^2."""
+"""Acceleration of a striker by its coil, m/s^2; the effort limit of its joint is derived from this
+value."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -192,7 +192,7 @@ class GrblDialect:
             self._pump(left)
         pause, longest = POLL_PERIODS
         while True:
-            # Each query has its own timeout, because a late end of the move does not mean that the
+            # Each query has its own timeout: a move that ends late does not mean that the
             # controller is silent.
             status = self._ask_status(max(deadline, self._transport.now() + REPLY_TIMEOUT))
             if status.state == "Alarm":
@@ -223,9 +223,9 @@ class GrblDialect:
 
         Neither the line nor its ``ok`` has a checksum, and one wrong bit turns ``$H`` into ``$X``,
         which is also answered with ``ok``. A controller that still executes a move of a terminated
-        program rejects ``$H``, so this call waits for the move to end. The wait is limited, because
-        a garbled feed rate may be tiny. With an axis without a switch, which an operator moves to
-        its mark before homing, a moving arm is refused.
+        program rejects ``$H``, so this call waits for the end of the move. The wait is limited,
+        because a garbled feed rate can make a move extremely slow. With an axis without a switch,
+        which an operator moves to its mark before homing, a moving arm is refused.
         """
         patience = min(deadline, self._transport.now() + REST_PATIENCE)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
@@ -267,8 +267,8 @@ class GrblDialect:
         self._command(MARK_LINE, deadline)
         while self._offset is None:
             self._ask_status(deadline)
-        # From here on the offset is fixed and only the machine position counts. A line that a bit
-        # error turns into another G92 is then detected as a position mismatch.
+        # From here on the offset is fixed and only the machine position counts. If a bit error then
+        # turns a line into another G92, this is detected as a position mismatch.
         self._frozen = True
         self._marked = True
 
@@ -515,7 +515,7 @@ class GrblDialect:
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
         """Identify the controller and count its axes; return its version."""
-        # Answers have no checksum, and a lost line could make a controller appear to be another
+        # Answers have no checksum; if a line is lost, the controller may appear to be a different
         # one.
         messages = self._information(deadline)
         for _ in range(IDENTIFICATIONS):

@@ -1,4 +1,5 @@
-"""Whether received bytes are text. A wrong baud rate or a bad cable produces others."""
+"""Check whether received bytes are text. A wrong baud rate or a bad cable causes bytes that are not
+text."""
 
 from __future__ import annotations
 
@@ -6,13 +7,13 @@ from dataclasses import dataclass
 
 TEXT = bytes((*b"\t\r\n", *range(0x20, 0x7F)))
 NOISE_SHARE = 0.1
-"""Fraction of bytes outside text above which a line counts as noise. Controllers send only text,
-and at a wrong baud rate more than a third of the bytes are none."""
+"""Fraction of bytes outside text above which a line counts as noise. Controllers send only text. At
+a wrong baud rate, more than a third of the bytes are not text."""
 
 
 @dataclass(slots=True)
 class ReceivedBytes:
-    """Counts of received bytes, and of those that no text contains."""
+    """Counts of received bytes and of those that cannot be part of a text."""
 
     total: int = 0
     strange: int = 0

@@ -286,8 +286,8 @@ class MarlinDialect:
                     raise self._restarted()
                 strange += 1
                 if strange > 1:
-                    # This is not a garbled digit. The board's line count differs from ours, so
-                    # that the board rejects all lines.
+                    # This is not a transmission error: the board's line number differs from ours,
+                    # so the board rejects all lines.
                     self._begin_numbers(deadline)
                     self._number += 1
                     number = self._number
@@ -349,7 +349,7 @@ class MarlinDialect:
         if outcome is None or outcome == number + 2:
             return True
         # The query may still be on its way. Its number must not be used again, because the
-        # controller drops a second line with the same number.
+        # controller ignores a second line with the same number.
         return outcome == number + 1
 
     def _next(self, until: float) -> marlin.Frame | None:

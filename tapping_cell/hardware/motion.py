@@ -80,7 +80,7 @@ def strike_path(
     fast = settings.travel_speed
     slow_from = goal._replace(quill=goal.quill + settings.near_height)
     brief = slow_from.quill >= above.quill - 1e-9
-    # If the command of the fast step is lost, the whole descent is slow, which is harmless.
+    # If the command of the fast step is lost, the whole descent is slow; this is harmless.
     lower = Waypoint(goal, near, "lower", None if brief else slow_from, None if brief else fast)
     return _moves(
         Joints(*current),
@@ -160,7 +160,7 @@ def raise_step(
         )
         solution = geometry.inverse(behind, geometry.branch_of(start), near=start)
         if solution.joints is not None:
-            # If the command of this step is lost, the striker rises vertically, which is harmless.
+            # If the command of this step is lost, the striker rises vertically; this is harmless.
             low = via = solution.joints
     raised = low._replace(quill=max(start.quill, _clear_quill(geometry, settings)))
     # Only the step backwards is near the object, so raising may be fast.
@@ -184,7 +184,7 @@ def move_durations(
     """Return ``move_duration`` of many moves: joints (..., 4) that broadcast; NaN remains NaN."""
     distances = np.abs(np.asarray(goal, dtype=float) - np.asarray(start, dtype=float))
     at_speed = np.max(distances / (np.array(geometry.max_speed) * speed), axis=-1)
-    # Reciprocal of the acceleration along the line in s2, in units of the whole line's length.
+    # Reciprocal of the acceleration along the line, in s^2 (the unit of length is the whole line).
     pull = np.max(distances / np.array(geometry.max_acceleration), axis=-1)
     ramp = pull / np.where(at_speed > 0, at_speed, 1.0)
     return np.where(ramp <= at_speed, at_speed + ramp, 2 * np.sqrt(pull))

@@ -2,7 +2,7 @@
 
 It has the interface of :class:`~tapping_cell.hardware.tapper.TapperDriver` but weaker guarantees.
 The remote side does not reject a late request, limit the pulse, count shots, or discharge when this
-computer falls silent. The driver takes these measures instead:
+computer stops sending. The driver takes these measures instead:
 
 - The last check runs at most ``latency`` before the output is switched; otherwise nothing is sent.
 - A shot number is stored on disk before the shot is sent, so that no restart sends it again.
@@ -227,7 +227,7 @@ class OutputTapperDriver:
                 f" ({1e3 * self.settings.latency:.0f} ms), so nothing was switched: this computer"
                 " was too slow",
             )
-        # From here on the output may be on, until it is proven off.
+        # From here on the output may be on, until it is confirmed off.
         self._release_by = math.inf
         try:
             on, off = self._send_pulse(pulse)
@@ -240,7 +240,7 @@ class OutputTapperDriver:
         return self._judge(shot, asked, release_by, *answers)
 
     def discharge(self) -> Reply:
-        """Discard the prepared shot and switch off."""
+        """Discard the prepared shot and switch the output off."""
         self._require()
         self._ready = None
         self._switch_off()
@@ -303,7 +303,7 @@ class OutputTapperDriver:
         over = self._off_since(asked)
         proven_off = over if seen else off in (Answer.DONE, Answer.UNREPORTED)
         if not proven_off:
-            # Reconnecting switches the output off and waits for the proof.
+            # Reconnecting switches the output off and waits for the confirmation.
             self._connected = False
             self.counters.last_error = (
                 f"{self._link.name} did not confirm that it is off after shot {shot}"
@@ -321,7 +321,7 @@ class OutputTapperDriver:
         why = (
             "the read-back did not show the output on"
             if self._link.reads_back
-            else "nothing reads the output back"
+            else "the output is not read back"
         )
         return self._unknown(shot, release_by, why)
 
@@ -352,7 +352,7 @@ class OutputTapperDriver:
         return self._link.pulse(0.0) if self._link.times_pulse else self._link.switch(False)
 
     def _switch_off(self) -> None:
-        """Switch off and wait until the answer and the read-back confirm it."""
+        """Switch the output off and wait until the answer and the read-back confirm this."""
         number = self._send_off()
         deadline = self._link.now() + OFF_TIMEOUT
         while self._link.answer(number) is Answer.PENDING or self._reads_on():

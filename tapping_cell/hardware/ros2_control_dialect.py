@@ -1,7 +1,7 @@
 """Dialect for an arm with its own ROS driver.
 
-It sends trajectories to the arm's ``joint_trajectory_controller`` and trusts only the joint states.
-A result from the controller can make a move fail but never make it succeed.
+The dialect sends trajectories to the arm's ``joint_trajectory_controller`` and relies only on the
+joint states. A result from the controller can make a move fail but never make it succeed.
 """
 
 from __future__ import annotations
@@ -145,7 +145,8 @@ class Ros2ControlDialect:
             raise
 
     def _finished(self, expected_end: float, deadline: float) -> AxisReading:
-        # The end of the trajectory is more exact than `expected_end`, which assumes more stops.
+        # The computed end of the trajectory is more accurate than `expected_end`, which assumes
+        # more stops.
         while self._link.now() < self._ends:
             self._receive()
             self._check_goal()

@@ -106,7 +106,7 @@ def _into_range(angle: Array, low: float, high: float, near: Array) -> tuple[Arr
     turns = _wrap(angle)[..., None] + 2 * math.pi * np.arange(-2, 3)
     excess = np.maximum(np.maximum(low - turns, turns - high), 0.0)
     excess = np.where(excess <= LIMIT_SLACK, 0.0, excess)
-    # The excess decides first; the distance to `near` decides only between angles inside the range.
+    # Angles are compared by their excess first, and inside the range by their distance to `near`.
     order = np.where(excess > 0, 1e3 + excess, np.abs(turns - near[..., None]) * 1e-3)
     best = np.argmin(order, axis=-1)[..., None]
     return (

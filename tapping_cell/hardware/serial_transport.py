@@ -73,8 +73,8 @@ class SerialTransport:
                     self._path, self._baud, timeout=0, write_timeout=0, exclusive=True
                 )
             except (OSError, ValueError, termios.error) as error:
-                # SerialException is an OSError, but the error of a port that is unplugged between
-                # opening and configuration is not.
+                # If a port is unplugged between opening and configuration, the exception is not an
+                # OSError, unlike SerialException.
                 if self.now() + REOPEN_PERIOD > deadline:
                     raise self._open_fault(error) from error
                 time.sleep(REOPEN_PERIOD)

@@ -3,8 +3,8 @@
 A release is possible only within a window that the last check before FIRE opens. FIRE carries a
 deadline in the board's own time, and the board rejects it after that deadline. No clocks are
 synchronised: the driver queries the board's time, then asks its caller whether the shot is still
-allowed, and only then sends FIRE. However long this process, the operating system or the line delay
-the frame, the board releases before the deadline or not at all.
+allowed, and only then sends FIRE. Regardless of any delay by this process, the operating system or
+the line, the board fires before the deadline or not at all.
 
 A shot is never fired twice. A repeated request has the same sequence number, which the board
 answers from memory, and this driver never retries a shot whose FIRE may have been sent. If the
@@ -145,7 +145,7 @@ class TapperDriver:
         self._received = ReceivedBytes()
         self._sends = 0
         self._damaged = 0
-        """Number of the requests sent since ``_begin_exchange`` that damaged frames answered."""
+        """Number of requests since ``_begin_exchange`` whose answers were damaged."""
 
     @property
     def connected(self) -> bool:
@@ -565,7 +565,7 @@ class TapperDriver:
         return reply
 
     def _begin_exchange(self) -> None:
-        """Count what is received from now on."""
+        """Start to count the received bytes and requests."""
         self._received = ReceivedBytes()
         self._sends = self._damaged = 0
 
@@ -573,7 +573,7 @@ class TapperDriver:
         """Raise PROTOCOL if replies were received, but most of them were unreadable."""
         name, received = self._transport.name, self._received
         if received.are_noise:
-            what = f"{received.strange} of {received.total} bytes from {name} are no text"
+            what = f"{received.strange} of {received.total} bytes from {name} are not text"
         elif 2 * self._damaged > self._sends:
             what = (
                 f"the replies of the tapper on {name} to {self._damaged} of {self._sends} requests"
@@ -665,7 +665,8 @@ class TapperDriver:
         elif reply.result is Result.LATE:
             reason, text = (
                 FaultReason.TIMEOUT,
-                "FIRE reached the tapper after its deadline, so nothing was released: this computer"
+                "FIRE reached the tapper after its deadline, so the striker was not fired: "
+                "this computer"
                 " or the line was too slow; reduce its load or use a longer window",
             )
         elif reply.result is Result.SPENT:

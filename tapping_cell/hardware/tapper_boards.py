@@ -1,4 +1,5 @@
-"""Driver of all tapper boards of a cell as one device, so that at most one striker is ever charged.
+"""Driver that combines all tapper boards of a cell into one device, so that at most one striker is
+charged at a time.
 
 All boards belong to one driver and one thread. A board is charged, and its shot released, only
 after every other board has replied that it is at rest with its strikers at their mounts. No message
@@ -30,7 +31,8 @@ PRECEDENCE = (
     State.UNHOMED,
     State.SAFE,
 )
-"""The state of all boards together is the first of these that one of them has."""
+"""States by decreasing precedence: the common state of all boards is the first of these states that
+any board has."""
 
 
 def cell_channel(board: int, channel: int) -> int:
@@ -154,7 +156,7 @@ class TapperBoards:
             raise
 
         def allowed(by: float) -> bool:
-            # If this process was frozen meanwhile, the other boards' replies are too old.
+            # If this process was frozen after the queries, the other boards' replies are too old.
             return driver.now() - asked_at <= OTHERS_ASKED_S and still_allowed(by)
 
         return driver.fire(shot, window, allowed if len(self._drivers) > 1 else still_allowed)
@@ -177,8 +179,8 @@ class TapperBoards:
         return self._on_each(lambda driver: driver.clear(timeout))
 
     def _on_each(self, act: Callable[[TapperDriver], Reply]) -> Reply:
-        """Call every board, that charged last first, even if one fails; then raise the first
-        fault."""
+        """Call every board, beginning with the board that was charged last, even if one call fails;
+        then raise the first fault."""
         order = sorted(range(len(self._drivers)), key=lambda board: board != self._charged)
         first: HardwareFault | None = None
         for board in order:
@@ -228,14 +230,14 @@ class TapperBoards:
             boot=sum(reply.boot for reply in replies) & 0xFFFFFFFF,
             enabled=any(reply.enabled for reply in replies),
             channel=cell_channel(self._charged, own.channel),
-            # A board without switches makes the whole cell one whose mounts cannot be proven.
+            # If one board has no switches, the mounts of the whole cell count as not confirmed.
             channels=sum(reply.channels for reply in replies) if fitted else 1,
             at_mounts=at_mounts if fitted else 0,
         )
 
 
 def _not_at_rest(driver: TapperDriver, reply: Reply) -> HardwareFault:
-    """Return the fault that another board represents that is not at rest."""
+    """Return the fault to raise because another board is not at rest."""
     if reply.stop_latched:
         reason, text = (
             FaultReason.STOPPED,
@@ -252,6 +254,7 @@ def _not_at_rest(driver: TapperDriver, reply: Reply) -> HardwareFault:
     else:
         reason, text = (
             FaultReason.OTHER_ACTIVE,
-            f"it is {reply.state.value}; one tapper at a time is charged, so wait and tap again",
+            f"it is {reply.state.value}; only one tapper may be charged at a time, so wait and "
+            "tap again",
         )
     return HardwareFault(reason, f"the tapper board on {driver.port} is not at rest: {text}")

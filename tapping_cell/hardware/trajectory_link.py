@@ -37,7 +37,7 @@ def braking_point(
     now: float,
     max_acceleration: Sequence[float],
 ) -> TrajectoryPoint | None:
-    """Return the point where an arm that is stopped now comes to rest; None without any sample.
+    """Return the point at which an arm that brakes now comes to rest; None without any sample.
 
     An arm on its ``course`` is assumed to have followed it since its last state. Without a course,
     its last speed is extrapolated for up to ``LONGEST_EXTRAPOLATION``.

@@ -1,4 +1,5 @@
-"""State machine of the arm, which homes before it moves and stands still while a shot may be fired.
+"""State machine of the arm: it homes the arm before any motion, and keeps it still while a shot may
+be fired.
 
 The arm reports that it is in position only after it has read back its joints. Before the tapper
 fires, it calls ``hold_still``. By granting this request the arm promises not to begin any motion
@@ -177,7 +178,7 @@ class ArmOptions:
     set_up: bool = False
     """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
     withdraw_until_seen: bool = True
-    """Whether the arm withdraws only until the camera sees the object, not to the park pose."""
+    """If True, the arm withdraws only until the camera sees the object, not to the park pose."""
 
 
 class ArmLogic(DeviceLogic[State, Event]):
@@ -281,7 +282,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         )
 
     def _scene_of(self, command: TapCommand) -> Scene | None:
-        """Return what the camera must see after a tap, or None if it is not known."""
+        """Return the scene that the camera must see after a tap, or None if the scene is not
+        known."""
         if self._camera is None or not self._options.withdraw_until_seen:
             return None
         poses = (command.object_pose, command.predicted_pose, command.strike_pose)
@@ -307,7 +309,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run_withdrawal(now)
 
     def _clear_view(self, command: TapCommand, now: Now) -> None:
-        """Move to a place from which the camera sees what the arm hides now."""
+        """Move the arm to a pose in which it does not hide the area that it hides now."""
         self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
         self._last_tap_id = command.tap_id
         self._error = (ErrorCode.NONE, "")
@@ -336,7 +338,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return tap_commands.refusal(command, now, self._last_tap_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
-        """Report why a command is refused; an idle arm repeats the reason until the next one."""
+        """Report why a command is refused; an idle arm repeats the reason until the next
+        command."""
         if self.state is S.IDLE:
             self._set_error(code, sentence)
         else:
@@ -427,7 +430,7 @@ class ArmLogic(DeviceLogic[State, Event]):
                 return HoldStill.Response(granted=True, duration=request.duration)
             return HoldStill.Response(
                 error_code=ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
-                error_msg=f"the promise for tap {request.tap_id} was over before",
+                error_msg=f"the promise for tap {request.tap_id} had already ended",
             )
         error = self._unsteady(request, now)
         if error is not None:
@@ -470,7 +473,7 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _on_tapper_state(self, message: TapperState, now: Now) -> None:
         ours = message.tap_id == self._last_tap_id and message.tap_id != self._released_tap
         if ours and message.state in CHARGED:
-            # Anybody can publish that the striker is not charged, so such a report does not count.
+            # Any program can publish that the striker is not charged, so such a report is ignored.
             self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
         if (
@@ -500,7 +503,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         # The arm does not move a charged striker. The tapper's reports can only lengthen the wait.
         if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
-        # The job reads the joints and waits for the short remainder of the promise.
+        # The job reads the joints, then waits until the promise ends.
         if now.steady >= self._promise_end - SHORT_REST_S:
             self._machine.move(Event.FREE, S.WITHDRAWING)
             if self._to_park:
@@ -545,7 +548,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is S.INACTIVE and fault.reason not in LOST:
             return
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
-            # Nothing was sent, so the arm has not moved: this is no fault that a person must clear.
+            # Nothing was sent, so the arm has not moved: this is not a fault that an operator must
+            # clear.
             self._set_error(of_arm(fault), fault.sentence)
             self._give_up(now)
             return
@@ -604,8 +608,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
         self._longest_hold = permit.longest_hold(event.cell)
-        # This node may have promised to stand still before it was restarted, for a strike of the
-        # cell file that it had then.
+        # Before its restart this node may have promised to stand still, for a strike according to
+        # another cell file.
         self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
 
     def _closed(self) -> None:
@@ -654,7 +658,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._stops.stopped:
             return
         if self._job is not None:
-            # The arm stops at the end of the present move.
+            # The arm stops at the end of the current move.
             self._abandon()
             self._halting = True
         else:
@@ -704,7 +708,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         elif self.state not in (S.STOPPED, S.FAULT):
             self._read_when_due(READ_PERIOD_S, arm_jobs.read, now)
         if self.state is S.IN_POSITION and now.ros > self._expiry:
-            # The planner did not withdraw this tap; its node may have ended.
+            # The planner did not withdraw this tap in time; its node may have ended.
             self._give_up(now)
         self._leave_when_free(now)
 

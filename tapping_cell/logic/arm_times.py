@@ -113,8 +113,9 @@ class ArmTimes:
 
 
 def arm_times(cell: Cell) -> ArmTimes | None:
-    """Return the times of a cell's arm, None without an arm or if the configured arm cannot move to
-    a strike. The arm's own driver reports the cause of the latter, and no tap is commanded."""
+    """Return the times of a cell's arm; None if the cell has no arm, or if the configured arm
+    cannot move to a strike. In the second case the arm's driver reports the cause, and no tap is
+    commanded."""
     if cell.file.arm is None:
         return None
     try:

@@ -70,7 +70,7 @@ P = Progress
 OPEN = (P.WAITING, P.ACTIVE, P.MAKING_WAY, P.REACHED)
 PROGRESS_TABLE = table(
     [
-        # An object that another one has touched, or that has to make way, leaves its goal again.
+        # An object that was touched by another object or must make way leaves its goal again.
         (OPEN, Change.TAPPED_TO_GOAL, (P.ACTIVE,)),
         (OPEN, Change.TAPPED_AWAY, (P.MAKING_WAY,)),
         (OPEN, Change.LEFT, (P.WAITING,)),

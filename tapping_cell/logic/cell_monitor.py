@@ -210,7 +210,8 @@ class CellMonitor:
         return None
 
     def lost(self, now: Now) -> bool:
-        """Return whether arm or tapper is lost; their drivers reconnect automatically."""
+        """Return whether the connection to arm or tapper is lost; their drivers reconnect
+        automatically."""
         arm, tapper = self.arm, self.tapper
         arm_lost = self.has_arm and (
             self.silent("arm", now) or (arm is not None and arm.state == ArmState.DISCONNECTED)
@@ -277,7 +278,7 @@ class CellMonitor:
 
     def blind(self, waited: float, frames: int, now: Now, moved_aside: bool = False) -> CodedError:
         """Return why no usable observation was made within ``waited`` s. ``moved_aside``: the arm
-        has already moved off what it hid."""
+        has already moved aside to uncover the object."""
         seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"
         if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)

@@ -14,7 +14,7 @@ from tapping_cell.logic.task import Shot
 from tapping_cell.se2 import Pose
 
 HOLDS_S = 20.0
-"""Time after the answer for which a confirmation holds, so that no tap follows unexpectedly."""
+"""Time for which a confirmation remains valid, so that no tap surprises the operator later."""
 OBJECT_M, OBJECT_RAD = 0.0005, math.radians(0.5)
 """Maximum displacement of the object since the confirmed plan."""
 STRIKE_M, STRIKE_RAD = 0.001, math.radians(1.0)

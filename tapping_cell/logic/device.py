@@ -69,8 +69,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
     """Common part of the state machines of the devices.
 
     One job at a time executes a command. A read job may run as well; its result is used only if no
-    other job was started since. If a stop, a fault or a new connection overtakes a job, the end of
-    this job does not change the state.
+    other job was started since. If a stop, a fault or a new connection occurs during a job, the end
+    of this job does not change the state.
     """
 
     stop_error: CodedError
@@ -138,7 +138,8 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     @abstractmethod
     def _overtaken(self, event: JobEnded, now: Now) -> None:
-        """Handle the end of an overtaken job: keep the part of its result that is still valid."""
+        """Handle the end of a job during which a stop, a fault or a new connection occurred: keep
+        the part of its result that is still valid."""
 
     @abstractmethod
     def _configured_with(self, event: Configured, now: Now) -> None:

@@ -91,8 +91,8 @@ class Publish:
 class Call:
     """Call a service. ``on_answer(token, response)`` follows once, with None after ``timeout``.
 
-    If several nodes offer the service, nothing is called and the answer is SeveralServers: each of
-    them would handle the request, and the first answer may be that of a wrong one.
+    If several nodes offer the service, it is not called and the answer is SeveralServers: each of
+    them would handle the request, and the first answer might be that of the wrong node.
     """
 
     service: str
@@ -187,7 +187,7 @@ class KeepGoal:
 
 @dataclass(frozen=True, slots=True)
 class TouchGoal:
-    """Update the age of the stored goal, because a goal that is too old is not resumed."""
+    """Reset the age of the stored goal. A goal that is too old is not resumed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,7 +207,7 @@ class GoalHandling:
         Return an error if any of them was not observed since the steady time ``since``.
         """
         if isinstance(task, ArrangementTask):
-            return None  # an arrangement observes every object itself
+            return None  # an arrangement itself observes every object
         names = self.other_objects.unobserved(since)
         if names:
             return (
@@ -365,7 +365,7 @@ class GoalHandling:
         session = PrescribedSession(
             tap, self.map.experiments, self.map.free, self._gains, adapt=self._adapt
         )
-        # Until the tap is decided, the object's present pose is entered as the goal.
+        # Until the tap is planned, the object's current pose is stored as the goal.
         goal = pose or Pose(0.0, 0.0, 0.0)
         message = PoseStamped(pose=to_message(goal))
         message.header.frame_id = "table"
@@ -391,7 +391,7 @@ class GoalHandling:
         ask: bool = False,
     ) -> ArrangementTask | Refused:
         """Return a task for an arrangement, or why it is refused. Whether its layout can be reached
-        is only checked once every object is seen."""
+        is checked only after every object has been seen."""
         if self.cell.file.arm is None:
             return Refused(
                 ErrorCode.NO_ARRANGEMENT,

@@ -12,7 +12,7 @@ window and pulse."""
 RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
-"""Factor by which friction and errors of the curve may make the flight longer than predicted."""
+"""Maximum ratio of actual to predicted time of flight, due to friction and errors of the curve."""
 LONGEST_HOLD_S = BEFORE_FLIGHT_S + SLOWNESS * LONGEST_FLIGHT_S
 """Maximum duration that a tapper of any cell may request."""
 

@@ -1,4 +1,4 @@
-"""State machine of the planner: takes a goal and commands taps until the object has reached it.
+"""State machine of the planner: accepts a goal and commands taps until the object is at this goal.
 
 The cycle of one tap: observe the object at rest, decide, command the tap, wait until the tapper
 reports the outcome, have the arm withdraw, and observe the object at rest again. If confirmation
@@ -80,7 +80,8 @@ WITHDRAWN_BY_ANOTHER = (
 )
 """Error of a tap that was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
-"""If the object is not seen for this time after the withdrawal, the arm may hide it, and moves."""
+"""If the object is not seen for this time after the withdrawal, the arm may be hiding it and
+therefore moves aside."""
 PARKING_S = 0.5
 """Time within which an arm that was commanded to move aside reports that it moves."""
 REPORT_PERIOD_S = 0.5
@@ -567,7 +568,7 @@ class PlannerLogic:
                 self._fail(*self._monitor.blind(deadline, needed, now, self._view_cleared), now)
             return
         if not task.ready:
-            # Only the goal's time limit ends this wait.
+            # Only the goal's time limit can end this wait.
             self._deadline = now.steady + self._settings.observe_deadline
             return
         unknown = self.goals.update_free_space(task, self._observe_after, now)
@@ -644,8 +645,8 @@ class PlannerLogic:
         if names:
             self._log(
                 LogLevel.WARNING,
-                f"{', '.join(map(repr, names))} moved although another object was tapped; planning "
-                "anew",
+                f"{', '.join(map(repr, names))} moved although another object was tapped; "
+                "making a new plan",
             )
 
     def _exhausted(self, task: Task) -> CodedError | None:
@@ -752,7 +753,7 @@ class PlannerLogic:
     def _on_confirmation(self, asked: ConfirmTap.Request, now: Now) -> ConfirmTap.Response:
         """Handle a person's answer, which is only valid for the tap that is proposed now."""
         if self._task is not None:
-            self._advance(now)  # first handle received messages and passed deadlines
+            self._advance(now)  # first handle received messages and expired deadlines
         shot, task = self._proposed, self._task
         if shot is None or task is None or shot.tap_id != asked.tap_id:
             waiting = f"tap {shot.tap_id} is" if shot is not None else "none is"
@@ -782,14 +783,14 @@ class PlannerLogic:
             self._confirmed = Confirmation(shot, now.steady)
             return ConfirmTap.Response(accepted=True)
         return ConfirmTap.Response(
-            error_code=code, error_msg=f"tap {shot.number} is planned anew: {sentence}"
+            error_code=code, error_msg=f"tap {shot.number} is planned again: {sentence}"
         )
 
     def _drop_proposal(self, why: str, now: Now) -> None:
         """Drop the proposed tap, observe the object again and plan another tap."""
         shot, self._proposed = self._proposed, None
         assert shot is not None
-        self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned anew: {why}")
+        self._log(LogLevel.INFO, f"tap {shot.number} (id {shot.tap_id}) is planned again: {why}")
         self._observe_after = now.steady
         self._enter(Event.TAP_DROPPED, S.LOOKING, now, self._settings.observe_deadline)
 
@@ -832,7 +833,7 @@ class PlannerLogic:
             self._take_outcome(task, shot, now)
         elif self._disturbed(shot, now):
             # The tap itself may have moved the object before the tapper's report arrived.
-            # Withdrawing is right in both cases, and the tapper still reports the outcome.
+            # The arm is withdrawn in both cases, and the tapper still reports the outcome.
             self._withdraw(shot.tap_id, now)
         if self.state is S.FIRING and (self._late(now) or self._monitor.lost(now)):
             self._log(LogLevel.WARNING, "the tap's outcome is not known; observing the object")
@@ -884,7 +885,7 @@ class PlannerLogic:
             return
         self._check_cell(
             ErrorCode.ARM_TIMEOUT,
-            f"the {'arm did not withdraw' if self._has_arm else 'striker was not back'} within"
+            f"the {'arm did not withdraw' if self._has_arm else 'striker did not return'} within"
             f" {self._settings.withdraw_deadline:.0f} s",
             now,
         )
@@ -950,25 +951,28 @@ class PlannerLogic:
         self._effects.append(Publish("tap_command", command))
 
     def _hidden_by_arm(self, now: Now) -> bool:
-        """Return whether the object is not seen although it should be, so that the arm moves
-        aside."""
+        """Return whether the object is not seen although it should be; the arm then moves aside."""
         if not self._has_arm or self._view_cleared:
             return False
         elapsed = now.steady - self._observe_after
         return min(elapsed, self._monitor.unseen_for(now)) > HIDDEN_S
 
     def _move_arm_aside(self, now: Now) -> None:
-        """Move the arm off the object that it may hide: first to its park pose, then once more to a
-        pose from which the camera sees what the arm hides at its present place."""
+        """Move the arm, because it may hide the object: first to its park pose, then once more to a
+        pose in which the area that it hides now is visible."""
         if self._withdrawn_tap_id not in (0, self._parked_tap_id):
             self._park(now)
             return
         self._view_cleared = True
-        self._log(LogLevel.WARNING, "the object is not seen; moving the arm in case it hides it")
+        self._log(
+            LogLevel.WARNING,
+            "the object is not seen; moving the arm aside in case it hides the object",
+        )
         command = TapCommand(request=TapCommand.CLEAR_VIEW, tap_id=self._next_tap_id(now))
         command.header.stamp = to_stamp(now.ros)
         command.header.frame_id = "table"
-        # A late command must not move the arm after the planner has stopped to wait for it.
+        # The command expires when the planner stops waiting, so that a late command does not move
+        # the arm.
         command.expiry = to_stamp(now.ros + round((PARKING_S + SKEW_LIMIT_S) * NANOSECONDS))
         self._effects.append(Publish("tap_command", command))
 

@@ -1,10 +1,11 @@
-"""Latch of the emergency stop: which sources have stopped, and when a person may reset.
+"""Latch of the emergency stop: the sources that asserted it, and the conditions for a reset by an
+operator.
 
-True on ``emergency_stop`` stops immediately and latches. False only clears the asserted level; the
-stop stays latched until a person resets it with ``clear_fault``. A message does not identify its
-publisher, so a reset queries every publisher again and is refused if one still asserts the stop. A
-publisher that has vanished, or that does not repeat its level, cannot be queried: a person must
-inspect the cell and confirm by requesting the reset a second time. A new stop voids the
+True on ``emergency_stop`` stops immediately and latches. False only ends the publisher's own stop;
+the stop stays latched until an operator resets it with ``clear_fault``. A message does not identify
+its publisher, so a reset queries every publisher again and is refused if one still asserts the
+stop. A publisher that has vanished, or that does not repeat its level, cannot be queried: a person
+must inspect the cell and confirm by requesting the reset a second time. A new stop voids the
 confirmation.
 """
 

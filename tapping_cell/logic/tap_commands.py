@@ -10,13 +10,13 @@ from tapping_cell.logic.poses import is_finite, quaternion_norm
 from tapping_cell.messages import ErrorCode, TapCommand
 
 LONGEST_EXPIRY_S = 900.0
-"""Maximum time until a command expires. It is above the largest possible sum of the planner's place
-and fire deadlines. A longer expiry would block the cell."""
+"""Maximum time until a command expires. This maximum is above the largest possible sum of the
+planner's place and fire deadlines. A longer expiry would block the cell."""
 CLOCK_TOLERANCE_S = 1.0
 """Maximum time by which a stamp may lie in the future, as the computers' clocks differ slightly."""
 LARGEST_JUMP = 2**28
-"""Maximum distance of an id above both the last id and the clock's whole seconds (8 years). A much
-greater id would leave none for the following taps."""
+"""Maximum distance of an id above both the last id and the clock's whole seconds (8 years). After a
+much greater id, no ids would be left for the following taps."""
 
 CodedError = tuple[int, str]
 """Error code and message."""

@@ -130,7 +130,7 @@ WIRE = {
 """Value of ``tapper_state`` for each state."""
 SERVING = frozenset({S.WAITING, S.CHARGING, S.CHARGED, S.FIRING, S.DISCHARGING})
 LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.PROTOCOL, FaultReason.BOARD_RESET)
-"""Faults that a new session with the board ends."""
+"""Faults that are resolved by a new session with the board."""
 OF_THE_TAP = (
     FaultReason.INTERLOCK,
     FaultReason.REJECTED,
@@ -268,7 +268,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if reason is not None:
             return reason
         if self._fixed:
-            # A mount cannot move, so only the state of this tap remains to be checked.
+            # A mount cannot move, so only the state of this tap is checked.
             fires = self.state is S.FIRING
             return None if fires else (ErrorCode.NONE, "the tap is over")
         if promise is None or promise.tap_id != tap.tap_id:
@@ -386,7 +386,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _refuse(self, command: TapCommand, refusal: CodedError, now: Now) -> None:
         code, sentence = refusal
         self._log(LogLevel.ERROR, f"tap {command.tap_id} refused: {sentence}")
-        # While a tap is under way the published state is about that tap only. An id beyond the
+        # During a tap, the published state refers to this tap only. An id beyond the
         # largest valid one must not become the last id.
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
         if new and self.state not in SERVING:
@@ -401,7 +401,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self.state is not S.WAITING or tap is None:
             return
         if (differ := self._peers.clocks_differ(now)) is not None:
-            self._give_up(differ)  # waiting does not end this difference
+            self._give_up(differ)  # waiting would not resolve this difference
             return
         if self.check_charging(now) is not None:
             return
@@ -503,8 +503,8 @@ class TapperLogic(DeviceLogic[State, Event]):
                 )
             )
             return
-        # The promise is assumed to begin with the call. The arm handled the call later, so its
-        # promise ends later, too.
+        # The promise is assumed to begin with the request. The arm handled the request later, so
+        # the actual promise ends later.
         until = self._asked_at + permit.hold(tap.flight)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
@@ -617,30 +617,30 @@ class TapperLogic(DeviceLogic[State, Event]):
         if name == "connect":
             self.patience = patience_after(self.patience, fault)
         if name == "prove" and fault.reason is FaultReason.INTERLOCK:
-            return  # the guard was opened meanwhile; the proof is repeated when it is closed
+            return  # the guard was opened; the mounts are checked again when it is closed
         # A fault that a job raises always occurred before FIRE was sent.
         if fault.reason in OF_THE_TAP and self.state in (S.CHARGING, S.CHARGED, S.FIRING):
             self._log(LogLevel.ERROR, fault.sentence)
             self._discharge((of_tapper(fault), fault.sentence))
             return
         if fault.reason in OF_THE_TAP and name == "charge" and self.state is S.DISCHARGING:
-            # The tap was given up before, and the board has now refused to continue charging, for
-            # example because it discharged automatically while this process was suspended.
+            # The tap had already been given up, and the board refuses to continue charging, for
+            # example because it discharged while this process was suspended.
             self._run("discharge", tapper_jobs.discharge)
             return
         if self._tap is not None:
             self._tap = None
             self._reported.outcome = TapperState.NOT_FIRED
         if name == "connect" and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
-            # A board that does not reply for a while causes the same fault, so connecting is
-            # tried again.
+            # A board that does not reply for a short time causes the same fault, so the connection
+            # is tried again.
             self._fail_to(S.DISCONNECTED)
             self._set_error(of_tapper(fault), fault.sentence)
             return
         self._meet(fault)
 
     def _meet(self, fault: HardwareFault) -> None:
-        """Go to the state that belongs to a fault, and report it."""
+        """Change to the state that corresponds to a fault, and report the fault."""
         if fault.reason in LOST_BOARD:
             self._fail_to(S.DISCONNECTED)
         else:
@@ -648,7 +648,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._set_error(of_tapper(fault), fault.sentence)
 
     def _overtaken(self, event: JobEnded, now: Now) -> None:
-        # A stop came while the shot was under way; the shot's outcome is still valid.
+        # A stop arrived during the shot; the outcome of the shot is still valid.
         if self._reported.outcome == TapperState.NONE and self._reported.tap_id:
             if isinstance(event.result, FireEnd) and event.result.shot == self._reported.tap_id:
                 self._reported.outcome = OUTCOMES[event.result.outcome]

@@ -53,7 +53,7 @@ class PeerLimits:
     turned: float = math.radians(3)
     """Maximum rotation of the object from the pose for which the tap was planned, rad."""
     needs_camera: bool = False
-    """Whether a usable image must have arrived since the start. Otherwise, a camera that has sent
+    """Whether a usable image must have arrived since the start. If False, a camera that has sent
     nothing yet is not required."""
 
 
@@ -96,10 +96,10 @@ class Mounts:
 class TapperPeers:
     """Last messages of arm, planner and camera, with their times on this computer's steady clock.
 
-    A planner without any message yet does not count as lost, because a person or a program may
-    command single taps without it; whether a camera does is one of the limits. If the messages of a
-    peer end, for example because its process hangs, it is lost. The age of a message is determined
-    from its stamp.
+    A planner that has sent no message yet does not count as lost, because a program may command
+    single taps without a planner. For the camera, ``PeerLimits.needs_camera`` decides. If the
+    messages of a peer end, for example because its process hangs, it is lost. The age of a message
+    is determined from its stamp.
     """
 
     def __init__(self, limits: PeerLimits) -> None:
@@ -224,7 +224,7 @@ class TapperPeers:
         if age > limit:
             return code, f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"
         if not _above(arm, strike):
-            # If two planners run by mistake, two taps may have the same id.
+            # If two planners were started by mistake, two taps may have the same id.
             return code, f"the arm is in position for another tap with the id {tap_id}"
         return None
 

@@ -2,11 +2,10 @@
 
 Seen from the camera's lens, arm and tool cover parts of the table. After a tap the arm withdraws
 only until the object, at every place that it may have reached, and enough reference markers lie
-outside these parts. Among the poses at travel height with such a view, it selects the one with the
-least total time of the withdrawal and the move to the next tap.
-
-If the object is not seen at all, it may have been put under the arm. The arm then moves to a pose
-from which the camera sees as much as possible of what the arm hid before.
+outside these parts. Among the poses at travel height with such a view, the arm moves to the pose
+with the least total time of the withdrawal and the move to the next tap. If the object is not seen
+at all, it may lie under the arm. The arm then moves to a pose from which the camera sees as much as
+possible of the area that the arm hid before.
 """
 
 from __future__ import annotations
@@ -95,7 +94,7 @@ def uncovering(
     current: Joints,
     motion: MotionSettings,
 ) -> tuple[Waypoint, ...]:
-    """Return waypoints to the pose that hides the least of what the arm hides now.
+    """Return waypoints to the pose that hides the least of the area that the arm hides now.
 
     Several poses may hide equally little; the arm then selects the quickest. The park pose is used
     if no other hides less, if the lens position ``camera`` in ``table`` is not known, or if the arm

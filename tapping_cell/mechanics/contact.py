@@ -63,7 +63,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     edge, corner = edge_travel.argmin(axis=-1), corner_travel.argmin(axis=-1)
     first_edge = np.take_along_axis(edge_travel, edge[..., None], axis=-1)[..., 0]
     first_corner = np.take_along_axis(corner_travel, corner[..., None], axis=-1)[..., 0]
-    # A corner's arc begins at the end of an edge, so the edge is preferred in a tie.
+    # The arc of a corner begins at the end of an edge; at this point the edge is preferred.
     by_edge = first_edge <= first_corner + 1e-12 * body.bounding_radius
     travel = np.where(by_edge, first_edge, first_corner)
     hits = np.isfinite(travel)
@@ -72,7 +72,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     radius = tip if tip > 0 else 1.0
     corner_normal = (points[corner] - centre) / radius
     normal = np.where(by_edge[..., None], -normals[edge], corner_normal)
-    # A ball that has already passed the whole body when it starts does not hit it.
+    # A ball that starts beyond the whole body does not hit the body.
     support = (np.einsum("...i,ji->...j", direction, points)).max(axis=-1) + tip
     hits &= np.einsum("...i,...i->...", start, direction) < support
     normal = np.where(hits[..., None], normal, -direction)

@@ -42,9 +42,8 @@ Rows = NDArray[np.intp] | slice
 _ALL = slice(None)
 Constraint = Literal["linear_bearings", "free"]
 
-# Maximum angle between the striker's axis and the contact normal in plans. A striker at grazing
-# incidence slides during the whole impact, so there is a plan for every impulse within the friction
-# cone.
+# Maximum angle between the striker's axis and the contact normal in plans. At grazing incidence the
+# striker slides during the whole impact, so every impulse within the friction cone can be planned.
 LARGEST_INCIDENCE = math.radians(89.0)
 _ROOT_STEPS = 60
 _ROOT_TOLERANCE = 1e-15
@@ -235,8 +234,8 @@ class Impact:
         shape = np.broadcast_shapes(slope.shape, c.shape[:-1])
         slope = np.broadcast_to(slope, shape).ravel()
         c = np.broadcast_to(c, (*shape, 2)).reshape(-1, 2)
-        # At the limit, the slope does not depend on the incidence, so the target is slightly inside
-        # it.
+        # At the limit of friction, the slope does not depend on the incidence, so the target is
+        # slightly inside the limit.
         limit = self.friction * (1 - 1e-11)
         target = np.clip(slope, -limit, limit)
         beyond = np.abs(slope) > self.friction * (1 + 1e-9)
@@ -248,7 +247,7 @@ class Impact:
         straight = np.zeros(slope.shape)
         e_straight = error(straight, _ALL)
         # For a sticking contact, the slope depends on the tangent of the incidence. 1.5 times the
-        # linear estimate is usually beyond the root; otherwise the largest incidence is used.
+        # linear estimate usually brackets the root; otherwise the largest incidence is used.
         b1, b2, _ = self.inverse_inertias(straight, c)
         other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
         e_other = error(other, _ALL)
@@ -257,8 +256,8 @@ class Impact:
             other = np.where(open_ended, np.copysign(LARGEST_INCIDENCE, -e_straight), other)
             e_other = np.where(open_ended, error(other, _ALL), e_other)
         # For a contact far from the normal through a polygon's centre of mass, the slope of the
-        # impulse may decrease with the incidence. The root then lies at incidences of the other
-        # sign, so that sign is tried too.
+        # impulse may decrease with the incidence. The root is then at an incidence of the other
+        # sign, so this sign is tried too.
         wrong_side = e_other * e_straight > 0
         if wrong_side.any():
             other = np.where(wrong_side, np.copysign(LARGEST_INCIDENCE, e_straight), other)

@@ -10,7 +10,7 @@ With the centre of rotation c, every point moves at right angles to r - c, and o
 
 by the divergence theorem, as in Goyal, Ruina and Papadopoulos (Wear 143, 1991). The motion is
 integrated over the logarithm of the velocity's magnitude, in which a slide is smooth until its end,
-by the classic Runge-Kutta method. Its accuracy is 1e-4 relative to a brute-force grid of friction
+by the classic Runge-Kutta method. The accuracy is 1e-4 relative to a brute-force grid of friction
 points (tested at 1e-3, the accuracy of the grid); the inverse is accurate to 1e-11.
 """
 
@@ -32,14 +32,15 @@ _STEP = 0.08
 _STEPS = 80
 _CHUNK = 512
 # Ratio of speed to spin, in radii of gyration, above which quadrature replaces the closed form. The
-# rounding error of the closed form grows with the cube of this ratio, to 1e-11 here. Above it, the
-# integrand is so smooth that a few points give full accuracy.
+# rounding error of the closed form grows with the cube of this ratio and is 1e-11 at this value.
+# Above this value, the integrand is so smooth that a few points give full accuracy.
 _FAR = 50.0
 _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _SIMPLE_STEPS = 400
-# The tolerance is relative to each component, down to this fraction of the largest component.
+# The tolerance is relative to each component, or to this fraction of the largest component if that
+# is larger.
 _SMALLEST_SHARE = 1e-3
 
 
@@ -266,7 +267,7 @@ class PolygonSlide:
             unit = unit + _STEP / 6 * (a + 2 * b + 2 * c + d)
             unit /= np.sqrt((unit**2).sum(axis=0))
             state = state + _STEP / 6 * (p + 2 * q + 2 * r + s)
-        # The remaining fraction of the motion, 1e-6, is computed with the last friction.
+        # The last part of the motion, a fraction of 1e-6, is computed with constant friction.
         size = np.exp(-_STEPS * _STEP)
         _, loss = self.rates(unit, state[2])
         time = per_size * size / loss
@@ -295,7 +296,8 @@ def invert(
     inverse = np.broadcast_to(np.eye(goal.shape[1]), (*goal.shape, goal.shape[1])).copy()
     error = np.full(len(goal), np.inf)
     for _ in range(_INVERSE_STEPS):
-        # A row within the tolerance takes one more step, which reduces its error to rounding.
+        # A row within the tolerance takes one more step, which reduces its error to rounding
+        # errors.
         left = error > tolerance
         rows, residual, inverse = rows[left], residual[left], inverse[left]
         error = np.abs(residual).max(axis=1, initial=0.0)

@@ -90,12 +90,12 @@ class PolygonTable:
         square = (twist * twist).sum(axis=1)
         major = np.sqrt(square)
         length = 0.5 * np.log(square / LARGEST_SIZE)
-        # The larger the size, the more the body rotates in a step.
+        # For larger sizes, the body rotates more in each step.
         steps = math.ceil(float((length * square).max()) / (LARGEST_SIZE * _STEP))
         unit, state = self._advance(twist.T / major, square, length / steps, steps)
         before, turned = square * state[:3], square * state[2]
         cos, sin = np.cos(turned), np.sin(turned)
-        # Stay slightly below the edge, so that rounding does not exceed it.
+        # Stay slightly below the limit of the table, so that rounding does not exceed it.
         vx, vy, spin = (1.0 - _TINY) * math.sqrt(LARGEST_SIZE) * unit
         inside = np.stack([cos * vx + sin * vy, cos * vy - sin * vx, spin], axis=-1)
         (x, y, theta), duration = (part.T for part in self._lookup(inside))

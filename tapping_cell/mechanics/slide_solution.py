@@ -22,8 +22,8 @@ continued outwards to pure sliding and to pure spinning by the Radau IIA method 
 is stable in that direction.
 
 At the ends, y behaves like tau to powers slightly above one, and a ring's friction has a logarithm
-at tau = 1. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). This has the
-grading of a square root at both ends, and its inverse takes two square roots.
+at tau = 1. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). This function
+is graded like a square root at both ends, and its inverse needs two square roots.
 """
 
 from __future__ import annotations

@@ -191,7 +191,7 @@ class SlideTable:
             )
         np.multiply(x, self._divide, out=spare)
         np.greater(r, spare, out=mask)
-        # The measures of both regimes are equal at the divide, so min over max is valid for both.
+        # Both regimes have equal measures at their boundary, so min / max is valid for both.
         np.maximum(spare, r, out=large)
         np.minimum(spare, r, out=small)
         _grade(large, small, t, gathered)
@@ -223,7 +223,8 @@ class SlideTable:
             spare *= 2.0
             total *= total
             spare /= total
-            # x and r are no longer needed; x is reused for the slope of the smaller measure.
+            # The arrays x and r are no longer needed; x is reused for the slope of the smaller
+            # measure.
             _cubic_and_slope(self._minor, index, t, small, x, gathered)
             spare *= small
             x *= tau
@@ -270,8 +271,8 @@ class SlideTable:
             fraction = np.minimum(grade_inverse(p) * small / (large * divide), 1.0)
             if not np.all(np.diff(fraction) > 0):
                 raise InvalidParameterError(
-                    f"torque factor times m R^2 / I is {self.torque_ratio:g}; sliding has no "
-                    "single-valued inverse that far from 1."
+                    f"torque factor times m R^2 / I is {self.torque_ratio:g}; so far from 1, "
+                    "the slide does not determine a unique launch."
                 )
             root: Array = np.sqrt(fraction)
             graded = root / (root + np.sqrt(1.0 - fraction))
@@ -375,7 +376,8 @@ def _hermite(values: Array, slopes: Array) -> Array:
 
 
 def _floats(values: NDArray[np.floating]) -> Array:
-    """Convert to float64, because the types of numpy's interp and gradient are not specific."""
+    """Convert to float64, because the annotated types of numpy's interp and gradient are not
+    specific."""
     return np.asarray(values, dtype=np.float64)
 
 

@@ -36,8 +36,9 @@ _SMALLEST_COMPLEMENT = 1e-12
 class SupportFriction(NamedTuple):
     """Friction factors of one regime, without the factor tau.
 
-    ``leading`` belongs to the larger motion and ``trailing``, divided by tau, to the smaller
-    motion. If translating, F = leading and T = tau * trailing; if spinning, T = leading and F = tau
+    ``leading`` is the factor of the dominant motion (translation or rotation), ``trailing`` that of
+    the other; ``trailing`` is stored divided by tau. If translating, F = leading and T = tau *
+    trailing; if spinning, T = leading and F = tau
     * trailing.
     """
 

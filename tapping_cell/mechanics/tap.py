@@ -30,7 +30,7 @@ from tapping_cell.mechanics.sliding import Sliding
 
 Array = NDArray[np.float64]
 
-# Tolerance for a displacement on the edge of the cone, which may be off by rounding.
+# Tolerance for rounding errors of a displacement on the edge of the cone.
 _EDGE = 1e-9
 # Steps of the finite differences for the Jacobian, in m and rad.
 _LENGTH_STEP = 1e-6

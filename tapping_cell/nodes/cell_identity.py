@@ -1,7 +1,7 @@
 """Identity of a cell on this machine: its ROS domain and its namespace.
 
 Every resource of a cell outside ROS (the ports of simulated devices, the stored goal, learnt gains)
-is named after both and lies in the home folder of the user.
+contains both in its name and is in the home folder of the user.
 """
 
 from __future__ import annotations

@@ -118,9 +118,9 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self.fatal = ""
         self._last_complaint = ""
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Several subscriptions are needed: a transient local subscription does not match volatile
-        # publishers, a volatile subscription misses a stop that was published before this node
-        # started, and a reliable one does not match best-effort publishers.
+        # Several subscriptions are needed. A transient local subscription does not match volatile
+        # publishers. A volatile subscription misses a stop that was published before this node
+        # started. A reliable subscription does not match best-effort publishers.
         for profile in (LATCHED, COMMAND, BEST_EFFORT_COMMAND):
             self.create_subscription(Bool, "emergency_stop", self.on_emergency_stop, profile)
         self.create_timer(1.0, self._publish_diagnostics)
@@ -312,8 +312,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 def choose_transport(pictures: bool) -> None:
     """Select the Fast DDS profile, unless the environment already names a custom profile.
 
-    Without a shared-memory segment of several frames, nearly every image is lost. However, the
-    shared-memory files outlive a killed process and are found again by its successor, so only nodes
+    Without a shared-memory segment of several frames, nearly every image is lost. However,
+    shared-memory files remain after a process was killed and disturb its successor, so only nodes
     that transport images use shared memory. Fast DDS reads the variable when the first node is
     created.
     """
@@ -351,9 +351,9 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         if refused := security.explain(error):
             print(f"error: {refused}", file=sys.stderr)
             return 1
-        # A signal that arrives during a call leaves the call without a valid context, or raises an
-        # exception that the called library does not expect and reports as an error of its own. The
-        # signal's thread then shuts the context down.
+        # A signal during a call may invalidate the context, or raise an exception that the called
+        # library reports as its own error. The thread of the signal handler then shuts the context
+        # down.
         deadline = time.monotonic() + SIGNAL_S
         while rclpy.ok():
             if time.monotonic() > deadline:
@@ -361,8 +361,8 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
             time.sleep(0.01)
         return 0
     finally:
-        # A launcher sends its own signal after the terminal's signal. The first is enough for an
-        # orderly shutdown.
+        # A launcher sends a second signal after that of the terminal. The first signal is
+        # sufficient for an orderly shutdown.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
         if node is not None:

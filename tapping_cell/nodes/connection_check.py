@@ -41,7 +41,8 @@ class ConnectionCheck:
                 yield from self._report(info, reasons, f"nothing on {topic} reaches")
 
     def _report(self, info: Any, reasons: list[str], what: str) -> Iterator[str]:
-        # If this node has several endpoints on the topic, one that can connect is sufficient.
+        # If this node has several endpoints on the topic, it is sufficient that one of them can
+        # connect.
         if not all(reasons) or (endpoint := bytes(info.endpoint_gid)) in self._reported:
             return
         self._reported.add(endpoint)

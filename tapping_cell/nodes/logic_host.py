@@ -171,8 +171,8 @@ class LogicHost(Generic[Machine]):
 
     def _perform(self, effect: fx.Effect) -> None:
         if isinstance(effect, fx.Publish):
-            # When the node shuts down, the state machine still publishes its last state, but the
-            # context is no longer valid.
+            # At shutdown the state machine still publishes its last state, although the context may
+            # be invalid.
             if self._node.context.ok():
                 self._publishers[effect.topic].publish(to_ros(effect.message))
                 if effect.topic in self._observers:
@@ -266,8 +266,8 @@ class LogicHost(Generic[Machine]):
             self._node.destroy_subscription(subscription)
             present, stopped = self._present_publishers(), self._stop_publishers
             gone = [info for gid, info in stopped.items() if gid not in present]
-            # The last message of a single publisher is its level. Of several, each must repeat its
-            # own.
+            # The last message of a single publisher is its current value. If there are several
+            # publishers, each must be transient local, so that it resends its own value.
             several = len(present.keys() | stopped.keys()) > 1
             silent = [info for info in present.values() if several and _is_volatile(info)]
             names = map(_node_names, (present.values(), gone, silent))

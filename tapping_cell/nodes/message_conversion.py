@@ -36,7 +36,8 @@ def ros_class(name: str) -> Any:
 
 def to_ros(message: Mirrored) -> Any:
     """Convert a dataclass of :mod:`tapping_cell.messages` to its ROS message."""
-    # The constructor of a ROS message builds every nested message, which would be replaced here.
+    # A copy is faster than the constructor, which would build nested messages that are replaced
+    # below.
     made = copy.copy(_default(message.ROS_TYPE))
     for name in _names(type(message)):
         value = getattr(message, name)

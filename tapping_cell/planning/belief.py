@@ -1,9 +1,9 @@
 """A bank of Kalman filters that is robust to a wrong prior, to outliers and to lasting changes.
 
 Each filter of the bank starts from a prior of a different width (static multiple models: Magill,
-IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects, and a very different
-object needs only one more measurement. A measurement may be an outlier (a bumped object, a striker
-that missed). Each filter weights it by the probability that it is valid (probabilistic data
+IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects; for a very different
+object only one more measurement is needed. A measurement may be an outlier (a bumped object, a
+striker that missed). Each filter weights it by the probability that it is valid (probabilistic data
 association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may also change permanently.
 One more filter, the candidate, assumes that they changed at the last measurement. If the next
 measurement agrees with the candidate, the candidate outweighs the other filters and replaces them.
@@ -139,7 +139,8 @@ class Belief:
         expected = np.einsum("...hi,...i->...h", mean, h)
         reach = np.einsum("...hij,...j->...hi", covariance, h)
         spread = np.einsum("...hi,...i->...h", reach, h)
-        # The share refers to the true value, which is approximated by the updated estimate.
+        # The relative noise refers to the true value, which is approximated by the updated
+        # estimate.
         noise = (relative * expected) ** 2 + least**2
         better = expected + spread / (spread + noise + 1e-300) * (y - expected)
         noise = (relative * better) ** 2 + least**2 + 1e-18

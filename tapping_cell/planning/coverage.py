@@ -21,8 +21,8 @@ INWARD = math.radians(80.0)
 """Largest angle between an inward tap and the direction to the middle."""
 
 MIDDLE = 0.25
-"""Share of the working radius within which every direction counts as inward. There, the directions
-of the taps must only leave no gap above ``WIDEST_GAP``."""
+"""Share of the working radius within which every direction counts as inward. There, it is
+sufficient that no gap between the directions of the taps exceeds ``WIDEST_GAP``."""
 
 WIDEST_GAP = math.radians(170.0)
 """Largest allowed angle between neighbouring directions of taps near the middle, below 180

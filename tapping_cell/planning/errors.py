@@ -1,4 +1,4 @@
-"""Exceptions of planning. A refused goal or tap raises nothing but returns a ``Refusal``."""
+"""Exceptions of planning. A refused goal or tap raises no exception; it returns a ``Refusal``."""
 
 from __future__ import annotations
 

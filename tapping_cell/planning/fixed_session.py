@@ -60,9 +60,9 @@ DEVIATIONS = 3.0
 and off the keep-outs."""
 
 RETRIEVABLE = 1.5
-"""Size of the uncertainty bound, in standard deviations, for which a tap must be able to bring the
-object back; otherwise a person has to. An object that was never tapped may slide 1.4 times as far
-as its file says."""
+"""Size of the uncertainty bound, in standard deviations, within which another tap must be able to
+bring the object back. For an object that was never tapped, this bound is 1.4 times the slide that
+its file predicts."""
 
 WAY = np.linspace(0.25, 1.0, 4)
 """Shares of a slide at which its distance to the keep-outs is checked."""
@@ -248,7 +248,7 @@ class FixedTapperSession(GoalSession):
         if not np.any(allowed):
             return None
         size = np.maximum(np.hypot(expected[..., 0], expected[..., 1]), 1e-9)
-        # The error is object minus goal. The scatter is the one that the goal was solved with.
+        # The error is object minus goal. The scatter is that with which the goal was solved.
         states = states_after(
             np.broadcast_to(-left, (*size.shape, 3)),
             np.arctan2(expected[..., 1], expected[..., 0]),

@@ -1,9 +1,9 @@
 """Cache of solved goals of fixed tappers; goals can be solved in separate processes.
 
-Solving a goal takes seconds of processor time. A solving thread would block the interpreter for the
-other threads, so that the planner's heartbeat would stop. The first tap waits for the coarse
-solution, so one process solves only those; a second process refines them at a lower priority, so
-that it does not delay the images of the camera.
+Solving a goal takes seconds of processor time. A solver in a thread would block the interpreter for
+the other threads, and the planner's heartbeat would stop. The first tap waits for the coarse
+solution, so one process computes only coarse solutions. A second process refines them at a lower
+priority, so that it does not delay the images of the camera.
 """
 
 from __future__ import annotations
@@ -207,7 +207,8 @@ def _work(line: Connection, niceness: int) -> None:
                 result: Solution | Exception = job.next_solution(line.poll)
             except Abandoned:
                 continue
-            except Exception as error:  # sent to the requester, because this process has no caller
+            # sent to the requesting process, because this process has no caller
+            except Exception as error:
                 result = error
             ended = job.is_done or isinstance(result, Exception)
             if ended:

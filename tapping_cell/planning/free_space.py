@@ -1,10 +1,10 @@
 """Map of the places where an object can be tapped, and path lengths from there to the goal.
 
-A place is *workable* if the object fits there and can be tapped in enough directions that no half
-plane of directions is missing. Every error left by a tap can then be corrected from there, if
-necessary by a zigzag. Taps may only end in workable places, and the goal must be workable, so that
-a run does not get stuck. Path lengths around keep-outs are computed on a grid with 16 neighbours
-per cell (accurate to 3 %) by Dijkstra's algorithm (Dijkstra 1959).
+A place is *tappable* (``workable`` in names) if the object fits there and can be tapped in enough
+directions: no half plane of directions is missing. From such a place every remaining error can be
+corrected, if necessary by a zigzag. Taps may only end at tappable places, and the goal must be
+tappable, so that a run does not get stuck. Path lengths around keep-outs are computed on a grid
+with 16 neighbours per cell (accurate to 3 %) by Dijkstra's algorithm (Dijkstra 1959).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ MASKS_KEPT = 400
 
 
 class FreeSpace:
-    """The map of workable places for one object, table, arm and striker."""
+    """The map of tappable places for one object, table, arm and striker."""
 
     def __init__(self, space: StrikeSpace) -> None:
         table = space.workspace
@@ -107,11 +107,11 @@ class FreeSpace:
 
     @cached_property
     def regions(self) -> NDArray[np.int32]:
-        """Region number of each cell (flat): connected workable cells from 1, other cells 0."""
+        """Region number of each cell (flat): connected tappable cells from 1, other cells 0."""
         return np.asarray(label(self.workable, structure=np.ones((3, 3)))[0].reshape(-1))
 
     def contains(self, points: ArrayLike) -> BoolArray:
-        """Return whether the points (..., 2) are workable."""
+        """Return whether the points (..., 2) are tappable."""
         p = np.asarray(points, dtype=float)
         low = np.floor((p - self._origin) / CELL).astype(int)
         found = np.zeros(p.shape[:-1], dtype=bool)
@@ -124,13 +124,14 @@ class FreeSpace:
         return np.asarray(found & (clearance >= self._space.object_radius - 1e-9))
 
     def outline(self) -> Array:
-        """Edges between workable and other cells, (edges, 2 ends, 2), for drawing, m in `table`."""
+        """Edges between tappable and other cells, (edges, 2 ends, 2), for drawing, m in `table`."""
         padded = np.pad(self.workable, 1)
         corner = self._origin - CELL / 2
         edges = []
         for axis in (0, 1):
             i, j = np.nonzero(np.diff(padded, axis=axis))
-            # Because of the padding, the line after padded cell i is the line before cell i.
+            # The map is padded by one cell, so the boundary behind padded cell i is the boundary
+            # before cell i.
             first = np.stack([i, j], axis=-1).astype(float)
             first[:, 1 - axis] -= 1.0
             along = np.eye(2)[1 - axis]
@@ -138,7 +139,7 @@ class FreeSpace:
         return np.asarray(corner + CELL * np.concatenate(edges))
 
     def nearest_cells(self, points: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """Nearest workable cell of each point (flat index) and its distance; inf if none exists.
+        """Nearest tappable cell of each point (flat index) and its distance; inf if none exists.
 
         Accurate to the size of a cell: all points in one cell have the same nearest cell.
         """
@@ -150,7 +151,8 @@ class FreeSpace:
         return cell, np.hypot(p[..., 0] - centre[..., 0], p[..., 1] - centre[..., 1])
 
     def in_sight(self, points: ArrayLike, goal: Array) -> BoolArray:
-        """Return whether the straight lines from points (..., 2) to the goal (2,) are workable."""
+        """Return whether all places on the straight lines from points (..., 2) to the goal (2,) are
+        tappable."""
         share = np.linspace(0.0, 1.0, SIGHT_POINTS)[:, None]
         line = np.asarray(points, dtype=float)[..., None, :] * (1.0 - share) + goal * share
         return np.asarray(np.all(self.workable.reshape(-1)[self._cell_of(line)], axis=-1))
@@ -183,7 +185,7 @@ class PathLengths:
         self._open = bool(np.all(free.workable[_hull_mask(free.workable)]))
 
     def reachable(self, point: ArrayLike) -> bool:
-        """Return whether a path connects the workable cell nearest to the point with the goal."""
+        """Return whether a path connects the tappable cell nearest to the point with the goal."""
         cell, offset = self._free.nearest_cells(np.asarray(point, dtype=float)[:2])
         return bool(np.isfinite(offset) and np.isfinite(self._lengths[cell]))
 
@@ -275,7 +277,8 @@ def _pack(missing: BoolArray) -> NDArray[np.uint32]:
 
 def _has_long_run(blocked: NDArray[np.uint32]) -> BoolArray:
     """Return whether more adjacent directions are missing than ``WIDEST_GAP`` allows."""
-    needed = int(WIDEST_GAP / (2.0 * math.pi / DIRECTIONS))  # shortest run that is too wide a gap
+    # smallest number of blocked directions that is too wide a gap
+    needed = int(WIDEST_GAP / (2.0 * math.pi / DIRECTIONS))
     full = np.uint32((1 << DIRECTIONS) - 1)
 
     def turned(value: NDArray[np.uint32], by: int) -> NDArray[np.uint32]:
@@ -324,7 +327,7 @@ def _largest_run(missing: BoolArray) -> Array:
 
 
 def _neighbour_graph(workable: BoolArray) -> coo_array:
-    """Symmetric graph of workable cells; an edge's weight is the distance of the centres."""
+    """Symmetric graph of tappable cells; an edge's weight is the distance of the centres."""
     columns, rows = workable.shape
     # SciPy before 1.12 accepts only 32-bit indices for a graph.
     index = np.arange(columns * rows, dtype=np.int32).reshape(columns, rows)
@@ -345,7 +348,7 @@ def _neighbour_graph(workable: BoolArray) -> coo_array:
 
 
 def _nearest_cells(workable: BoolArray) -> NDArray[np.intp]:
-    """Flat index of the workable cell nearest to each cell; 0 if no cell is workable."""
+    """Flat index of the tappable cell nearest to each cell; 0 if no cell is tappable."""
     if not np.any(workable):
         return np.zeros(workable.size, dtype=np.intp)
     nearest = distance_transform_edt(~workable, return_distances=False, return_indices=True)
@@ -353,7 +356,7 @@ def _nearest_cells(workable: BoolArray) -> NDArray[np.intp]:
 
 
 def _hull_mask(workable: BoolArray) -> BoolArray:
-    """Cells between two workable cells of the same column or of the same row."""
+    """Cells between two tappable cells of the same column or of the same row."""
 
     def between(cells: BoolArray, axis: int) -> BoolArray:
         before = np.logical_or.accumulate(cells, axis=axis)

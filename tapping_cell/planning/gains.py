@@ -164,8 +164,8 @@ class Gains:
         """Convert residuals (..., 3), dx, dy (m) and rotation (rad), for a planning method.
 
         Returns the distance (m), the rotation (rad) scaled such that the cone has its nominal
-        slope, and the heading (rad). The distance is not scaled, so that the box and the smallest
-        tap keep their size.
+        slope, and the heading (rad). The distance is not scaled, so that the stopping box and the
+        smallest tap keep their size.
         """
         left = np.asarray(remaining, dtype=float)
         turn = left[..., 2] / self.value[..., 1]
@@ -291,7 +291,8 @@ class Gains:
         return Spread(np.broadcast_to(factor, slope.shape), aside - expected[..., None])
 
     def largest_rotation_gain(self, probability: float) -> Array:
-        """Return the rotation gain (...,) below which the true one is with ``probability``."""
+        """Return the upper bound (...,) of the true rotation gain that holds with
+        ``probability``."""
         return self.rotation.quantile(np.array([1.0, 0.0, 0.0]), probability)
 
     def predicted_covariance(

@@ -48,7 +48,7 @@ def check_goal(
 ) -> Refusal | None:
     """Return why the goal (x, y, theta in `table`) cannot be reached, or None.
 
-    If a map of the free space is given, the goal must also be workable, so that a tap is always
+    If a map of the free space is given, the goal must also be tappable, so that a tap is always
     possible near the goal.
     """
     goal = np.asarray(goal_pose, dtype=float)

@@ -27,13 +27,13 @@ class Taps(NamedTuple):
 class Planner(Protocol):
     """A planning method: chooses the next tap from the residual to the goal.
 
-    ``choose`` is a vectorised pure function of the residual that never raises. It also returns a
-    tap inside the stopping box, because a noisier observation than usual may require one more tap.
+    ``choose`` is a vectorised pure function of the residual that never raises. It returns a tap
+    even inside the stopping box, because a noisier observation than usual may require one more tap.
     """
 
     @property
     def name(self) -> str:
-        """Name of the method in use now (a fallback may be in use while a plan is solved)."""
+        """Name of the method in use now (a fallback is in use while a plan is being solved)."""
         ...
 
     @property

@@ -95,7 +95,8 @@ def best_first(
     after = gains.predict(commanded, pose[2])
     following = _strikes_to_goal(pose + after, left - after, space)
     clearance = np.any(space.elbows(following), axis=-1) & space.tool_is_clear(following)
-    # Probability of a direct tap: 1 if one tap follows, 0 if two follow (the first goes anywhere).
+    # Probability of a direct tap: 1 if one tap follows, 0 if two follow (the first may go in any
+    # direction).
     direct = np.clip(np.minimum(follow, 2.0 - follow), 0.0, 1.0)
     cost = follow + np.where(clearance, 0.0, direct)
     possible, strikes = space.strike_poses(pose, commanded)

@@ -75,7 +75,8 @@ def make_planner(
     registered = _registered()
     try:
         planner = registered[name].load()(settings)
-    except Exception as error:  # a plug-in may raise anything; users get one message
+    # a plug-in may raise any exception; it is reported as a PlanningError
+    except Exception as error:
         raise PlanningError(
             f"the registered planning method {name!r} ({registered[name].value}) cannot be "
             f"created: {error}"

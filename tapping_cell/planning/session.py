@@ -584,7 +584,8 @@ class PositioningSession(GoalSession):
         if not isinstance(self.planner, TapValues):
             return None
         if isinstance(self._space.tap.body, Polygon):
-            return None  # the values ignore that its edges limit the possible taps
+            # the expected values do not consider that a polygon's edges limit the possible taps
+            return None
         taps = near_taps(pose, left, own, self.gains, self.planner, self.settings)
         if taps is None:
             return None
@@ -607,8 +608,8 @@ class PositioningSession(GoalSession):
         """Return the refusal that explains why no tap is possible.
 
         ``allowed``: some slide would be safe; ``struck``: some contact gives a safe slide;
-        ``trusted``: some slide would be safe if the object were known; ``first``: reason against
-        the method's first choice.
+        ``trusted``: some slide would be safe if the object's file were exact; ``first``: reason
+        against the method's first choice.
         """
         place = place_text(pose)
         if allowed and not struck:
@@ -684,7 +685,7 @@ class PositioningSession(GoalSession):
         workable = np.all(self._free.contains(end), axis=-1)
         nominal = self._free.contains(pose[:2] + expected[..., :2])
         if not self._free.contains(pose[:2]):
-            # The object is not in a workable place, so only the expected end must be in one.
+            # The object is not at a tappable place, so only the expected end must be at one.
             workable = nominal
         spread = None if trusting else self._spread(commanded)
         safe = self._space.slide_is_safe(pose, expected, spread)

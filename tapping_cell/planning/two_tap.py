@@ -29,10 +29,10 @@ def two_tap_choice(
     """Choose the tap to the goal if one tap suffices, else the first tap of a two-tap plan.
 
     The error line of a subgoal is the rotation of the first tap times 1 +- ``error_line``. The
-    nearest subgoal is chosen from whose whole error line a second, opposite tap reaches the goal.
-    ``error_line`` 0 gives the exact two-tap plan (Huang and Mason, sections 4.1 and 4.2). A retreat
-    taps away from the goal by a, so that r + a remains. An overshoot taps past the goal by b, so
-    that b remains:
+    subgoal is the nearest one for which a second, opposite tap reaches the goal from every point of
+    the error line. ``error_line`` 0 gives the exact two-tap plan (Huang and Mason, sections 4.1 and
+    4.2). A retreat taps away from the goal by a, so that r + a remains. An overshoot taps past the
+    goal by b, so that b remains:
 
         retreat:    theta - k a (1 - s) = k (r + a)  ->  a = (theta - k r) / (k (2 - s))
         overshoot:  theta - k (r + b)(1 - s) = k b   ->  b = (theta - k r (1 - s)) / (k (2 - s))
@@ -63,7 +63,7 @@ def two_tap_choice(
         second = subgoal
     turn = _first_rotation(theta, k * np.abs(first), k * second, error_line)
 
-    # The plan needs taps above the limit: rotate as much as one tap can and stay near the goal.
+    # The plan needs taps above the limit: rotate as much as one tap can, and stay near the goal.
     too_large = ~direct & (np.maximum(np.abs(first), second) > most)
     tap = np.where(direct, np.clip(r, least, most), np.where(too_large, most, first))
     turn = np.where(direct, np.minimum(theta, k * r) * most / np.maximum(r, most), turn)

@@ -216,7 +216,7 @@ def state_grid(
     """
     step = box / FINE_STEPS
     even = np.arange(0.0, max(2.0 * box, 2.0 * smallest) + step, step)
-    if even.size > 10 * FINE_STEPS:  # a box far smaller than the smallest tap
+    if even.size > 10 * FINE_STEPS:  # the stopping box is far smaller than the smallest tap
         even = np.arange(0.0, 2.0 * box + step, step)
     values = [*even.tolist()]
     while values[-1] < farthest:

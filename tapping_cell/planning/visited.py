@@ -1,11 +1,11 @@
 """Memory of the poses from which the object was tapped, so that it does not move in circles.
 
-The ranking of alternative taps looks only one tap ahead. If the path that it assumes is not
-possible, for example because a polygon cannot be struck along it, the best tap may lead to a pose
-whose best tap leads back. Learning real-time A* (Korf, Artificial Intelligence 42, 1990) avoids
-this: for each visited pose, the estimated cost of its best tap is stored, and a tap that would end
-near the pose costs at least as much. Every further visit raises the cost, until another tap is
-cheaper.
+The ranking of alternative taps looks only one tap ahead. If the path assumed by this ranking is not
+possible, for example because a polygon cannot be struck in its direction, the best tap may lead to
+a pose whose best tap leads back. Learning real-time A* (Korf, Artificial Intelligence 42, 1990)
+avoids this: for each visited pose, the estimated cost of its best tap is stored, and a tap that
+would end near the pose costs at least as much. Every further visit raises the cost, until another
+tap is cheaper.
 """
 
 from __future__ import annotations

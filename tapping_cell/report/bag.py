@@ -316,7 +316,8 @@ def _synchronise(file: Path) -> None:
 def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
     """Yield the records of an MCAP file, including those in chunks, up to the end of its data.
 
-    The footer follows. A truncated record ends the iteration; all records before it are complete.
+    The footer is yielded last. A truncated record ends the iteration; all records before it are
+    complete.
     """
     if stream.read(8) != _MAGIC:
         raise BagError(f"{file} is not an MCAP file")
@@ -333,7 +334,7 @@ def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
         elif kind in (_SCHEMA, _CHANNEL, _MESSAGE):
             yield kind, body
         elif kind == _DATA_END:
-            # The summary section repeats the data for random access; the footer is at the end.
+            # Skip the summary section, which repeats the data for random access.
             stream.seek(-37, os.SEEK_END)
             tail = stream.read()
             if tail[:1] == bytes([_FOOTER]) and tail.endswith(_MAGIC):
@@ -365,7 +366,7 @@ def _text(body: memoryview, start: int) -> tuple[str, int]:
 
 
 def _store_of(schemas: Mapping[int, tuple[str, str, str]], file: Path) -> Typestore:
-    """Return the types that the bag defines, which may be older than the installed ones."""
+    """Return the message types that the bag defines; they may be older than the installed types."""
     store = get_typestore(Stores.EMPTY)
     for name, form, text in schemas.values():
         try:

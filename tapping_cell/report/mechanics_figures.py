@@ -125,5 +125,5 @@ def _ratios(axes: Axes, sliding: Sliding) -> None:
 
 def _times(sliding: Sliding, speed: float, spin: float) -> NDArray[np.float64]:
     duration = float(sliding.rest(speed, spin).duration)
-    # The times are denser near the end, but exclude it, because the ratio is then 0 / 0.
+    # The times are denser near the end, but exclude the end itself, where the ratio is 0 / 0.
     return np.asarray(duration * (1 - np.linspace(1.0, 0.02, 300) ** 2))

@@ -64,7 +64,8 @@ PLANNED = "#27a7ff"
 ARROW = "#ffd23f"
 GHOST = "#ff5ce1"
 REFUSED = "#ff5a4d"
-"""Drawn over the camera's image: the planned tap, its strike, a goal and a refused goal."""
+"""Colours of drawings over the camera's image: the planned tap, its strike, a goal and a refused
+goal."""
 
 _VARIABLES = {
     "ground": GROUND,

@@ -146,7 +146,7 @@ for (const table of document.querySelectorAll("table.sorts")) {
 
 
 def _table(rows: Sequence[Row], links: Sequence[str]) -> str:
-    """Return the table of the runs, which the reader sorts by a click on a column's heading."""
+    """Return the table of the runs; a click on a column's heading sorts it."""
     head = "".join(f'<th><button type="button">{name}</button></th>' for name in _COLUMNS)
     lines = []
     for row, link in zip(rows, links, strict=True):
@@ -175,7 +175,8 @@ def _cell(value: float, text: str) -> str:
 
 def _groups(groups: Sequence[Group]) -> str:
     head = (
-        "<tr><th>planner</th><th>object</th><th>reached</th><th>taps, mean</th><th>taps, most</th>"
+        "<tr><th>planner</th><th>object</th><th>reached</th><th>taps, mean</th><th>taps, "
+        "maximum</th>"
         "<th>measured residual, mean</th><th>time, mean</th></tr>"
     )
     lines = [

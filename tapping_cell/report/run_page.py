@@ -428,8 +428,8 @@ def _configuration(run: Run) -> str:
     seed = f"Seed of the simulated world: {run.seed}. " if run.seed is not None else ""
     return (
         f"<section><h2>Configuration</h2>{files}<p>{seed}Versions: {escape(versions)}.</p>"
-        f'<p class="quiet">Every topic of this run is in the bag beside this page: open '
-        "the <code>.mcap</code> file in Foxglove, or call <code>ros2 bag play bag</code>. To "
-        "make this page again, call <code>python -m tapping_cell report</code> with the folder."
-        "</p></section>"
+        f'<p class="quiet">The bag in the folder of this page contains every topic of this '
+        "run: open the <code>.mcap</code> file in Foxglove, or call <code>ros2 bag play bag</code>."
+        " To write this page again, call <code>python -m tapping_cell report</code> with the "
+        "folder.</p></section>"
     )

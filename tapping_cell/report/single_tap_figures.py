@@ -72,7 +72,8 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
             axes.plot(x[run], y[run], mark, color=colour, ms=6, alpha=0.75, label=f"run {label}")
             axes.plot(slide_x[run], slide_y[run], "+", color=INK, ms=9, mew=1.0)
             if np.isfinite(tap_x[run]).any():
-                # Average each side separately, because the mean of both is not a real tap.
+                # Average taps of positive and negative rotation separately, because their common
+                # mean is no real tap.
                 for side in (y[run] > 0, y[run] <= 0):
                     if np.isfinite(tap_x[run][side]).any():
                         middle = np.nanmean(tap_x[run][side]), np.nanmean(tap_y[run][side])

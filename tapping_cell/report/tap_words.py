@@ -72,20 +72,23 @@ def _purpose(tap: TapRow, goal: Pose) -> str:
     needs = f"a rotation of {turn:.1f} deg requires a travel of {1000 * length:.1f} mm"
     along = float(wrap_angle(math.atan2(move[1], move[0]) - math.atan2(to_goal[1], to_goal[0])))
     if abs(along) > math.pi - BESIDE:
-        return f"It moves away from the goal on purpose: {needs}, and the next tap comes back."
+        return (
+            f"The tap moves the object away from the goal on purpose: {needs}, and the next tap "
+            "returns the object."
+        )
     if abs(along) > BESIDE:
         return ""
     if length > FARTHER * away:
         return (
-            f"It passes the goal on purpose: {needs}, and the goal was {1000 * away:.1f} mm away; "
-            "the next tap comes back."
+            f"The tap moves the object past the goal on purpose: {needs}, and the goal was "
+            f"{1000 * away:.1f} mm away; the next tap returns the object."
         )
     if length < SHORTER * away:
         return (
-            f"It stops {1000 * (away - length):.1f} mm before the goal on purpose: a shorter tap "
-            "scatters less, and the last tap can still turn the object."
+            f"The tap moves the object to {1000 * (away - length):.1f} mm before the goal on "
+            "purpose: a shorter tap scatters less, and the last tap can still turn the object."
         )
-    return "It aims straight at the goal."
+    return "The tap is aimed straight at the goal."
 
 
 def _move(before: Pose, after: Pose) -> str:

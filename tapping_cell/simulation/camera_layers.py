@@ -59,7 +59,8 @@ def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blu
     (sigma) in m."""
     pattern = np.pad(marker_pattern(dictionary, marker_id), 1, constant_values=True)
     module = size / (pattern.shape[0] - 2)
-    # About eight texels per pixel; module edges are on texel edges, so coverage is exact.
+    # About eight texels per pixel. The edges of the modules are on texel edges, so the coverage is
+    # exact.
     each = int(np.clip(np.ceil(8.0 * module / pixel), 4, 96))
     texel = module / each
     sheet = np.kron(np.where(pattern, PAPER, INK), np.ones((each, each)))
@@ -101,8 +102,9 @@ def convex_coverage(
     within = (y >= p[0, 1]) & (y <= p[turn, 1])
     left = np.where(within, np.minimum(*ends), 0.0)
     right = np.where(within, np.maximum(*ends), 0.0)
-    # What lies left of an end covers every cell before it and a part of the cell that holds it;
-    # what lies left of both cancels. Per row: changes from cell to cell, summed over the samples.
+    # The area left of an end covers all cells before the end and a part of the cell that contains
+    # it; the area left of both ends cancels. Each row contains the changes from cell to cell,
+    # summed over the samples.
     change = np.zeros((rows, columns + 2))
     row = np.arange(rows * rows_each) // rows_each
     for end, sign in ((right, 1.0), (left, -1.0)):

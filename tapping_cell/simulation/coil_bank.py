@@ -1,7 +1,7 @@
 """Coils at fixed mounts: the strikers of a board with several channels, and their switches.
 
 Follows the same rules as ``firmware/tapper/strikers.c``, computed from event to event. The switch
-at a mount is closed while its striker is back. The caller sets the flight time of a striker.
+at a mount is closed while its striker is retracted. The caller sets the flight time of a striker.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class CoilBank:
         self._returns = 0.0
         self._flying: tuple[int, float, float] | None = None
         """Channel of the last released striker, and the times at which it leaves its switch and
-        returns to it. A restart of the board ends only the board's wait for it."""
+        returns to it. A restart of the board does not change its flight, but the board no longer
+        waits for it."""
         self._stays_out: set[int] = set()
         self._blocked: set[int] = set()
         self._stuck: set[int] = set()

@@ -73,7 +73,7 @@ def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap
         default=None,
     )
     if best is not None and best[0] <= 0.0:
-        # The hulls overlap: separate them along the edge normal with the smallest overlap.
+        # The convex hulls overlap: separate them along the edge normal with the smallest overlap.
         depth, normal, corner = best
         sign = -1.0 if best is from_q else 1.0
         along = (sign * float(normal[0]), sign * float(normal[1]))

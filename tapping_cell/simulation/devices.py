@@ -69,7 +69,7 @@ class SimulatedDevices:
         self._arm_port.close()
 
     def press_clear_button(self) -> None:
-        """Press the button at the cell that a person must press before a stop can be cleared."""
+        """Press the clear button at the cell; this is required before a stop can be cleared."""
         with self._tapper_port.lock:
             self._tapper.press_clear_button(time.monotonic())
 

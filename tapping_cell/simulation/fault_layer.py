@@ -168,7 +168,7 @@ class _Channel:
 
 
 def _earlier(first: float | None, second: float | None) -> float | None:
-    """Return the earlier of two times, of which either may be missing."""
+    """Return the earlier of two times; either or both may be None."""
     if first is None or second is None:
         return second if first is None else first
     return min(first, second)

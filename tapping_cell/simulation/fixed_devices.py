@@ -154,7 +154,7 @@ class FixedDevices:
             port.close()
 
     def press_clear_button(self) -> None:
-        """Press the button at each board that must be pressed before a stop can be cleared."""
+        """Press the clear button of each board; this is required before a stop can be cleared."""
         for port, board in zip(self._ports, self._boards, strict=True):
             with port.lock:
                 board.emulator.press_clear_button(time.monotonic())

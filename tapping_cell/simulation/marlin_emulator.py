@@ -59,7 +59,7 @@ class MarlinMachine:
     quill_sinks: float = 0.02
     """Sinking speed of the quill while the motors have no power, m/s; 0 with a brake."""
     quill_floor: float = -0.148
-    """Lowest position of a sinking quill, m."""
+    """Position at which a sinking quill comes to rest, m."""
     reply_latency: float = 0.002
     baud: int = 115200
 

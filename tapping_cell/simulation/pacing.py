@@ -1,9 +1,9 @@
 """Timing of the simulated camera's images on a machine that may be too slow to render them.
 
-A real camera takes images at equal intervals, whatever the computer does. While the object slides,
-the world time therefore advances by one camera period per image and waits if the machine is late.
-The slide is then played in slow motion, but its stamps, in world time, are correct. Some time after
-the slide, the world time catches up with the machine's time.
+A real camera takes images at equal intervals, regardless of the computer's load. While the object
+slides, the world time therefore advances by one camera period per image and waits if the machine is
+late. The slide is then played in slow motion, but its stamps, in world time, are correct. Some time
+after the slide, the world time catches up with the machine's time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ class Pace:
         played, self._next = now, -math.inf
         if math.isfinite(self._taken) and (not at_rest or self._taken < self._moved + STEADY_S):
             played = max(self._taken, min(now, self._taken + self.period))
-            # The next image may come up to half a period early: the caller's timer is not exact.
+            # The next image may be up to half a period early, because the caller's timer is not
+            # exact.
             self._next = now + self.period * (self.slow_motion - 0.5)
         if not at_rest:
             self._moved = played

@@ -124,7 +124,8 @@ class PseudoTerminal:
             # O_PATH refers to the file without keeping the terminal open.
             self._linked = os.open(os.ttyname(slave), os.O_PATH | os.O_CLOEXEC)
             if self._reset_on_open:
-                # Without a descriptor of this process, the terminal shows when a driver opens it.
+                # This process keeps no descriptor of this end, so that it can detect when a driver
+                # opens the terminal.
                 os.close(slave)
             else:
                 self._slave = slave

@@ -1,8 +1,8 @@
 """Several objects on one simulated table: a struck object slides and may collide with others.
 
-Each object is a ``World``. The tabletop keeps them at the same time, lets the striker hit the first
-object in its path, and computes collisions (``simulation.collision``). Time steps shrink before a
-contact, so that objects overlap by less than 0.1 mm.
+Each object is a ``World``. The tabletop keeps all worlds at the same time, lets the striker hit the
+first object in its path, and computes collisions (``simulation.collision``). Time steps shrink
+before a contact, so that objects overlap by less than 0.1 mm.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class Tabletop:
         }
         name = min(travels, key=lambda each: travels[each])
         if math.isinf(travels[name]):
-            # It hits no object at rest, but an object that slides may still enter its path.
+            # The striker hits no object at rest, but a sliding object may still enter its path.
             moving = [each for each, world in self.worlds.items() if not world.at_rest]
             name = moving[0] if moving else name
         self._tapped = name
@@ -216,7 +216,8 @@ class Tabletop:
 
     def _step_length(self, pairs: Sequence[tuple[str, str, float]]) -> float:
         """Return a time during which no objects can meet, s."""
-        # The speed of an object is unknown while a striker may hit it; others only slow down.
+        # While a striker may hit an object, its speed may still increase; all others only slow
+        # down.
         struck = any(world.struck for world in self.worlds.values())
         longest = LONGEST_STEP_S if struck else math.inf
         for first, second, speed in pairs:

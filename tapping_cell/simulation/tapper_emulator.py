@@ -232,7 +232,7 @@ class TapperEmulator:
         while True:
             due = self._next_internal()
             if due is None or due > now:
-                # The movements of coils do not end with an event.
+                # The motions of the strikers of coils do not end with an event.
                 if self._state == "SAFE" or (self.machine.coils and self._state in SETTLING):
                     self._settle(SETTLING[self._state], self._state)
                 return

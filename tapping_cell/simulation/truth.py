@@ -151,7 +151,8 @@ class ImpactTruth:
         default=0.0,
     )
     follow_through: float = quantity(
-        "time for which the striker moves on after the first contact, at most to the end of its "
+        "time for which the striker continues to move after the first contact, at most to the "
+        "end of its "
         "stroke, before it retracts",
         "s",
         0.0,

@@ -41,7 +41,7 @@ class VirtualClock:
         times = [t for line in self._lines if (t := line.next_on_line()) is not None]
         if reading is not None and (output := reading.next_event()) is not None:
             times.append(output)
-        # An event that is already due is processed without going back in time.
+        # If an event is already overdue, it is processed at the current time.
         target = max(min([until, *times]), self.now)
         self._still = self._still + 1 if target == self.now else 0
         self.now = target
@@ -101,7 +101,7 @@ class VirtualTransport:
         """Return the available bytes, waiting up to ``timeout`` s for the first."""
         deadline = self._clock.now + timeout
         if timeout > 0:
-            # Real time passes during any wait; rounding must not make virtual time stand still.
+            # As real time does, virtual time must advance during every wait, despite rounding.
             deadline = max(deadline, math.nextafter(self._clock.now, math.inf))
         while True:
             self._require()

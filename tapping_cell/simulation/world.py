@@ -106,12 +106,12 @@ class World:
         self.solid = Solid.of(body, offset, inertia)
         """The object's shape for collisions with other objects."""
         self._random = np.random.default_rng(random)
-        # Separate generators: measuring the speed does not change a tap's scatter, and a scatter of
-        # the end leaves the other errors of the taps as they are.
+        # Separate generators are used, so that a speed measurement or a scatter of the end does not
+        # change the other random errors of the taps.
         self._gate_random, self._end_random = self._random.spawn(2)
         self._tap: _Tap | None = None
         self._now = -math.inf
-        # The current step: the motion is known at its beginning and at its end.
+        # Beginning and end of the current step, at which the motion is known.
         self._begun = self._done = -math.inf
         self._before = self._after = self._centred(Pose(*truth.object_start))
 
@@ -155,7 +155,7 @@ class World:
         return self._motion()
 
     def go_on(self, motion: Motion) -> None:
-        """Continue with another motion of the centre of mass, after a collision."""
+        """Continue with a new motion of the centre of mass, after a collision."""
         self._cut(motion)
 
     def _contact_with(self, striker: Striker) -> Contact:

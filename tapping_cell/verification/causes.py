@@ -1,8 +1,9 @@
 """Mapping from the error code of a goal to the injected faults that explain it.
 
-The error code must name a true cause. A fault of one device does not explain a code of the other,
-so the faults that can hit either are recorded with the device or node. If none of the faults that
-explain the code can still act, the cell has reported a wrong cause, which is a violation.
+The error code must name a true cause. A fault of one device does not explain a code of the other
+device. Faults that can affect either are therefore recorded with the name of the device or node. If
+none of the faults that explain the code can still act, the cell has reported a wrong cause, which
+is a violation.
 """
 
 from __future__ import annotations
@@ -118,8 +119,8 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAPPER_REPLY_GARBLED: TAPPER_LINE,
     ErrorCode.TAPPER_TIMEOUT: TAPPER_LINE | TAPPER_POWER | FREEZES | {"slow topic"},
     ErrorCode.TAPPER_RESET: TAPPER_LINE | TAPPER_POWER,
-    # A board that receives nothing for 0.5 s, or whose guard was open for a moment, discharges
-    # automatically.
+    # A board discharges automatically if it receives nothing for 0.5 s or if its guard was opened
+    # briefly.
     ErrorCode.TAPPER_FAULT: TAPPER_LINE | TAPPER_POWER | FREEZES | {"guard"},
     ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
     ErrorCode.TAPPER_SILENT: FREEZES | ENDS | LINKS,
@@ -145,7 +146,8 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
     ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,
 }
-"""For each error code of a goal, the kinds of faults of which one must have been injected."""
+"""For each error code of a goal, the kinds of faults that can cause it; at least one of them must
+have been injected."""
 CONDITIONS = frozenset(
     {
         ErrorCode.NONE,

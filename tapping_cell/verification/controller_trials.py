@@ -1,7 +1,7 @@
 """Trials of the arm driver against every emulated controller: moves, and faults in mid-move.
 
-After each fault the reason and the message must be the right ones, the arm must stand still, no
-move may succeed before homing, and the move after homing must be exact.
+After each fault, the reason and the message must be correct, the arm must stand still, no move may
+succeed before homing, and the move after homing must be exact.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def run_faults(name: str, kind: str, count: int, seed: int) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One kind of fault. ``findings``: the review findings whose behaviour it has."""
+    """One kind of fault. ``findings``: numbers of the review findings that it reproduces."""
 
     run: Callable[[ControllerCell, np.random.Generator], None]
     findings: str = ""
@@ -127,11 +127,11 @@ def _start_far(
 
 
 def _recover(cell: ControllerCell, rng: np.random.Generator) -> None:
-    """Check that the arm stands still and stays refused, then home and move."""
+    """Check that the arm stands still and that moves remain refused, then home and move."""
     here = cell.truth()
     cell.wait(2.0)
     if not np.allclose(cell.truth()[:2], here[:2], atol=STILL):
-        raise WrongError(f"the arm went on from {here} to {cell.truth()}")
+        raise WrongError(f"the arm moved on from {here} to {cell.truth()}")
     if cell.driver.homed:
         raise WrongError("the arm still counts as homed")
     _home_and_move(cell, rng)
@@ -242,7 +242,7 @@ def _endless_homing(cell: ControllerCell, rng: np.random.Generator) -> None:
     _expect(homing, FaultReason.TIMEOUT, words)
     cell.wait(0.5)
     if cell.emulator.moving(cell.clock.now):
-        raise WrongError("homing went on")
+        raise WrongError("homing continued")
 
 
 def _no_holding_torque(cell: ControllerCell, rng: np.random.Generator) -> None:
@@ -268,7 +268,7 @@ def _three_axes(cell: ControllerCell, rng: np.random.Generator) -> None:
 
 
 def _unswitched_axis(cell: ControllerCell, rng: np.random.Generator) -> None:
-    """The tool is in no homing cycle and is not named in axes_without_switch."""
+    """The tool's axis is not homed, and axes_without_switch in the cell file does not list it."""
     emulator = cell.emulator
     emulator.receive(b"$46=0\n$/axes/a/homing/cycle=0\n", cell.clock.now)
     words = "homing leaves out axis A .*axes_without_switch"

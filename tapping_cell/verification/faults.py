@@ -281,7 +281,8 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
     rng_expiry = float(rng.uniform(1.0, 30.0))
     name = "WITHDRAW" if withdraw else "TAP"
-    return strike, f"a foreign {name} with id {('0', 'of the present tap', 'of the next tap')[how]}"
+    tap_id = ("0", "of the current tap", "of the next tap")[how]
+    return strike, f"a {name} of another program with id {tap_id}"
 
 
 def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -300,12 +301,12 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
         t.network.publish("somebody_else", "tapper_state", forged)
 
     return strike, "another node ends the arm's promise" if by_service else (
-        f"a foreign tapper_state: {'FIRED' if fired else 'NOT_FIRED'}"
+        f"a tapper_state of another program: {'FIRED' if fired else 'NOT_FIRED'}"
     )
 
 
 def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node has the arm hold still for a tap, ends that promise early, reports that the tap
+    """Another node requests ``hold_still`` for a tap, ends this promise early, reports that the tap
     is over, and withdraws it; only the arm receives this withdrawal immediately."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
@@ -330,8 +331,8 @@ def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
         _send_withdrawal(t, number)
 
     return strike, (
-        f"another node has the arm hold still for {duration:.3f} s, ends it after {later:.3f} s"
-        + (" and has the arm leave" if sends else "")
+        f"another node requests hold_still for {duration:.3f} s and ends it after {later:.3f} s"
+        + (" and withdraws the arm" if sends else "")
     )
 
 
@@ -341,7 +342,7 @@ def _foreign_withdrawal(rng: np.random.Generator, trial: FaultTarget) -> Made:
     def strike(t: FaultTarget) -> None:
         _send_withdrawal(t, max(t.checker.commands, default=0))
 
-    return strike, "a foreign WITHDRAW of the present tap"
+    return strike, "another program's WITHDRAW of the current tap"
 
 
 def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
@@ -353,8 +354,8 @@ def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
 
 
 def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node publishes one state or command a hundred times a second, and may have the arm
-    leave at the end, of which the tapper hears late."""
+    """Another node publishes one state or command a hundred times a second, and may withdraw the
+    arm at the end; the tapper receives this withdrawal late."""
     name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
     outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
     number, withdraws = 1 + round(FLOOD_HZ * draw_duration(rng, 0.02, 0.5)), rng.random() < 0.7
@@ -391,7 +392,7 @@ def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
         t.network.publish("somebody_else", name, message)
 
     leaves = ", then withdraws the tap" if withdraws else ""
-    return strike, f"somebody else publishes {name} {number} times at 100 Hz{leaves}"
+    return strike, f"another program publishes {name} {number} times at 100 Hz{leaves}"
 
 
 def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -402,7 +403,7 @@ def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
         if last:
             t.network.publish("somebody_else", "tap_command", t.checker.commands[last])
 
-    return strike, "the last TAP once more"
+    return strike, "the last TAP is repeated"
 
 
 def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -499,7 +500,7 @@ def _foreign_state(rng: np.random.Generator, trial: FaultTarget) -> Made:
         message.header.stamp = to_stamp(t.clocks[node].now().ros)
         t.network.publish("somebody_else", "arm_state" if of_arm else "plan_state", message)
 
-    return strike, f"a foreign {'arm_state: in position' if of_arm else 'plan_state: firing'}"
+    return strike, f"a forged {'arm_state: in position' if of_arm else 'plan_state: firing'}"
 
 
 def _second_arm(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -535,7 +536,7 @@ def _trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _unreported_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """The arm follows somebody else's trajectory, of which the planner hears too late, so that it
+    """The arm follows another program's trajectory. The planner is informed too late and therefore
     commands a tap that the arm refuses."""
     follow, description = _trajectory(rng, trial)
     late, lasting = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.5, 1.0))
@@ -545,7 +546,7 @@ def _unreported_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made
         t.scheduler.after(lasting, partial(t.network.end_delay, "arm_state", "tap_planner"))
         follow(t)
 
-    return strike, f"{description}, of which the planner hears {late:.2f} s late"
+    return strike, f"{description}, which the planner receives {late:.2f} s late"
 
 
 def _clock_step(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -636,7 +637,8 @@ def _camera(rng: np.random.Generator, trial: FaultTarget) -> Made:
         elif which == "hidden":
             t.hide_object(lasting)
         else:
-            # A wrong pose lasts for one frame only, because fusion cannot detect a longer one.
+            # A wrong pose lasts for one frame only, because the fusion of frames cannot detect a
+            # longer error.
             faults.wrong_until, faults.wrong_by = t.scheduler.now + 1 / 15, off
 
     return strike, f"frames {which} for {lasting:.2f} s"

@@ -93,7 +93,7 @@ class PhysicalFixedCell(PhysicalCell):
         return self.object_pose(time)
 
     def flight(self, speed: float) -> float:
-        """Return 0: a mount stands still by itself, so that no promise has to cover the flight."""
+        """Return 0: a mount cannot move, so no promise has to cover the flight."""
         return 0.0
 
     def press_clear_button(self) -> None:

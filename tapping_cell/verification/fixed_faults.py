@@ -63,7 +63,7 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
         command.header.stamp = to_stamp(now)
         t.network.publish("somebody_else", "tap_command", command)
 
-    return strike, f"a foreign TAP of '{name}' with the {('same', 'next')[ahead]} id"
+    return strike, f"another program's TAP of '{name}' with the {('same', 'next')[ahead]} id"
 
 
 def _stays_out(rng: np.random.Generator, trial: FaultTarget) -> Made:

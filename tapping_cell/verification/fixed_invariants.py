@@ -15,11 +15,12 @@ from tapping_cell.verification.physical_cell import Release
 OTHERS_ASKED_S = 0.1
 """Maximum age, at the last check, of the other boards' replies that they are at rest."""
 UNNOTICED_S = 3.0
-"""Maximum time for which a striker may be out before the tapper's node reports it: a request with
-all its repetitions, or the board's wait for a released striker, which its state shows."""
+"""Maximum time for which a striker may be out before the tapper's node reports it. It covers a
+request with all its repetitions, and the time for which a board waits for a released striker."""
 
 LINE_POSITION_M, LINE_ANGLE_RAD = 0.005, 0.1
-"""Maximum deviation of a commanded line, with what was learnt about it, from the cell file."""
+"""Maximum deviation of a commanded line, which includes learnt corrections, from the line in the
+cell file."""
 
 
 @dataclass(slots=True)
@@ -68,12 +69,12 @@ class FixedInvariantChecker(InvariantChecker):
             )
         if self._motion_at_check:
             self.violate(
-                "fired at motion it saw",
-                f"shot {shot} was released although the last observation that the tapper had"
-                " received at its last check showed the object in motion",
+                "fired at observed motion",
+                f"shot {shot} was fired although the latest observation at the tapper's last "
+                "check showed the object in motion",
             )
         if not release.object_at_rest and not self._recently_moved(release.time):
-            self.violate("object in motion", f"shot {shot} was released while the object moved")
+            self.violate("object in motion", f"shot {shot} was fired while the object moved")
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer of a machine to a query of its running job."""
@@ -117,8 +118,8 @@ class FixedInvariantChecker(InvariantChecker):
             unnoticed = now - max(since, self.unread_until())
             if unnoticed > UNNOTICED_S:
                 self.violate(
-                    "striker out unnoticed",
-                    f"the tapper reports its strikers at their mounts; that of '{name}' has been"
-                    f" out for {now - since:.1f} s",
+                    "striker out unreported",
+                    "the tapper reports that all strikers are at their mounts, but that of "
+                    f"'{name}' has been out for {now - since:.1f} s",
                 )
                 self._cell.out_since[name] = math.inf

@@ -348,7 +348,7 @@ class Process:
             return
         try:
             effects = call(*arguments, self._clock.now())
-        except Exception as error:  # a defect, which is handled as by the ROS host
+        except Exception as error:  # a defect; it is handled as in the ROS host
             self.defects.append(f"{self.name}: {error!r}")
             effects = self.logic.on_defect(error, self._clock.now())
         self._carry_out(effects)
@@ -362,7 +362,7 @@ class Process:
             elif isinstance(effect, AbandonJob):
                 self._abandoned.add(effect.job)
             elif isinstance(effect, StopWire):
-                # Before the port is open the ROS host has no driver to stop.
+                # Before the port is open, the ROS host has no driver that could be stopped.
                 if self._connected:
                     self._driver.stop()
             elif isinstance(effect, Log):
@@ -376,7 +376,7 @@ class Process:
 
     def _queue(self, job: Job) -> None:
         if self._worker is None:
-            # A job without a device only computes, which takes no simulated time.
+            # A job without a device only computes and takes no simulated time.
             life = self._life
             self._scheduler.after(0.0, lambda: self._compute(job, life))
             return

@@ -27,7 +27,7 @@ BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
 """Displacement of the object beyond which it must not be struck as planned."""
 CHARGED_LIMIT_S = 12.0
-"""Maximum time that a striker may stay charged, whatever happens to the computers."""
+"""Maximum time that a striker may stay charged, regardless of any failure of the computers."""
 CHECK_S = 0.045
 """Maximum time from the last check before FIRE to the release, from the board's deadline."""
 PULSE_S = 0.02
@@ -46,7 +46,7 @@ WAIT_SLACK_S = 1.0
 """Maximum time by which the planner exceeds the deadline of a wait."""
 CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
 """Time after a report of a charged striker during which the arm must not begin to move, and time
-from the charging beyond which it need not wait any more."""
+after charging beyond which the arm need not wait."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
@@ -148,7 +148,8 @@ class InvariantChecker:
                 self.commands[message.tap_id] = message
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
-                    # By then the observation on which the tap is based was received.
+                    # Checked after the current event, when the observation on which the tap is
+                    # based has been received.
                     self.scheduler.after(0.0, lambda: self._check_basis(message.tap_id))
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
@@ -191,14 +192,16 @@ class InvariantChecker:
         self._check_time(release, command)
         absent = release.time - self.planner_gone_since
         if absent > ORPHAN_S:
-            self.violate("no planner", f"shot {shot} was released {absent:.2f} s after its planner")
+            self.violate(
+                "no planner", f"shot {shot} was fired {absent:.2f} s after its planner had ended"
+            )
         silent = release.time - self.planner_received
         patience = HEARTBEAT_S if self.planner_waits else SILENCE_S
         if shot in self.planners and silent > patience + WINDOW_S:
             self.violate(
                 "planner silent",
-                f"shot {shot} was released {silent:.2f} s after the tapper last heard from the"
-                " planner that commanded it",
+                f"shot {shot} was released {silent:.2f} s after the tapper's last message of "
+                "the planner that commanded it",
             )
         blind = release.time - self.camera_received
         if blind > HEARTBEAT_S + WINDOW_S:
@@ -226,8 +229,8 @@ class InvariantChecker:
     def _check_energy(self, release: Release, command: TapCommand) -> None:
         asked = self.physical.energy_for(command.striker_speed)
         weak = release.time < self.motor_weak_until
-        # A spring that the motor did not fully charge is weaker than requested, which no sensor
-        # measures.
+        # If the motor did not fully charge the spring, the shot is weaker than requested; no sensor
+        # measures this.
         least = 0.0 if weak else 1.0 - ENERGY_SHARE
         if not least * asked <= release.energy <= (1.0 + ENERGY_SHARE) * asked:
             self.violate(
@@ -311,7 +314,8 @@ class InvariantChecker:
             )
 
     def _check_knowledge(self, release: Release, planned: Pose) -> None:
-        """Check a release against the poses that the tapper received, whatever the true pose is."""
+        """Check a release against the poses that the tapper received, regardless of the true
+        pose."""
         since, last = math.inf, self.seen_by_tapper[-1][0] if self.seen_by_tapper else math.inf
         if release.time > last + self.unseen_by_tapper + WINDOW_S:
             self.violate(
@@ -376,9 +380,9 @@ class InvariantChecker:
                 )
         if now > self.held_since + STOP_MOTION_S:
             self.violate(
-                "moves while held",
-                f"the arm moves {now - self.held_since:.2f} s after the panel's"
-                " emergency stop was pressed, which is still held",
+                "moves while the stop is pressed",
+                f"the arm still moves {now - self.held_since:.2f} s after the panel's"
+                " emergency stop was pressed, and it is still pressed",
             )
             self.held_since = math.inf
         stopped = self.stopped_at.get("scara_arm")
@@ -387,7 +391,7 @@ class InvariantChecker:
             self.stopped_at["scara_arm"] = math.inf
 
     def _check_striker(self) -> None:
-        """Check that the arm begins no motion but that to a strike pose with a charged striker."""
+        """Check that, with a charged striker, the arm begins no motion except to a strike pose."""
         if self._charged_since is None or self._arm[0] == ArmState.MOVING:
             return
         now = self.scheduler.now
@@ -395,8 +399,8 @@ class InvariantChecker:
         if age < CHARGE_AGE_S and now - self._charged_since < CARRIED_S:
             self.violate(
                 "carried charged",
-                f"the arm began to move with a charged striker, of which it had heard {age:.2f} s"
-                " before",
+                f"the arm began to move {age:.2f} s after it had received the report that the"
+                " striker is charged",
             )
 
     # Reports
@@ -471,7 +475,7 @@ class InvariantChecker:
             since = self.scheduler.now - self._charged_since
             if since > 0.6 and message.tap_id != 0:
                 self.violate(
-                    "said safe while charged",
+                    "reported SAFE while charged",
                     f"the tapper is reported SAFE, but has been charged for {since:.2f} s",
                 )
 

@@ -1,4 +1,5 @@
-"""Mutation tests: defects in the product's code, each of which the invariants must detect.
+"""Mutation tests: defects that are inserted into the product's code. The invariants must detect
+each of them.
 
 A mutant that is not detected shows that the guard it disables has no effect. A mutant is a small
 replacement in the source of one module, applied while the module is imported. The files on disk are
@@ -26,7 +27,8 @@ class Mutant:
     old: str
     new: str
     finding: str = ""
-    """Review finding (S1 to S11, R9) whose correction this mutant removes at least in part."""
+    """Number of the review finding in docs/safety.md whose correction this mutant removes, at least
+    in part; empty if there is none."""
     also: Mutant | None = None
     """Further replacement that is needed to remove the correction."""
     kinds: tuple[str, ...] = ()
@@ -246,7 +248,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("power at a shot", "loss of power", "motors off"),
     ),
     Mutant(
-        "fires where another tap with its id stands",
+        "fires at the strike pose of another tap with its id",
         "tapping_cell.logic.tapper_peers",
         "        if not _above(arm, strike):\n",
         "        if False:\n",
@@ -286,7 +288,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.arm",
         "if request.key and requester == self._promised_to and is_shorter:",
         "if is_shorter:",
-        "R9",
+        "",
         kinds=("foreign outcome",),
     ),
     Mutant(
@@ -294,7 +296,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "tapping_cell.logic.arm",
         "        if now.steady < self._promise_end and requester != self._promised_to:\n",
         "        if False:\n",
-        "R9",
+        "",
         kinds=("foreign hold",),
     ),
     Mutant(
@@ -411,7 +413,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("cable at a shot", "line at a shot"),
     ),
     Mutant(
-        "a restarted board's word counts for the shot",
+        "accepts a restarted board's report for the shot",
         "tapping_cell.hardware.tapper",
         "        if reply.boot != boot:\n"
         "            self._boot = None\n"

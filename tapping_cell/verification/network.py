@@ -80,7 +80,7 @@ class Network:
 
     def publish(self, node: str, topic: str, message: Any, only: str = "") -> None:
         """Send a message to all subscribers of the topic. ``only``: the message is lost for all
-        other nodes, as may happen with best effort."""
+        other nodes, as can happen with best-effort delivery."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
         if self._quality(topic).latched:

@@ -59,7 +59,7 @@ class PhysicalCell:
         self.geometry = cell.arm.geometry()
         self._base = cell.arm_base @ Pose(*truth.arm.base_offset)
         self.arm_board = arm_emulator(cell.arm, truth.arm, seed, now)
-        # In half of the boards the spring cannot push the screw back while the motor is off.
+        # In half of the runs the spring cannot push the screw back while the motor is off.
         spring = SpringMechanism(back_drive=4000.0 if seed % 2 else 0.0)
         self.tapper_board = TapperEmulator(
             TapperMachine(spring=spring), self._release, boot=1, now=now

@@ -1,8 +1,8 @@
-"""Discrete-event scheduler in virtual time, with threads of which only one runs at a time.
+"""Discrete-event scheduler in virtual time. It uses threads, but only one of them runs at a time.
 
 Drivers block, so each driver runs in its own thread, a *fiber*. When a fiber waits, its thread
-processes the following events itself until one of them resumes another fiber. So threads are
-switched only between two fibers, which is slow while other processes use the core. Because nothing
+processes the following events itself until one of them resumes another fiber. Switching threads is
+slow while other processes use the core; here it happens only between two fibers. Because nothing
 runs concurrently, the order of events depends only on the seed.
 """
 
@@ -137,7 +137,7 @@ class Scheduler:
     def pass_on(self, fiber: Fiber, failure: BaseException | None = None) -> None:
         """End the event that continued ``fiber``, and process events until it continues again.
 
-        Return at once if the fiber has ended. ``failure``: the exception that ended it.
+        Return immediately if the fiber has ended. ``failure``: the exception that ended it.
         """
         heir = None
         try:
@@ -176,7 +176,7 @@ class Fiber:
         self.baton.acquire()
         self.ended = False
         self.frozen_until = 0.0
-        """Time before which the fiber does not continue, whatever it waits for."""
+        """Time before which the fiber does not continue, regardless of its wait condition."""
         self._scheduler = scheduler
         self._body = body
         self._killed = False
@@ -203,7 +203,8 @@ class Fiber:
             raise Killed
 
     def wake(self) -> None:
-        """Continue the fiber now, or when it is no longer frozen, whatever it waits for."""
+        """Continue the fiber now, or when it is no longer frozen, regardless of its wait
+        condition."""
         if self._wake is not None:
             self._wake.cancel()
         self._continue_at(self.frozen_until)

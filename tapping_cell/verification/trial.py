@@ -115,8 +115,8 @@ SERVES = {
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
-"""Maximum times for which the object may be unseen: if the arm covers it (up to 3.4 s on its way to
-a strike pose), and if the camera sees past the arm."""
+"""Maximum times for which the object may be unseen: if the arm can cover it (up to 3.4 s on its way
+to a strike pose), and if the arm cannot cover it."""
 NOTICED_S = 0.7
 """Maximum time from the end of that limit to a release, for delayed messages and the board's firing
 window."""
@@ -194,7 +194,7 @@ class Trial:
     """Nodes that drive a device."""
     nodes: tuple[str, ...] = NODES
     arm_node = "scara_arm"
-    """Node that a fault strikes which is drawn for the arm's node."""
+    """Node affected by faults that are drawn for the arm's node."""
     makers: Mapping[str, Maker] = MAKERS
     at_a_shot: tuple[str, ...] = AT_A_SHOT
     of_a_shot: tuple[str, ...] = OF_A_SHOT
@@ -439,7 +439,8 @@ class Trial:
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
         if rng.random() < 0.8:
-            # Similar to the published task: a displacement and a rotation from the present pose.
+            # Similar to the published task: a displacement and a rotation relative to the current
+            # pose.
             turn, way = rng.uniform(-0.3, 0.3), rng.uniform(0.0, 0.04)
             angle = rng.uniform(-math.pi, math.pi)
             goal = Pose(
@@ -547,8 +548,8 @@ class Trial:
         self.recover()
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
-        """Have the arm receive only one of two commands with the same id, and the tapper only the
-        other."""
+        """Deliver one of two commands with the same id only to the arm, and the other only to the
+        tapper."""
         conflicting.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
         self.network.publish("second program", "tap_command", conflicting, only="tapper_trigger")
         self.network.publish("program", "tap_command", command, only="scara_arm")
@@ -756,7 +757,7 @@ class Trial:
 
     def _home_too_early(self) -> None:
         if math.isinf(self.checker.held_since):
-            # The stop was released meanwhile, so these calls of a person are valid.
+            # The stop has been released, so these calls of an operator are valid.
             for node in self.devices:
                 self._clear_stop(node)
             self.checker.motion_allowed = True
@@ -954,7 +955,8 @@ class Trial:
             and message.request == TapCommand.TAP
         ):
             if self._taken.get(message.tap_id) != message.header.stamp:
-                # The end of another command with this id, which was refused, is not its end.
+                # This outcome belongs to another, refused command with the same id; the tap itself
+                # has not ended.
                 self.checker.ended_taps.pop(message.tap_id, None)
             self._taken[message.tap_id] = message.header.stamp
             self.checker.planner_waits = False

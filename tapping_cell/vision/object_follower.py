@@ -38,8 +38,8 @@ is computed again."""
 _UNSEEN = 0.1
 """Time (s) for which an unseen object is assumed to continue its motion."""
 _LOST = 0.2
-"""Time (s) of failed measurements after which a thorough search is made. This time must exceed the
-time that a slow computer takes for one frame."""
+"""Time (s) of failed measurements after which a thorough search is made. The time must exceed the
+processing time of one frame on a slow computer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,7 +204,7 @@ class ObjectFollower(ABC):
         error, shared = self._calibration(frame.table, pose, again)
         pose = pose - error
         extra, sentence = self.extra_uncertainty(frame)
-        # A fraction of the variance of a frame remains, however many frames are fused.
+        # A fraction of the variance of a single frame remains, even after many frames are fused.
         spread = motion.covariance * (1.0 + self.fixed * (motion.frames - 1))
         instant = _INSTANT * motion.velocity
         return Observation(

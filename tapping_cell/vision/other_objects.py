@@ -1,4 +1,4 @@
-"""Schedule for measuring the other objects: in turn, and those being tapped in every frame."""
+"""Schedule for measuring the other objects: tapped ones in every frame, the rest in turn."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class RoundRobin:
     def due(self, stamp: float, always: Collection[int] = ()) -> list[int]:
         """Return the indices of the objects to measure in the frame with this stamp (s).
 
-        These are the objects in ``always``, and the object measured longest ago if :data:`PERIOD`
-        has passed.
+        These are the objects in ``always`` and, if :data:`PERIOD` has passed, the object whose last
+        measurement is the oldest.
         """
         chosen = set(always)
         if self._measured_at:
             number = min(range(len(self._measured_at)), key=lambda each: self._measured_at[each])
-            # Measure also if the stamp goes backwards, because the tracker reports such a frame.
+            # Also measure if the stamp goes backwards, because the tracker reports such a frame.
             if not 0.0 <= stamp - self._measured_at[number] < PERIOD:
                 chosen.add(number)
         for number in chosen:

@@ -133,8 +133,8 @@ class Track:
             fused, spread = self._fuse()
             return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
         if self._rest_since is not None:
-            # A single frame off the rest pose is not fused and does not end the rest; a second such
-            # frame in succession ends it.
+            # A single frame that deviates from the rest pose is not fused. Only a second
+            # consecutive deviating frame ends the rest.
             self._outliers += 1
             if self._outliers == 1:
                 velocity = self._step_velocity(stamp, pose)

@@ -123,8 +123,8 @@ class PoseTracker:
 
         ``others`` are the indices of these objects, from 0. The result also includes any object
         that was lost and is found again in this frame, and objects that are due because of the
-        settings. ``every_frame``: measure the frame even if it is unchanged, because somebody waits
-        for a longer observation.
+        settings. ``every_frame``: measure the frame even if it is unchanged, because a longer
+        observation was requested.
         """
         refusal = self._gate.refuse(image, stamp)
         if refusal is not None:
@@ -187,7 +187,7 @@ class PoseTracker:
             self._resting_since = since
             regions = [*view.project(self.table.points)]
             for follower, seen in tracked:
-                assert seen.pose is not None, "an object seen at rest has a pose"
+                assert seen.pose is not None, "an object that is observed at rest must have a pose"
                 outline = follower.outline(np.array(seen.pose))
                 regions.append(view.project(outline, follower.height))
             self._change.watch(image, regions)
@@ -221,7 +221,9 @@ class PoseTracker:
             empty = nothing(stamp, self.table, *refused)
             return empty, dict.fromkeys(numbers, empty)
         view, working = self.view, self._working
-        assert view is not None and working is not None, "an accepted table has a view"
+        assert view is not None and working is not None, (
+            "a table in an accepted state must have a camera pose"
+        )
         seen = self._references_seen == stamp
         notice = self._notice(stamp)
         observations = [
@@ -243,8 +245,8 @@ class PoseTracker:
 
     def _search_due(self, stamp: float, others: Collection[int]) -> bool:
         lost = not self._object.found or self.view is None or self._wants_search
-        # Search immediately for an object that disappeared; an object that was never found can
-        # wait.
+        # Search immediately for an object that disappeared; for an object that was never found, the
+        # next regular search is sufficient.
         lost |= any(self._others[n].found and self._others[n].wants_search for n in others)
         period = self.settings.lost_period if lost else self.settings.audit_period
         return stamp - self._last_search >= period
@@ -255,8 +257,8 @@ class PoseTracker:
         first = self._last_search == -math.inf
         self._last_search = stamp
         self._search_next = False
-        # The thorough search and its diagnosis take the time of several frames. The first frame
-        # gets both if needed, because it may be the only frame; later frames get them only
+        # The thorough search and its diagnosis take the time of several frames. Both are applied to
+        # the first frame if needed, because it may be the only frame, but to later frames only
         # occasionally.
         since = stamp - self._last_thorough
         slow = self._object.lost(stamp) and since >= self.settings.audit_period

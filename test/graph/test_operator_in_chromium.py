@@ -422,7 +422,7 @@ def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
         time.sleep(0.1)
     assert not page.element("download").is_displayed()
     assert "use its wired emergency stop" in page.text("banner")
-    assert "This picture is" in page.text("stage-words")
+    assert "This image is" in page.text("stage-words")
     assert "lost" in str(page.driver.execute_script("return document.body.className"))
     page.graph.restart("operator_page")
     page.ready()

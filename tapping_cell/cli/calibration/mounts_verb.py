@@ -136,8 +136,8 @@ def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
         taps += [tap for tap in measured_taps(folder, cell.object.name) if tap.tapper]
     if not taps:
         raise RecordError(
-            f"the {len(folders)} run folders contain no fired tap of a named tapper; give runs of "
-            "a cell with fixed tappers"
+            f"the {len(folders)} run folders contain no measured tap by a fixed tapper; give "
+            "runs of a cell with fixed tappers"
         )
     return Taps(
         tuple(folder / TAPS for folder in runs),

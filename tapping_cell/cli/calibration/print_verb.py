@@ -12,7 +12,7 @@ written as an image; --dpi sets the resolution.
 
 With --table FILE, the page contains the reference markers of that file at their positions, and FILE
 remains the table file. If only small paper is available, --what cut prints the same markers one by
-one, to cut out and glue on; measure their positions with calibrate table afterwards.
+one. Cut them out, glue them to the table, and measure their positions with calibrate table.
 """
 
 from __future__ import annotations

@@ -8,10 +8,10 @@ taps through the object's centre, at six or more energies from the smallest tap 
 Friction and restitution come from the object file. Writes a copy of the cell file with the new
 curve in its section tapper.
 
-With --record, the running cell first makes the record. It taps near the middle of the table, from
-the smallest tap in the object file to the largest after which the object certainly stays on the
-table and in view. Most taps are at the two ends of this range. Ctrl-C stops the recording; --resume
-continues it.
+With --record, the running cell first makes the record. The taps are made near the middle of the
+table. They range from the smallest tap in the object file to the largest tap after which the object
+certainly stays on the table and in view. Most taps are at the two ends of this range. Ctrl-C stops
+the recording; --resume continues it.
 
   python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell up --hardware                              # in another terminal, and then

@@ -1,1 +1,1 @@
-"""Steps for commissioning a cell, from no configuration to the first goal."""
+"""Steps for commissioning a cell, from an empty configuration to the first goal."""

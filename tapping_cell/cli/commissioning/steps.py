@@ -136,7 +136,7 @@ def camera(session: Session) -> Proof:
     )
     rms = float(found["rms_px"])
     if rms > 1.0:
-        raise StepFailed(f"reprojection error {rms:.2f} px (limit 1 px): take sharp pictures")
+        raise StepFailed(f"reprojection error {rms:.2f} px (limit 1 px): take sharper photographs")
     return Proof(f"reprojection error {rms:.3f} px", {"reprojection_px": round(rms, 4)})
 
 
@@ -201,7 +201,7 @@ def _home(session: Session, client: CellClient, graph: Graph) -> float:
             client.home()
             break
         except NotDone as refused:
-            # The person may not have pressed the enabling device yet.
+            # The operator may not have pressed the enabling device yet.
             if time.monotonic() > deadline:
                 raise StepFailed(str(refused)) from refused
             time.sleep(0.5)

@@ -256,7 +256,7 @@ class CameraPose(CellNode[Parameters]):
         self._backlog.answered(time.time())
 
     def _newest(self, message: Image, info: dict[str, int]) -> Image:
-        """Return this image, or a newer one from the queue if this image is stale (see
+        """Return this image, or a newer image from the queue if this one is stale (see
         ``Backlog``)."""
         self._backlog.arrived(_arrival(info))
         while self._backlog.stale(time.time()):

@@ -171,7 +171,8 @@ class OverheadCamera(CellNode[Parameters]):
         if picture.shape != (wanted.height, wanted.width):
             self._log_problem(
                 f"the image is {picture.shape[1]} x {picture.shape[0]} pixels but the "
-                f"calibration is for {wanted.width} x {wanted.height}: not sent; calibrate at "
+                f"calibration is for {wanted.width} x {wanted.height}, so it is not published; "
+                "calibrate at "
                 "the image size, or set the camera to the calibrated size"
             )
             return

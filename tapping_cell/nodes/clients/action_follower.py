@@ -85,8 +85,8 @@ class ActionFollower(ClientNode, Generic[Event]):
             result = done.result().result
             if number == self._sent or result.error_code != ErrorCode.GOAL_REPLACED:
                 self._on_result(result)
-            # Otherwise the response was late, and the goal was sent again, which replaced its first
-            # copy.
+            # Otherwise, this is the result of an earlier copy of the goal: its response was late,
+            # so the goal was sent again and replaced it.
 
         handle.get_result_async().add_done_callback(end)
 

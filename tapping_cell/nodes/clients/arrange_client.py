@@ -102,7 +102,7 @@ class ArrangeClient(ActionFollower[Event]):
         if self._arm is None or self._arm.state != ArmState.IDLE:
             reasons.append("the arm is not idle")
         if self._tapper is None or self._tapper.state != TapperState.SAFE:
-            reasons.append("the tapper is not safe")
+            reasons.append("the tapper is not ready")
         reasons += [f"'{name}' is not seen at rest" for name in sorted(names - self.poses.keys())]
         return reasons
 

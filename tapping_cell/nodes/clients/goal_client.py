@@ -74,8 +74,8 @@ class TapProposed:
 
 @dataclass(frozen=True, slots=True)
 class PlannerLost:
-    """Event: the planner with the goal has gone or is silent. It may come back and resume the
-    goal."""
+    """Event: the planner that pursues the goal has ended or is silent. It may restart and resume
+    the goal."""
 
 
 Event = PhaseChanged | TapDone | TapProposed | PlannerLost | Finished
@@ -132,7 +132,7 @@ class GoalClient(ActionFollower[Event]):
         if self.tapper_state is None:
             reasons.append("the tapper's driver is not running")
         elif self.tapper_state.state != TapperState.SAFE:
-            reasons.append(f"the tapper is not safe ({self.tapper_state.error_msg or 'busy'})")
+            reasons.append(f"the tapper is not ready ({self.tapper_state.error_msg or 'busy'})")
         if self.object_state is None:
             reasons.append("camera_pose has not reported the object yet")
         elif not (self.object_state.visible and self.object_state.at_rest):
@@ -198,7 +198,7 @@ class GoalClient(ActionFollower[Event]):
         return frozenset(bytes(publisher.endpoint_gid) for publisher in found)
 
     def _event_of_silence(self) -> PlannerLost | Finished | None:
-        """Return PlannerLost once when the planner has gone, or Finished for a goal whose result
+        """Return PlannerLost once when the planner has ended, or Finished for a goal whose result
         can no longer arrive."""
         watch, received = self._watch, self._plan
         if watch is None:

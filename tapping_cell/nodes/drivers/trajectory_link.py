@@ -70,7 +70,8 @@ class RosTrajectoryLink(RosLink):
         self._progress = Progress(GoalState.UNREPORTED)
         self._topic = f"{section.controller}/joint_trajectory"
         self._publisher = self._node.create_publisher(JointTrajectory, self._topic, COMMAND)
-        # Best effort also matches reliable publishers, and the next message replaces a lost state.
+        # Best effort also matches reliable publishers; a lost state is replaced by the next
+        # message.
         self._node.create_subscription(
             JointState, section.joint_states, self._receive, qos_profile_sensor_data
         )
@@ -183,8 +184,8 @@ class RosTrajectoryLink(RosLink):
             )
         message = self._message(points)
         with self._lock:
-            # A stop that arrives now waits for the lock, so that it brakes after this trajectory is
-            # sent.
+            # A stop that arrives now waits for the lock and therefore takes effect after this
+            # trajectory has been sent, never before it.
             self._require()
             self._goal += 1
             self._course = Course(self.samples[-1].positions, points)

@@ -186,8 +186,8 @@ class CellView:
     def mode(self) -> Mode:
         """Return the mode of the whole cell with a message and, if there is one, the code."""
         arm, tapper = self._monitor.arm, self._monitor.tapper
-        # The text after the semicolon recommends services; the page shows its own recovery steps
-        # instead.
+        # The text after the semicolon recommends ROS services; the page shows its own recovery
+        # steps instead.
         stopped = [
             state.error_msg.partition(";")[0]
             for state, value in ((arm, ArmState.STOPPED), (tapper, TapperState.STOPPED))

@@ -24,7 +24,7 @@ class GoalCheck:
 
     @cached_property
     def free(self) -> FreeSpace:
-        """Map of workable places."""
+        """Map of the places where the object can be tapped."""
         return FreeSpace(assembly.make_strike_space(self._cell))
 
     @cached_property
@@ -32,7 +32,7 @@ class GoalCheck:
         return assembly.make_fixed_space(self._cell)
 
     def prepare(self) -> None:
-        """Compute what the first check needs."""
+        """Compute the data that the first check needs."""
         _ = self._fixed if self._cell.file.arm is None else self.free
         self.ready = True
 

@@ -65,7 +65,7 @@ class GoalQueue:
             self.running, self.held = False, why
 
     def ended(self, reached: bool, sentence: str) -> None:
-        """Process the end of any goal of the cell, whoever sent it."""
+        """Process the end of any goal of the cell, regardless of its client."""
         if not reached:
             self.hold(f"The queue is paused: {sentence}")
 

@@ -273,7 +273,7 @@ class OperatorPage(CellNode[Parameters]):
             self._queue.hold("The queue is paused: the cell was stopped.")
 
     def _on_report(self, message: GoalReport) -> None:
-        """Continue or pause the queue when a goal ended, whoever sent it."""
+        """Continue or pause the queue when a goal has ended, regardless of its client."""
         self._view.on_report(message)
         sentence = with_code(message.error_msg, message.error_code)
         self._queue.ended(message.error_code == ErrorCode.NONE, sentence)
@@ -652,14 +652,14 @@ class OperatorPage(CellNode[Parameters]):
                 )
             )
 
-        # A zero goal id cancels every goal, whoever sent it.
+        # A zero goal id cancels every goal, regardless of its client.
         arranging = self._arrangements.active
         client = self._arrangements.cancel_client if arranging else self._cancel_client
         self._call(client, CancelGoal.Request(), "cancel", "the planner", answer, done)
         self._view.note(f"cancel pressed on the page ({who})")
 
     def _clear(self, who: str, answer: server.Answer) -> None:
-        self._view.note(f"clearing requested on the page ({who})")
+        self._view.note(f"clearing of the stop and faults requested on the page ({who})")
         # The actors refuse to clear while a stop is held, so the page's own stop is released first.
         if self._stop is None or not self._stop.held:
             self._clear_actors(answer)

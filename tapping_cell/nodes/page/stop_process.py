@@ -30,7 +30,7 @@ NODE = "operator_page_stop"
 
 def main() -> int:
     """Serve until standard input ends."""
-    # The page's node ends this process. A Ctrl-C in the terminal reaches both.
+    # A Ctrl-C in the terminal reaches both processes; the node of the page ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)  # malformed requests are not logged
     configuration = json.loads(sys.stdin.readline())
@@ -58,7 +58,7 @@ async def _serve(configuration: dict[str, Any], publish: Any) -> None:
     output = sys.stdout.fileno()
 
     def report(held: bool, who: str) -> None:
-        # A parent that does not read must not block the stop, so it may miss this change.
+        # A parent process that does not read must not block the stop; it may miss this change.
         try:
             os.write(output, json.dumps({"held": held, "who": who}).encode() + b"\n")
         except BlockingIOError:

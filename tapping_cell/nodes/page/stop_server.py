@@ -2,10 +2,10 @@
 
 A request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or ``{"do": "check",
 ...}``, and the response is ``{"held": ...}``. A stop needs no existing connection. When too many
-connections are open, the oldest is closed for the newest, so that nobody can occupy all of them.
-Connections of pages, which have sent an admitted request, are closed last, so that a page keeps its
-connection while somebody opens others as fast as possible. A check and every refused request are
-answered slowly, which limits the request rate of a connection.
+connections are open, the oldest one is closed to accept the newest, so that no client can occupy
+all of them. Connections of pages, which have sent an admitted request, are closed last, so that a
+page keeps its connection even during a flood of new connections. A check and every refused request
+are answered slowly, which limits the request rate of a connection.
 """
 
 from __future__ import annotations
@@ -136,7 +136,8 @@ class StopHandler(RequestHandler):
 
 
 class StopServer(HTTPServer):
-    """Serve on sockets that are already bound. The oldest connection is closed for the newest."""
+    """Serve on sockets that are already bound. The oldest connection is closed to accept a new
+    one."""
 
     def initialize(self, *arguments: Any, **options: Any) -> None:
         """Initialise without connections."""

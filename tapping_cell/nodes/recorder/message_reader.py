@@ -17,7 +17,7 @@ UNREADABLE_S = 10.0
 
 
 class MessageReader:
-    """Deserialises messages and reports each topic once on which one could not be read."""
+    """Deserialises messages, and reports each topic with an unreadable message once."""
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report = report

@@ -1,4 +1,4 @@
-"""Subscriptions that are read in turns rather than by one callback for each message."""
+"""Subscriptions that are polled in turn, instead of one callback for each message."""
 
 from __future__ import annotations
 

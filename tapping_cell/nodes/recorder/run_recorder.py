@@ -104,8 +104,8 @@ STATES: dict[str, type] = {
     "tapper_state": TapperState,
     "arrangement_state": ArrangementState,
 }
-"""Latched topics. arrangement_state is the last to be read: the planner publishes it before the
-plan_state of the same report, so when that is read, arrangement_state has arrived as well."""
+"""Latched topics. arrangement_state is read last: the planner publishes it before the plan_state of
+the same report. When this plan_state is read, arrangement_state has therefore arrived as well."""
 STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
@@ -114,8 +114,8 @@ STREAMS: dict[str, type] = {
     "tap_command": TapCommand,
     "true_contacts": ObjectContact,
 }
-"""Topics that are not latched. goal_pose is absent: ``ros2 topic pub --once`` publishes as soon as
-one subscription is connected and ends, so the planner must be the only node that subscribes.
+"""Topics that are not latched. goal_pose is missing on purpose: ``ros2 topic pub --once`` publishes
+as soon as one subscription is connected and then ends, so the planner must be the only subscriber.
 plan_state and goal_report contain the goal."""
 FRAMES: dict[str, type] = {
     "camera/camera_info": CameraInfo,
@@ -275,8 +275,8 @@ class RunRecorder(CellNode[Parameters]):
         self._reporter = Worker("teller", lambda: None, 60.0)
         self._reporter.start()
         for topic in self._topics.values():
-            # The definition is loaded once here, so that the first messages of a goal are not
-            # delayed by it.
+            # The definition is loaded here in advance, so that it does not delay the first messages
+            # of a goal.
             self._types.definition(topic.kind)
 
     def deactivate(self) -> None:
@@ -288,8 +288,8 @@ class RunRecorder(CellNode[Parameters]):
         time."""
         if self._worker is not None:
             self._conclude(pictures=False)
-            # Wait for the queued jobs, because closing discards them, but not for long, because a
-            # node that is being stopped is killed after 5 s.
+            # Wait for the queued jobs, because closing discards them. The wait is short, because a
+            # launcher kills a stopping node after 5 s.
             written = threading.Event()
             self._worker.submit(written.set)
             written.wait(END_PATIENCE_S)
@@ -337,7 +337,7 @@ class RunRecorder(CellNode[Parameters]):
             (now - max(0, clock - received) if received else now, name, data)
             for name, data, received in self._polled.take(names)
         ]
-        # At the beginning of an arrangement, its own state precedes that of the planner.
+        # At the beginning of an arrangement, process arrangement_state before plan_state.
         arrangements = [entry for entry in waiting if entry[1] == "arrangement_state"]
         others = [entry for entry in waiting if entry[1] != "arrangement_state"]
         for stamp, name, data in (*arrangements, *sorted(others, key=lambda entry: entry[0])):
@@ -399,8 +399,8 @@ class RunRecorder(CellNode[Parameters]):
         self._begin(plan, refused=False)
 
     def _on_arrangement_state(self, report: ArrangementState) -> None:
-        """Begin or end the recording of an arrangement, of which each move is a goal of the
-        planner."""
+        """Begin or end the recording of an arrangement. Each move of an arrangement is a goal of
+        the planner."""
         if not self.active:
             return
         if self._arranging and self._ends_at is None:
@@ -413,8 +413,8 @@ class RunRecorder(CellNode[Parameters]):
             self._begin(PlanState(header=report.header), refused=False, arrangement=report)
 
     def _is_late(self, plan: PlanState) -> bool:
-        """Return whether a report is older than the end of its goal, since topics are not
-        ordered."""
+        """Return whether a report was published before the end of its goal but received after it,
+        because the order between topics is not guaranteed."""
         end = self._end
         if end is None or not (self._arranging or same_goal(plan, end)):
             return False

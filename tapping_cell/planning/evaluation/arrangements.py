@@ -146,7 +146,7 @@ def draw_scene(
 ) -> tuple[list[Body], dict[str, Pose]]:
     """Draw objects of random kinds with their goals and start poses.
 
-    Every pose is workable for the object alone; complete layouts are not filtered.
+    Every pose is tappable for the object alone; complete layouts are not filtered.
     """
     for _ in range(100):
         chosen = [kinds[int(index)] for index in rng.integers(len(kinds), size=task.count)]
@@ -335,7 +335,7 @@ def _draw_gains(task: ArrangementTask, rng: np.random.Generator) -> Array:
 
 
 def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -> list[Pose] | None:
-    """Draw a workable pose for each object with a minimum gap; None if too many draws fail."""
+    """Draw a tappable pose for each object with a minimum gap; None if too many draws fail."""
     placed: list[tuple[Pose, float]] = []
     for kind in kinds:
         space = kind.free.space
@@ -366,7 +366,7 @@ def swapped_goals(starts: Sequence[Pose], rng: np.random.Generator) -> list[Pose
 
 
 def _grid(kinds: Sequence[Kind], between: float) -> list[Pose]:
-    """Goals in a square grid about the middle of the workable places, with gaps ``between``."""
+    """Goals in a square grid about the middle of the tappable places, with gaps ``between``."""
     radius = max(kind.free.space.object_radius for kind in kinds)
     pitch, middle = 2.0 * radius + between, middle_of(kinds[0].free)
     places = preset_places("grid", len(kinds), pitch, middle)

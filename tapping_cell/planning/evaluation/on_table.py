@@ -28,7 +28,7 @@ MOST_DRAWS = 1000
 def run_table_trials(
     evaluation: Evaluation, planner: Planner, count: int, rng: np.random.Generator
 ) -> Results:
-    """Run ``count`` sessions with random workable starts and goals relative to them.
+    """Run ``count`` sessions with random tappable starts and with goals relative to these starts.
 
     Goals are not filtered; the session must refuse unreachable goals before the first tap.
     """

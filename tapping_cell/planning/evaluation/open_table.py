@@ -27,7 +27,8 @@ MISSED = 0.1
 """A tap has missed if it moved the object by less than this share of the expected distance."""
 
 ASIDE = math.radians(30.0)
-"""Largest random turn of the next tap after a miss, because the same tap would miss again."""
+"""Maximum random change of direction of the next tap after a miss; the same tap would miss
+again."""
 
 
 def run_open_trials(

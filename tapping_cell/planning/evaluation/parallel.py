@@ -40,7 +40,8 @@ def evaluate(
         UnknownPlannerError: unknown method.
         PlanningError: the method rejects the settings.
     """
-    make_planner(evaluation.planner, evaluation.settings)  # solve once; all processes load the plan
+    # solve once; all processes load the stored policy
+    make_planner(evaluation.planner, evaluation.settings)
     chunk = OPEN_CHUNK if evaluation.space is None else TABLE_CHUNK
     sizes = [chunk] * (evaluation.trials // chunk)
     if evaluation.trials % chunk:

@@ -87,7 +87,10 @@ class Evaluation:
         if self.random_tasks is not None and not (
             np.all(np.isfinite(self.random_tasks)) and min(self.random_tasks) >= 0.0
         ):
-            raise PlanningError(f"random tasks up to {self.random_tasks}: give two numbers >= 0")
+            raise PlanningError(
+                "--random-tasks: the maximum distance (mm) and rotation "
+                "(degrees) must be finite and >= 0"
+            )
         if not all(0.0 <= abs(bias) <= 0.4 for bias in self.gain_bias):
             raise PlanningError(
                 f"the gain bias {self.gain_bias} is too large: at most 0.4 (40 %) either way"

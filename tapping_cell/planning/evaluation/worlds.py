@@ -75,7 +75,7 @@ def scattered(
 ) -> Array:
     """Apply constant gains (n, 4) and random scatter to displacements (n, 3) at poses (n, 3).
 
-    A tap that did not move the object stays without effect, and none moves it backwards.
+    Zero displacements remain zero, and no tap moves the object backwards.
     """
     noise = rng.standard_normal((3, moved.shape[0]))
     asked = np.hypot(moved[:, 0], moved[:, 1])

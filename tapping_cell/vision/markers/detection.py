@@ -97,7 +97,7 @@ def _parameters(effort: Effort) -> Any:
     parameters = aruco.detector_parameters()
     # The corners are refined later by edges.py, which uses every pixel row.
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    # Detect both copies of a repeated marker, so that the duplicate is reported and not dropped.
+    # Detect both copies of a repeated marker, so that the duplicate is reported instead of dropped.
     parameters.minMarkerDistanceRate = 0.05
     # Two windows detect as many markers as OpenCV's three (benchmarks/vision.py) in less time.
     # Three narrower windows detect more of the small and oblique markers of real photographs.

@@ -27,8 +27,9 @@ _SOFT = 0.02
 beside the edge are contaminated. The result is then biased towards the middle of the window, so the
 measurement is repeated until result and window agree."""
 _USUAL = 0.68
-"""Half width of a window in modules, at most 4 pixels. A narrower window ends in the blur of its
-edge; a wider one, on small markers, in the blur of the modules behind the black border."""
+"""Half width of a window in modules, at most 4 pixels. The ends of a narrower window would lie in
+the blur of the edge. The ends of a wider window would, on small markers, lie in the blur of the
+modules behind the black border."""
 _WIDE, _WIDEST = 0.75, 8
 """Half width of the window for blurred edges (motion, defocus), in modules and at most in pixels.
 Wider windows would reach the modules next to the black border."""
@@ -162,7 +163,7 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
     end = quads[:, [1, 2, 3, 0]].reshape(-1, 2)
     step = np.abs(end - start)
     steep = step[:, 1] > step[:, 0]
-    along = steep.astype(np.intp)  # row coordinate: y for a steep side, else x
+    along = steep.astype(np.intp)  # coordinate along the side: y for a steep side, otherwise x
     each = np.arange(4 * count)
     p0, q0 = start[each, along], start[each, 1 - along]
     p1, q1 = end[each, along], end[each, 1 - along]
@@ -314,7 +315,7 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
     slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
     length = samples.half_width + 0.5
-    # The slope is along the coordinate itself, so the outward signs cancel.
+    # The slope refers to the coordinate itself, so the signs of the outward direction cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 
@@ -325,7 +326,7 @@ def _along(p: Array, levels: Array, mask: Array) -> Array:
 
 
 def _outermost(window: int) -> int:
-    """Number of pixels at each end of a window from which the levels are taken. In a narrow window,
+    """Number of pixels at each end of a window that determine the levels. In a narrow window,
     the second pixel already belongs to the edge."""
     return 1 if window <= 7 else 2
 
@@ -333,9 +334,9 @@ def _outermost(window: int) -> int:
 def _level_noise(window: int) -> float:
     """Factor on the variance of a side's line, because the levels come from the same rows.
 
-    The edge position is the sum of a window's pixels divided by the contrast. Each pixel has the
-    weight -1. The outermost pixels at each end, whose mean is a level, have an additional total
-    weight of half the window.
+    The edge position is the sum of a window's pixels divided by the contrast. Each pixel of the
+    window has the weight -1 in the sum. The outermost pixels at each end, whose mean is a level,
+    have an additional total weight of half the window.
     """
     end = _outermost(window)
     outer = 0.5 * window / end - 1.0

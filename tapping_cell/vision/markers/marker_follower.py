@@ -105,7 +105,7 @@ class MarkerFollower(ObjectFollower):
         fit = None if edges is None else fit_marker(frame.working, edges, 0, self.marker)
         if edges is None or fit is None:
             self.stop(frame.stamp)
-            # The diagnosis of the last search is valid until the next search.
+            # The diagnosis of the last search remains valid until the next search.
             return self.failure or (
                 Problem.OBJECT_HIDDEN,
                 f"the object's marker {self.marker.id} is not seen, is partly covered, or is "

@@ -33,7 +33,8 @@ def measure(
     small = narrowest(quads) < _SMALL * modules
     order, right = np.arange(len(quads)), np.zeros(len(quads), dtype=bool)
     whole = no_edges()
-    # Measure the edges together: all large markers, and small ones whose pattern fit fails.
+    # Measure the edges of all these markers together: the large ones, and small ones whose pattern
+    # fit failed.
     rest = list(np.flatnonzero(~small))
     for row in np.flatnonzero(small):
         fitted = _by_pattern(image, quads[row], patterns[row], searched)

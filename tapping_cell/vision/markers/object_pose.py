@@ -35,9 +35,9 @@ _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width, in pixels and as a fraction of the side. A larger
 difference means that an object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
-"""Allowed ratio of this difference to that of nearby reference markers (root mean square), for a
-poor lens, bent paper or a sharpened image; and the largest difference that this ratio may allow, as
-a fraction of the side."""
+"""Allowed ratio of this difference to that of nearby reference markers (root mean square), which
+accounts for a poor lens, bent paper or a sharpened image. The second value limits the difference
+that this ratio allows, as a fraction of the side."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
@@ -56,7 +56,8 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     size = marker.size
     # Side k of the unit square is at distance 1/2 along this normal.
     normals = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
-    # One step suffices: the corners are accurate to hundredths of a pixel, so the fit is linear.
+    # One step is sufficient: the corners are accurate to hundredths of a pixel, so the fit is
+    # nearly linear.
     normal = se2.transform_points([0.0, 0.0, pose[2]], normals)[:, None, :]
     arm = points - pose[:2]
     distance = (normal * arm).sum(axis=-1) - 0.5 * size
@@ -115,9 +116,9 @@ def _metres(pixels: Array, seen: Array) -> Array:
 def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
-    Four sides have eight positions and rotations, of which a square determines four. The other four
-    degrees of freedom show glare, sharpening, compression and bent paper. Because they are a small
-    sample, a prior for their usual value is included.
+    Four sides have eight positions and rotations. A square determines four of them; the other four
+    degrees of freedom show glare, sharpening, compression and bent paper. As four values are a
+    small sample, a prior for their usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total

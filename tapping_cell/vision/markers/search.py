@@ -117,7 +117,7 @@ def _within(corners: Array, u: Array, v: Array) -> Array:
 
     Heckbert 1989, "Fundamentals of texture mapping", square to quadrilateral.
     """
-    # Row 0 of the pattern is between corners 0 and 1.
+    # Row 0 of the pattern lies between corners 0 and 1.
     p0, p1, p2, p3 = corners.transpose(1, 0, 2)
     total = p0 - p1 + p2 - p3
     d1, d2 = p1 - p2, p3 - p2

@@ -148,7 +148,7 @@ def _covariance(
 ) -> Array:
     """Covariance (3, 3) of the object's pose for these errors of the marker's shape."""
     away = stretch * (pose[:2] - view.pose.position[:2])
-    # A tilted object touches the table at its rim, about one marker side from the middle.
+    # A tilted object touches the table at its rim, about one marker side from its centre.
     lifted = 2.0 * strain * marker.size
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = np.outer(away, away) + lifted**2 * np.eye(2)

@@ -344,7 +344,7 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     place = _ACROSS[last] + (one - 0.5) / np.maximum(one - two, 1e-9) * (_ACROSS[1] - _ACROSS[0])
     if len(place) < 0.5 * count:
         raise NotTraced(
-            "the object's rim is not sharp: improve the focus, and the light so that the "
+            "the object's rim is not sharp: improve the focus, or use softer light so that the "
             "object casts no hard shadow"
         )
     return np.asarray(rough[good] + place[:, None] * outward[good])

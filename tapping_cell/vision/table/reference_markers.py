@@ -56,7 +56,7 @@ class ReferenceMarkers:
         quads = {self._rows[i]: q for i, q in detections.single.items() if i in self._rows}
         self.repeated = [i for i in detections.repeated if i in self._rows]
         if self._quads is not None:
-            # The next frames search at the current image positions, whatever the table's pose was.
+            # The next frames search at the current image positions, regardless of the table's pose.
             for row, quad in quads.items():
                 self._quads[row] = quad
         return quads

@@ -121,7 +121,7 @@ def condition(
     and False if it is scaled by typical deviations.
     """
     # Use only the position and rotation of each marker. Ink, bloom and blur make a marker appear
-    # larger, smaller or stretched, and a lens error that explains this would be wrong.
+    # larger, smaller or stretched; this must not be explained as a lens error.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]

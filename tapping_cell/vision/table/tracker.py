@@ -90,8 +90,8 @@ class TableTracker:
         self._field_frames = 0.0
 
     def update(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Process one frame's reference markers; ``rows`` (M,) are the rows of the map of
-        ``edges``, all of which must be good."""
+        """Process one frame's reference markers; ``rows`` (M,) are the rows of the map for
+        ``edges``; all edges must be good."""
         s = self.settings
         if len(rows) < s.least_references:
             return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
@@ -99,8 +99,8 @@ class TableTracker:
         disturbed = self._disturbed(rays, rows)
         known = (self._seen[rows] > 0) & ~self._moved_markers[rows]
         apart = int((disturbed & known).sum())
-        # If other markers are seen too, a single disturbed marker does not mean that the camera has
-        # moved, because that marker itself was moved or is partly occluded.
+        # If other markers are seen too, a single disturbed marker does not indicate a motion of the
+        # camera: this marker was moved or is partly occluded.
         moving = apart >= min(2, len(self.ids) - 1) and 2 * apart >= known.sum() > 0
         if self.pose is not None and (moving or self._too_many_moved(rows, disturbed)):
             self._suspects += 1
@@ -157,8 +157,8 @@ class TableTracker:
         self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
     ) -> None:
         self._disturbed_frames[rows] = np.where(disturbed, self._disturbed_frames[rows] + 1, 0)
-        # A single marker that stays away from its average was itself moved. It is ignored until it
-        # is back.
+        # A single marker that remains away from its average was moved. It is ignored until it is
+        # back at its place.
         self._moved_markers[rows] = disturbed & (
             self._disturbed_frames[rows] > self.settings.confirm_frames
         )
@@ -176,8 +176,8 @@ class TableTracker:
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
         limit = max(s.bloom, s.bloom_share * side)
         two = len(self.used) <= 2
-        # If the relative position of two markers changed, they appear larger, smaller or rotated,
-        # which no motion of the camera causes.
+        # If two markers move relative to each other, their fitted size or the fit's error changes.
+        # A motion of the camera changes neither.
         self.apart = False
         if two and self._before is not None:
             bloom, error = self._before

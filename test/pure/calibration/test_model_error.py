@@ -112,7 +112,7 @@ def test_the_simulated_world_is_found_out() -> None:
     assert ("distance", "setting") in {(m.quantity, m.cause) for m in oblique.misfits}
     # The scatter that the planner receives includes the model's error.
     assert oblique.estimate("scatter_distance").value > 0.08
-    assert any("95 % come within" in sentence for sentence in oblique.sentences)
+    assert any("95 % are within" in sentence for sentence in oblique.sentences)
 
 
 @pytest.mark.parametrize("assumed", [0.2, 0.1])

@@ -117,7 +117,12 @@ def test_what_may_be_right_is_a_warning(folder: Path) -> None:
     change(folder / "camera_info.yaml", ("image_width", 2560))
     (found, *_) = check(cell)
     assert found.errors == []
-    for words in ("/dev/nothing", "position_tolerance", "can be served", "principal point"):
+    for words in (
+        "/dev/nothing",
+        "position_tolerance",
+        "are within the arm's reach for taps",
+        "principal point",
+    ):
         assert any(words in sentence for sentence in found.warnings), (words, found.warnings)
 
 

@@ -69,7 +69,7 @@ def test_an_arm_at_another_baud_rate_is_unreadable(dialect: str, rate: int) -> N
     with pytest.raises(HardwareFault) as caught:
         arm_on(line, dialect).connect(1.0)
     assert of_arm(caught.value) == ErrorCode.ARM_REPLY_GARBLED, caught.value
-    assert "no text" in str(caught.value) and "check arm.baud" in str(caught.value)
+    assert "not text" in str(caught.value) and "check arm.baud" in str(caught.value)
 
 
 @pytest.mark.parametrize("rate", OTHER_RATES)

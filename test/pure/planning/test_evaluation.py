@@ -215,5 +215,5 @@ def test_bad_options_are_refused_in_words(capsys, words, sentence):
 
 
 def test_evaluations_out_of_range_are_refused():
-    with pytest.raises(PlanningError, match="random tasks"):
+    with pytest.raises(PlanningError, match="random-tasks"):
         Evaluation("exact", PlannerSettings(), random_tasks=(-1.0, 0.0))

@@ -157,7 +157,7 @@ def test_an_arm_at_another_baud_rate_is_unreadable(cell: ReportedCell) -> None:
     cell.run(4.0)
     # the board sends a greeting, as most boards do when the port is opened
     cell.trial.interrupt_arm_power()
-    cell.read(ErrorCode.ARM_REPLY_GARBLED, "no text", "check arm.baud")
+    cell.read(ErrorCode.ARM_REPLY_GARBLED, "not text", "check arm.baud")
 
 
 @pytest.mark.parametrize(
@@ -306,7 +306,7 @@ def test_a_board_that_is_charged_keeps_the_other_from_charging() -> None:
     with pytest.raises(HardwareFault, match="port 0 is not at rest") as caught:
         boards.charge(2, 0.01, channel=cell_channel(1, 0))
     assert of_tapper(caught.value) == ErrorCode.TAPPER_OTHER_ACTIVE
-    assert "one tapper at a time" in str(caught.value)
+    assert "only one tapper may be charged at a time" in str(caught.value)
 
 
 def test_every_code_is_named_in_a_test() -> None:

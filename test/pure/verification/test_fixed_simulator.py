@@ -63,7 +63,7 @@ def test_the_invariants_notice_what_they_forbid() -> None:
     checker.motion_seen_by_tapper = True
     checker.on_asked("tapper_trigger", "fire", None)
     checker._check_release(good, [])
-    assert "fired at motion it saw" in {found.name for found in checker.violations}
+    assert "fired at observed motion" in {found.name for found in checker.violations}
     checker.violations.clear()
     trial.physical.out_since["west"] = -math.inf
     checker._check_release(good, [])

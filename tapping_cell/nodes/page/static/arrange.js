@@ -1,17 +1,17 @@
 "use strict";
-// Several objects, each to its goal: a marker on the picture for each, presets, and how far each is.
+// Arrangement of several objects: an outline on the image for each object, presets, and progress.
 
 class Arrangement {
   constructor() {
     this.names = [];
-    this.rows = new Map();     // by name of the object: its row, and what is known of its goal
+    this.rows = new Map();     // by object name: the table row and the goal of the object
     document.getElementById("arrange").addEventListener("click", () => this.send());
     for (const button of document.querySelectorAll("[data-preset]")) {
       button.addEventListener("click", () => this.ask(button.dataset.preset));
     }
   }
 
-  // The cell's own object has the marker of the goal card; each further one gets a copy of it.
+  // The cell's own object has the outline of the goal card; each further object has a copy of it.
   welcome(message) {
     document.getElementById("arrange-card").hidden = !message.objects.length;
     if (message.objects.join("\n") === this.names.join("\n")) {
@@ -58,11 +58,11 @@ class Arrangement {
     return this.rows.get(name).ghost;
   }
 
-  revive(row) {  // what a lost connection left unanswered is asked again
+  revive(row) {  // repeat requests that got no answer because the connection was lost
     if (row.ghost !== ghost && row.box.checked && row.pose) row.ghost.place(row.pose.x, row.pose.y, row.pose.angle);
   }
 
-  // A further object's marker is there only while it has a goal, and starts where the object is.
+  // The outline of a further object exists only while it has a goal; it starts at the object.
   tick(row) {
     const seen = state && state.arrangement.objects.find((each) => each.name === row.name);
     if (row.box.checked && row.ghost !== ghost && seen && seen.pose) {

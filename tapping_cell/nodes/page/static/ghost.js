@@ -1,5 +1,5 @@
 "use strict";
-// A ghost is the outline of an object's goal on the picture. It follows the pointer immediately, but only
+// A ghost is the outline of an object's goal on the image. It follows the pointer immediately, but only
 // approximately. The node computes the exact pose with the camera's model, one request at a time.
 
 class Ghost {
@@ -9,7 +9,7 @@ class Ghost {
     this.ask = ask;            // sends a request to the node; returns false without a connection
     this.onPose = onPose;      // called with every response: pose in mm and degrees, refusal, typed
     this.shape = null;         // the node's last response
-    this.touched = false;      // a person has moved the ghost, so it no longer follows the goal
+    this.touched = false;      // the operator has moved the ghost, so it no longer follows the goal
     this.number = 0;
     this.waiting = false;
     this.next = null;
@@ -178,7 +178,7 @@ class Ghost {
 }
 
 Ghost.all = new Set();
-Ghost.aspect = 0.8;  // height of the picture over its width
+Ghost.aspect = 0.8;  // height of the image divided by its width
 Ghost.size = (aspect = Ghost.aspect) => {
   Ghost.aspect = aspect;
   document.getElementById("overlay").setAttribute("viewBox", `0 0 1000 ${1000 * aspect}`);

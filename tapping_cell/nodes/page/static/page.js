@@ -5,7 +5,7 @@
 const $ = (id) => document.getElementById(id);
 const SILENCE_MS = 3000;        // timeout for messages of the node; then the connection is lost
 const ANSWER_MS = 6000;         // timeout for the response to a request
-const STALE_S = 2;              // age of a picture above which it is greyed out
+const STALE_S = 2;              // age above which an image is greyed out
 const MODE_WORDS = {
   ready: "Ready", moving: "Moving", waiting: "Your turn", "not ready": "Not ready", fault: "Fault", stopped: "Stopped",
   lost: "Not connected",
@@ -143,7 +143,7 @@ function show(to, text, kind) {
   if (place.id === "goal-answer") setText($("goal-hint"), "");
 }
 
-// ---- The picture
+// ---- The image
 
 async function showPicture(from, data) {
   const head = new DataView(data, 0, 20);
@@ -183,12 +183,12 @@ function renderPicture() {
   const seen = state && state.object;
   let words = "";
   if (!connected) {
-    words = picture ? `Connection lost. This picture is ${ageText(age)} old.` : "";
+    words = picture ? `Connection lost. This image is ${ageText(age)} old.` : "";
   } else if (!picture) {
     words = state && performance.now() - lostAt > 2000
-      ? "No picture yet. " + (sentence(seen && seen.sentence) || "Is camera_pose active?") : "";
+      ? "No image yet. " + (sentence(seen && seen.sentence) || "Is camera_pose active?") : "";
   } else if (stale) {
-    words = `This picture is ${ageText(age)} old. ` + (sentence(seen && seen.sentence) || "Check the camera and camera_pose.");
+    words = `This image is ${ageText(age)} old. ` + (sentence(seen && seen.sentence) || "Check the camera and camera_pose.");
   }
   setText($("stage-words"), words);
   $("stage-words").hidden = !words;
@@ -199,7 +199,7 @@ function renderPicture() {
     parts.push(`${cell.object} ${seen.at_rest ? "at rest" : "moving"} at x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0`);
   }
   if (seen.sentence && !words) parts.push(`${seen.sentence} (${seen.code})`);
-  if (!stale) parts.push(`picture ${age.toFixed(1)} s old`);
+  if (!stale) parts.push(`image ${age.toFixed(1)} s old`);
   setText($("picture-words"), parts.join(" \u00b7 "));
 }
 
@@ -430,7 +430,7 @@ function renderLog() {
   }));
 }
 
-// ---- What a person does
+// ---- Commands of the operator
 
 const FIELDS = { x: $("goal-x"), y: $("goal-y"), angle: $("goal-angle") };
 const FIELD_NAMES = { x: "x", y: "y", angle: "The angle" };

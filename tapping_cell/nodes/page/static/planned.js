@@ -1,5 +1,5 @@
 "use strict";
-// The planned tap: drawn on the picture, with buttons to make or skip it if it waits for
+// The planned tap: drawn on the image, with buttons to make or skip it if it waits for
 // confirmation.
 
 class Planned {
@@ -43,7 +43,7 @@ class Planned {
 
   words(tap) {
     const why = tap.reason ? ` Reason for this tap: ${tap.reason}.` : "";
-    const effort = tap.expected ? ` Expected to the goal, this tap included: ${tap.expected}.` : "";
+    const effort = tap.expected ? ` Expected effort to the goal, including this tap: ${tap.expected}.` : "";
     const [distance, angle] = tap.remaining;
     const [x, y] = tap.to;
     return `The striker at ${tap.speed.toFixed(0)} mm/s moves the object by ${tap.distance.toFixed(1)} \u00b1 ${tap.deviation.toFixed(1)} mm `
