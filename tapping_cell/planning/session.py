@@ -53,11 +53,11 @@ UNKNOWN = 1.6
 """Ratio of the longest possible slide to the predicted slide above which the object is probed
 first. An object that matches its file has a ratio of 1.2 after one tap."""
 
-FEWEST_TO_JUDGE_ROTATION = 3
-"""Minimum number of explained taps before the object can be judged not to turn."""
-
-ROTATION_CONFIDENCE = 0.975
-"""Probability with which the rotation gain must be below its least value for that."""
+JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
+"""Numbers of explained taps, and the probability with which the rotation gain must be below its
+least value from that number on, for the object to be judged not to turn. More taps hardly narrow
+the estimate of a gain slightly below the least value, so that the goal would end only at the
+maximum number of taps."""
 
 LEAST_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
@@ -289,9 +289,10 @@ class GoalSession(ABC):
         Below the least gain of the model the plan promises a rotation that no tap gives, and the
         goal would end only at the maximum number of taps.
         """
-        if abs(left[2]) <= box.rotation or self.gains.taken < FEWEST_TO_JUDGE_ROTATION:
+        required = [sure for taps, sure in JUDGING_ROTATION if self.gains.taken >= taps]
+        if abs(left[2]) <= box.rotation or not required:
             return None
-        gain = float(self.gains.largest_rotation_gain(ROTATION_CONFIDENCE))
+        gain = float(self.gains.largest_rotation_gain(min(required)))
         if gain > LEAST_ROTATION_GAIN:
             return None
         return Refusal(

@@ -272,6 +272,29 @@ def test_an_object_that_taps_cannot_turn_is_refused_and_any_other_comes_to_its_g
     assert isinstance(end, Done), end
 
 
+def test_a_mass_off_centre_does_not_hide_that_taps_cannot_turn_an_object(planner, space, free):
+    taps = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        pose = np.array([-0.05, -0.02, 0.0])
+        session = PositioningSession((0.05, 0.02, 0.3), planner, space, free)
+        decision = session.decide(pose, FINE)
+        while isinstance(decision, Strike):
+            after = slide(decision, pose, rng, (1.0, 0.07))
+            move = after - pose
+            travel = math.atan2(move[1], move[0]) - pose[2]
+            twist = 1.1 * math.sin(travel) + 0.9 * math.cos(travel)
+            twist *= math.hypot(move[0], move[1]) * (1 + 0.15 * rng.standard_normal())
+            after[2] = wrap_angle(after[2] + twist)
+            session.observe(decision, pose, after, FINE)
+            pose = after
+            decision = session.decide(pose, FINE)
+        if isinstance(decision, Refusal):
+            assert decision.reason is RefusalReason.TAP_WITHOUT_ROTATION
+        taps.append(session.taps)
+    assert np.mean(taps) <= 12, taps
+
+
 def test_a_probe_begins_with_the_smallest_taps_and_ends_when_the_object_is_known(
     planner, space, free
 ):
