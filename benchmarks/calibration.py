@@ -28,7 +28,7 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 
 DEFAULT_COUNT = 100
 _SHAPES = ("disk", "ring", "polygon")
-_OTHERS = 0.2  # number of experiments with each other shape, relative to the number with a disk
+_OTHERS = 0.2  # number of experiments with each of the others, relative to the number with a disk
 _PREDICTING = 4  # one of this many experiments also predicts new taps
 _LIMITS = {"torque_factor": 0.05, "friction": 0.03, "restitution": 0.04}
 _SCATTER = ScatterTruth(speed=0.05, spin=0.15, direction=math.radians(1.0))
@@ -37,7 +37,7 @@ _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
     """Return errors and coverage by shape: ``count`` experiments with disks, and a fifth of that
-    number with each other shape."""
+    number with each of the others."""
     report: dict[str, Any] = {"load": os.getloadavg()[0]}
     for shape in _SHAPES:
         number = count if shape == "disk" else max(round(_OTHERS * count), 1)

@@ -140,7 +140,7 @@ def _methods(
         return None if fit is None else fit.pose
 
     def tracking(image: np.ndarray, true: np.ndarray) -> Pose:
-        # The last pose, with an error of about one pixel.
+        # Start from the pose in the last image, which is off by about one pixel.
         return by_edges(image, quad(true + np.array([0.0005, -0.0004, 0.004])))
 
     def settled(image: np.ndarray, true: np.ndarray) -> Pose:

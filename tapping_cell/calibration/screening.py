@@ -275,7 +275,7 @@ def _from_track(
     )
     if not isinstance(slide, Slide):
         return _Rejection(slide.reason, slide.sentence)
-    # If only the track gives the displacement, its ends are the poses at rest.
+    # Without a measured displacement or rotation, that between the ends of the track is used.
     displacement, rotation = (
         _or(trial.displacement, slide.displacement),
         _or(trial.rotation, slide.turned),

@@ -147,7 +147,7 @@ def read_yaml(path: Path) -> Any:
     except RecursionError as error:
         raise ConfigurationError(f"{path}: malformed YAML: nested too deeply") from error
     except (ValueError, OverflowError) as error:
-        # Raised by an invalid date or a number of thousands of digits.
+        # Raised by an invalid date, or by a number with thousands of digits.
         if isinstance(error, ConfigurationError):
             raise
         raise ConfigurationError(f"{path}: malformed YAML: {error}") from error

@@ -107,7 +107,7 @@ class TapperEmulator:
         self.channel = 0
         """Channel of the last shot that was charged."""
         self._boot = boot - 1
-        self._used = 0  # kept in EEPROM: the greatest shot ever charged
+        self._used = 0  # kept in EEPROM: the highest shot number ever charged
         self._enabled = False
         self._button = False
         self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)

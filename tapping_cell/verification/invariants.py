@@ -200,8 +200,8 @@ class InvariantChecker:
         if shot in self.planners and silent > patience + WINDOW_S:
             self.violate(
                 "planner silent",
-                f"shot {shot} was released {silent:.2f} s after the tapper's last message of "
-                "the planner that commanded it",
+                f"shot {shot} was released {silent:.2f} s after the tapper had last received a "
+                "message from the planner that commanded it",
             )
         blind = release.time - self.camera_received
         if blind > HEARTBEAT_S + WINDOW_S:

@@ -298,7 +298,7 @@ def test_an_arm_whose_stop_could_not_be_stored_does_not_start(
     with arm_cell(tmp_path) as cell:
         received = cell.bench.listen(DiagnosticArray, "/diagnostics")
         cell.bench.wait(
-            lambda: any("could not be stored" in s.message for m in received for s in m.status),
+            lambda: any("cannot be written" in s.message for m in received for s in m.status),
             "the reason is reported",
         )
         assert not cell.arm.configured and not cell.moving()

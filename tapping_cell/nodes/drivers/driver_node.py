@@ -80,8 +80,8 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
             self.host.stop_file.require_writable()
         except OSError as error:
             raise NotReady(
-                f"a stop could not be stored for a restart ({error}); make the folder writable and"
-                " free some space on its disk"
+                f"the file that keeps a stop over a restart cannot be written ({error}); make its"
+                " folder writable and free some space on its disk"
             ) from error
         try:
             answer = driver.connect(timeout=self.logic.patience)

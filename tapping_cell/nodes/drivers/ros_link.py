@@ -19,7 +19,7 @@ POLL_S = 0.05
 
 
 class RosLink(ABC):
-    """Link whose topics stay open for the lifetime of the object. The next ``open`` finds a peer
+    """Link whose topics stay open as long as the instance exists. The next ``open`` finds a peer
     that started later.
 
     A subclass creates its topics and services on ``_node``, then calls ``_start``. It notifies

@@ -154,7 +154,8 @@ class SequencePlanner:
         assert goal is not None
         others = [body for body in scene.bodies if body is not blocked]
         if (blocked.name, Purpose.TO_GOAL) in scene.excluded and self._is_open(scene, blocked):
-            # The map shows a free path, but no tap leads along it, so close objects are in the way.
+            # The map shows a free path, but no tap follows it: probably the objects nearest to the
+            # straight line to the goal are in the way.
             near = sorted(
                 others,
                 key=lambda body: _from_line(scene.poses[body.name], pose, goal) - body.radius,

@@ -277,9 +277,9 @@ def _object(
     ]
     if not found:
         raise NotTraced(
-            f"nothing on the table differs from it by {_LEAST_CONTRAST:.0f} grey levels over "
-            f"{2e3 * _LEAST_REACH:.0f} mm: put the object on it, or a plain sheet of "
-            "contrasting brightness under the object"
+            f"no area of at least {2e3 * _LEAST_REACH:.0f} mm differs from the table by "
+            f"{_LEAST_CONTRAST:.0f} grey levels: put the object on the table; if it is there, put "
+            "a plain sheet of contrasting brightness under it"
         )
     area, outline, brighter = max(found, key=lambda one: one[0])
     apart = [

@@ -1,4 +1,5 @@
-"""The arm's driver with an arm that has its own ROS driver, in virtual time."""
+"""The cell's driver for an arm that has its own ROS driver, with an emulated controller in virtual
+time."""
 
 from __future__ import annotations
 
