@@ -98,7 +98,7 @@ class PolygonTable:
         share = np.linspace(0.0, 1.0, steps + 1)[:, None]
         knots: Array = np.empty((steps + 1, len(twist)))
         knots[:] = -0.5 * np.log(1.0 + share * (LARGEST_SIZE / square - 1.0))
-        unit, state = self._advance(np.asarray(twist.T / major), square, knots)
+        unit, state = self._advance(twist.T / major, square, knots)
         before, turned = square * state[:3], square * state[2]
         cos, sin = np.cos(turned), np.sin(turned)
         # Stay slightly below the edge, so that rounding does not exceed it.
@@ -185,7 +185,9 @@ class PolygonTable:
         unit = np.stack([np.cos(phi) * np.cos(alpha), np.cos(phi) * np.sin(alpha), np.sin(phi)])
         steps = _STEPS_TO_REST if known is None else max(1, math.ceil(length / _STEP))
         step = _STEP if known is None else length / steps
-        end, moved = self._advance(unit, size, step * np.arange(steps + 1))
+        knots: Array = np.empty(steps + 1)
+        knots[:] = step * np.arange(steps + 1)
+        end, moved = self._advance(unit, size, knots)
         if known is not None:
             cos, sin = np.cos(size * moved[2]), np.sin(size * moved[2])
             vx, vy = cos * end[0] + sin * end[1], cos * end[1] - sin * end[0]
