@@ -349,6 +349,7 @@ class ArrangementTask(Task):
             report.pose = state.pose
         if wanted is not None:
             report.goal_pose = to_message(wanted.goal)
+            report.position_tolerance, report.angle_tolerance = wanted.tolerance
             if state is not None:
                 pose = from_message(state.pose.pose)
                 report.residual_distance = pose.distance_to(wanted.goal)

@@ -236,6 +236,8 @@ class ObjectProgress:
     state: int = 0
     has_goal: bool = False
     goal_pose: Pose = field(default_factory=Pose)
+    position_tolerance: float = 0.0
+    angle_tolerance: float = 0.0
     residual_distance: float = 0.0
     residual_rotation: float = 0.0
     taps: int = 0

@@ -76,6 +76,8 @@ CODES = {
     Problem.WRONG_OBJECT: ErrorCode.OBJECT_NOT_SEEN,
     Problem.DOT_HIDDEN: ErrorCode.OBJECT_NOT_SEEN,
 }
+TABLE_SEEN = (ErrorCode.NONE, ErrorCode.OBJECT_NOT_SEEN, ErrorCode.MARKER_AMBIGUOUS)
+"""Codes of valid images in which the table was located."""
 
 WATCH_PERIOD_S = 0.05
 """Period of the check for missing images."""
@@ -313,18 +315,16 @@ class CameraPose(CellNode[Parameters]):
         self._publish(message, observation)
         self._count_late(observation)
         self._publish_camera(message)
-        self._search_unknown(grey, stamp, observation)
+        self._search_unknown(grey, stamp)
         self._frames += 1
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
         self._publish_others(message, others)
 
-    def _search_unknown(
-        self, grey: NDArray[np.uint8], stamp: float, observation: Observation
-    ) -> None:
+    def _search_unknown(self, grey: NDArray[np.uint8], stamp: float) -> None:
         """Search for objects without a file in an image in which the table was located."""
         assert self._tracker is not None
-        if self._unknown is not None and observation.references_used:
+        if self._unknown is not None and self._last.error_code in TABLE_SEEN:
             states = (self._last, *self._other_states)
             self._unknown.search(grey, stamp, self._tracker.view, states, self._awaited)
 

@@ -16,8 +16,8 @@ from tapping_cell_msgs.msg import ArmState, ObjectState, ObjectStates
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.objects import ObjectFile
-from tapping_cell.hardware.arm_shape import arm_bars
 from tapping_cell.hardware.scara import Joints
+from tapping_cell.logic.arm_in_view import bars_in_table
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import transform_points
@@ -48,6 +48,7 @@ class UnknownSearch:
         self._searched_at = -math.inf
         self._clear = False
         self._joints: Mapping[str, float] = {}
+        self._is_scara = cell.arm.chain() is None
         driver = cell.arm.ros2_control
         self._names = tuple(driver.joints) if driver else Joints._fields
         topic = driver.joint_states if driver else "joint_states"
@@ -109,14 +110,9 @@ class UnknownSearch:
         self._joints = dict(zip(message.name, message.position, strict=False))
 
     def _arm(self) -> ArmBars | None:
-        """Return the arm's bars in ``table``, or None if its joints are not known."""
-        if any(name not in self._joints for name in self._names):
+        """Return the arm's bars in ``table``, or None if its joints or its shape are not known."""
+        if not self._is_scara or any(name not in self._joints for name in self._names):
             return None
-        arm = self._cell.arm
-        joints = np.array([[self._joints[name] for name in self._names]])
-        bars = arm_bars(arm.geometry(), arm.shape(self._cell.file.tapper), joints)
-        ends = []
-        for part in (bars.start[0], bars.end[0]):
-            planar = transform_points(self._cell.arm_base, part[:, :2])
-            ends.append(np.column_stack([planar, part[:, 2]]))
-        return ArmBars(ends[0], ends[1], bars.radius)
+        joints = [[self._joints[name] for name in self._names]]
+        bars = bars_in_table(self._cell, self._cell.arm.geometry(), joints)
+        return ArmBars(bars.start[0], bars.end[0], bars.radius)

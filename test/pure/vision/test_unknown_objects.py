@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.vision_scenes import Cell, random_place, random_scene
 from tapping_cell.configuration.cell import load_cell
-from tapping_cell.hardware.arm_shape import arm_bars
+from tapping_cell.logic.arm_in_view import bars_in_table
 from tapping_cell.se2 import Pose, transform_points
 from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.rendered_camera import (
@@ -170,25 +170,24 @@ def test_the_arm_over_the_table_is_not_an_object() -> None:
                 target = Pose(*random_place(random))
                 tip = cell.arm_base.inverse() @ target
                 joints = geometry.inverse((tip.x, tip.y, arm.strike_height, tip.theta)).joints
-            bars = arm_bars(geometry, arm.shape(cell.file.tapper), np.array([joints]))
-            start, end = (bars_in_table(cell.arm_base, part[0]) for part in (bars.start, bars.end))
+            bars = bars_in_table(cell, geometry, [joints])
             solids = arm_solids(arm, cell.file.tapper, cell.arm_base, joints)
             finder = UnknownObjects(LENGTH, WIDTH, CELL.table)
             image = scene.render(place, occluders=solids)
-            finder.search(image, scene.view, [], ArmBars(start, end, bars.radius))
+            finder.search(image, scene.view, [], ArmBars(bars.start[0], bars.end[0], bars.radius))
             false += len(finder.outlines)
     assert false <= 1
-
-
-def bars_in_table(base: Pose, points: np.ndarray) -> np.ndarray:
-    return np.column_stack([transform_points(base, points[:, :2]), points[:, 2]])
 
 
 def test_printed_lines_are_not_objects_but_a_wide_print_is() -> None:
     scene, _ = scene_with([])
     image = scene.render(FAR_AWAY)
     view: View = scene.view
-    lines = [[[-0.2, -0.1], [0.2, -0.1]], [[0.0, -0.15], [0.0, 0.15]], [[-0.1, 0.1], [0.15, 0.0]]]
+    lines = [
+        [[-0.2, -0.1], [0.2, -0.1]],
+        [[0.0, -0.15], [0.0, 0.15]],
+        [[-0.25, 0.12], [-0.05, 0.17]],
+    ]
     pixel = 0.7 / CELL.camera.fx
     for line in lines:
         ends = np.rint(view.project(np.array(line))).astype(int)
