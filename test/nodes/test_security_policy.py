@@ -29,8 +29,8 @@ SENT = ("feedback", "status")
 DISCOVERY_S = 60.0
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
-    # With image_transport:=compressed.
-    "camera_pose": {"subscribe": {"/camera/image_raw/compressed"}},
+    # With image_transport:=compressed, and in a cell with an arm.
+    "camera_pose": {"subscribe": {"/camera/image_raw/compressed", "/arm_state", "/joint_states"}},
     # While somebody looks at the page.
     "operator_page": {
         "subscribe": {

@@ -27,6 +27,8 @@ PERIOD_S = 0.5
 """Time between two searches."""
 AWAITED_PERIOD_S = 0.15
 """Time between two searches while the planner waits for an observation."""
+MEMORY_S = 2.0
+"""Time for which an object that is not measured any more is still expected at its last pose."""
 
 
 class UnknownSearch:
@@ -45,6 +47,7 @@ class UnknownSearch:
         }
         table = cell.file.table
         self._found = UnknownObjects(table.length, table.width, cell.references)
+        self._seen: dict[str, tuple[float, Standing]] = {}
         self._searched_at = -math.inf
         self._clear = False
         self._joints: Mapping[str, float] = {}
@@ -81,15 +84,19 @@ class UnknownSearch:
         observation.
         """
         period = AWAITED_PERIOD_S if awaited else PERIOD_S
-        seen = [state for state in states if state.visible]
-        still = all(state.at_rest for state in seen)
-        if view is None or not self._clear or not still or stamp - self._searched_at < period:
+        for state in states:
+            if state.visible:
+                outline, height = self._shapes[state.object_id]
+                placed = transform_points(from_message(state.pose.pose), outline)
+                self._seen[state.object_id] = stamp, Standing(placed, height)
+        still = all(state.at_rest or not state.visible for state in states)
+        # Before its first measurement, an object of the cell would be taken for an unknown object.
+        measured = all(state.header.stamp.sec for state in states)
+        # Search also if the camera's clock was set back.
+        due = not 0.0 <= stamp - self._searched_at < period
+        if view is None or not (self._clear and still and measured and due):
             return
-        standing = []
-        for state in seen:
-            outline, height = self._shapes[state.object_id]
-            pose = from_message(state.pose.pose)
-            standing.append(Standing(transform_points(pose, outline), height))
+        standing = [one for seen_at, one in self._seen.values() if stamp - seen_at <= MEMORY_S]
         self._found.search(image, view, standing, self._arm())
         self._searched_at = stamp
 
