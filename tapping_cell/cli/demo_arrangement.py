@@ -100,12 +100,20 @@ def arrange(
 
 def _inside(true: dict[str, tuple[float, float]], layout: LayoutFile, cell: Cell) -> bool:
     """Return whether the true pose of every object is within the tolerance of its goal."""
-    distance, angle = cell.tolerance
     return all(
-        true[goal.object][0] <= (goal.position_tolerance or distance)
-        and true[goal.object][1] <= (goal.angle_tolerance or angle)
-        for goal in layout.goals
+        true[name][0] <= distance and true[name][1] <= angle
+        for name, (distance, angle) in _tolerances(layout, cell).items()
     )
+
+
+def _tolerances(layout: LayoutFile, cell: Cell) -> dict[str, tuple[float, float]]:
+    """Return the tolerances of the goals, in m and rad, by name of the object."""
+    cells = cells_of(cell)
+    found = {}
+    for goal in layout.goals:
+        distance, angle = cells[goal.object].tolerance
+        found[goal.object] = goal.position_tolerance or distance, goal.angle_tolerance or angle
+    return found
 
 
 def _summary(
@@ -143,6 +151,7 @@ def _record(
     """Return the record of the arrangement for its report."""
     goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
     ends = {one.name: one for one in ended.objects}
+    tolerances = _tolerances(layout, cell)
     objects = []
     for each, own in cells_of(cell).items():
         end = ends.get(each)
@@ -156,6 +165,7 @@ def _record(
                 end_true=true.get(each),
                 outcome="not moved" if end is None else end.state,
                 taps=0 if end is None else end.taps,
+                tolerance=tolerances.get(each),
             )
         )
     table = cell.file.table
@@ -164,7 +174,6 @@ def _record(
         began=began,
         seconds=seconds,
         table_size=(table.length, table.width),
-        tolerance=cell.tolerance,
         objects=tuple(objects),
         taps=ended.records,
         contacts=tuple(contacts),

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
-
-import numpy as np
 
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import ObjectFile, load_object
@@ -831,14 +828,7 @@ class Cell:
 
     def outline(self) -> tuple[tuple[float, float], ...]:
         """Return the outline in the object frame: points (x, y) in m, counter-clockwise."""
-        shape = self.object.shape
-        if shape.vertices is not None:
-            return shape.vertices
-        angles = np.linspace(0.0, 2 * math.pi, 72, endpoint=False)
-        assert shape.radius is not None
-        return tuple(
-            (shape.radius * math.cos(angle), shape.radius * math.sin(angle)) for angle in angles
-        )
+        return self.object.shape.outline()
 
 
 def load_cell(path: Path | str | None = None, object_path: Path | str | None = None) -> Cell:

@@ -22,6 +22,9 @@ from tapping_cell.vision import Dot, ObjectMarker, ObjectOutline
 GRAVITY = 9.81
 """Standard acceleration of gravity in m/s^2, rounded to the accuracy of the friction."""
 
+ROUND_POINTS = 72
+"""Number of points of a round outline."""
+
 
 @dataclass(frozen=True, slots=True)
 class ShapeSection:
@@ -47,6 +50,14 @@ class ShapeSection:
             return max(math.hypot(x, y) for x, y in self.vertices)
         assert self.radius is not None
         return self.radius
+
+    def outline(self) -> tuple[tuple[float, float], ...]:
+        """Return the outline in the object frame: points (x, y) in m, counter-clockwise."""
+        if self.vertices is not None:
+            return self.vertices
+        assert self.radius is not None
+        angles = [2.0 * math.pi * number / ROUND_POINTS for number in range(ROUND_POINTS)]
+        return tuple((self.radius * math.cos(a), self.radius * math.sin(a)) for a in angles)
 
 
 @dataclass(frozen=True, slots=True)

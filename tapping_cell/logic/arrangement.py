@@ -31,7 +31,7 @@ from tapping_cell.messages import (
     SingleTap,
     TapperState,
 )
-from tapping_cell.planning import Decision, Done, Gains, Refusal
+from tapping_cell.planning import Decision, Done, Gains, KeepOut, Refusal
 from tapping_cell.planning.arrangement import (
     AllDone,
     ArrangementDecision,
@@ -112,6 +112,8 @@ class ArrangementTask(Task):
     """Gains of each object, learnt in earlier goals."""
     adapt: bool
     in_order: bool
+    obstacles: Sequence[KeepOut] = ()
+    """Areas on the table that belong to no object of the cell."""
     arrangement: ArrangementSession | None = None
     touched: list[str] = field(default_factory=list)
     """Objects that were moved by a tap of another object and not yet reported."""
@@ -166,6 +168,13 @@ class ArrangementTask(Task):
         monitor.watch(self.object_id)
         return True
 
+    def avoid(self, obstacles: Sequence[KeepOut]) -> None:
+        """Avoid these areas from the next decision on."""
+        if obstacles != self.obstacles:
+            self.obstacles = obstacles
+            if self.arrangement is not None:
+                self.arrangement.avoid(obstacles)
+
     def computation(self, frames: int) -> Callable[[], ArrangementDecision]:
         """Return the job that decides which object to tap and how; see ``Task.computation``."""
         if self.arrangement is None:
@@ -176,6 +185,7 @@ class ArrangementTask(Task):
                 adapt=self.adapt,
                 order=tuple(self.wanted) if self.in_order else (),
                 most_taps=self.max_taps,
+                obstacles=self.obstacles,
             )
         return functools.partial(self._compute, self.arrangement, frames)
 
@@ -339,6 +349,7 @@ class ArrangementTask(Task):
             report.pose = state.pose
         if wanted is not None:
             report.goal_pose = to_message(wanted.goal)
+            report.position_tolerance, report.angle_tolerance = wanted.tolerance
             if state is not None:
                 pose = from_message(state.pose.pose)
                 report.residual_distance = pose.distance_to(wanted.goal)

@@ -40,7 +40,7 @@ from tapping_cell.planning import (
     load_gains,
     make_planner,
 )
-from tapping_cell.planning.arrangement import Body, check_goals
+from tapping_cell.planning.arrangement import Body, bodies_among, check_goals
 from tapping_cell.planning.gains import NAMES
 from tapping_cell.planning.precision_limit import precision_limit
 from tapping_cell.planning.session import GoalSession
@@ -201,13 +201,24 @@ class GoalHandling:
 
     # Methods of all cells
 
-    def update_free_space(self, task: Task, since: float, now: Now) -> tuple[int, str] | None:
+    def update_free_space(
+        self, task: Task, since: float, search_since: float, now: Now
+    ) -> tuple[int, str] | None:
         """Make a task use the free space among the other objects.
 
-        Return an error if any of them was not observed since the steady time ``since``.
+        Return an error if any of them was not observed since the steady time ``since``, or if
+        objects without a file were not searched for since ``search_since``.
         """
+        if not self.other_objects.searched(search_since):
+            return (
+                ErrorCode.NOT_READY,
+                "camera_pose did not search the table for objects without an object file, because "
+                "an object is moving; make sure that nothing moves on the table",
+            )
         if isinstance(task, ArrangementTask):
-            return None  # an arrangement itself observes every object
+            # An arrangement observes the objects of the cell itself.
+            task.avoid(self.other_objects.unknown)
+            return None
         names = self.other_objects.unobserved(since)
         if names:
             return (
@@ -426,7 +437,8 @@ class GoalHandling:
             )
             for name, cell in self._cells.items()
         ]
-        impossible = check_goals(bodies)
+        obstacles = self.other_objects.unknown
+        impossible = check_goals(bodies_among(bodies, obstacles))
         if impossible is not None:
             return Refused(REFUSALS[impossible.reason], impossible.sentence)
         first, one = next(iter(wanted.items()))
@@ -448,6 +460,7 @@ class GoalHandling:
             known=dict(self._known),
             adapt=self._adapt,
             in_order=asked.in_order,
+            obstacles=obstacles,
             ask=ask,
         )
 

@@ -1,4 +1,7 @@
-"""The other objects on the table as obstacles for the planner, at their last observed poses."""
+"""The other objects on the table as obstacles for the planner, at their last observed poses.
+
+They include the objects that no object file describes, of which only the outlines are known.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,12 @@ from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.logic.clock import Now
 from tapping_cell.logic.peer_clock import PeerClock
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import ObjectState
+from tapping_cell.messages import ObjectState, ObjectStates
 from tapping_cell.planning import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, transform_points
+
+UNKNOWN = "unknown object"
+"""Beginning of the names of the objects without an object file."""
 
 
 @dataclass(slots=True)
@@ -38,6 +44,8 @@ class OtherObjects:
         self._memory = memory
         self._moved = moved
         self._known: dict[str, _Known] = {}
+        self._unknown: tuple[PolygonArea, ...] = ()
+        self._searched_at = math.inf  # no search was published
 
     @property
     def files(self) -> tuple[ObjectFile, ...]:
@@ -63,9 +71,31 @@ class OtherObjects:
         if shift > self._moved:
             known.pose = pose
 
+    def on_objects(self, message: ObjectStates, clock: PeerClock, now: Now) -> None:
+        """Process the outlines of the objects without an object file."""
+        stamp = message.unknown_searched_at
+        if stamp.sec == 0 and stamp.nanosec == 0:
+            return
+        self._searched_at = clock.to_steady(stamp, now)
+        self._unknown = tuple(
+            _unknown_area([(point.x, point.y) for point in outline.points])
+            for outline in message.unknown_objects
+        )
+
+    @property
+    def unknown(self) -> tuple[PolygonArea, ...]:
+        """Areas of the objects without an object file."""
+        return self._unknown
+
+    def searched(self, since: float) -> bool:
+        """Return whether the camera has searched for objects without an object file since a time on
+        the steady clock in s, or does not search for them."""
+        return self._searched_at > since
+
     def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
-        """Return the area that each object covers, in the order of the files; None if absent."""
-        return tuple(self._area(file, now) for file in self._files)
+        """Return the area that each object covers, in the order of the files, with None for an
+        absent object, then the areas of the objects without a file."""
+        return (*(self._area(file, now) for file in self._files), *self._unknown)
 
     def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:
         """Return whether an object has moved or appeared since ``areas`` (see :meth:`areas`)."""
@@ -88,3 +118,8 @@ class OtherObjects:
             return CircleArea(known.pose.x, known.pose.y, file.shape.reach(), file.name)
         corners = transform_points(known.pose, file.shape.vertices)
         return PolygonArea(tuple((float(x), float(y)) for x, y in corners), file.name)
+
+
+def _unknown_area(corners: list[tuple[float, float]]) -> PolygonArea:
+    x, y = (sum(part) / len(corners) for part in zip(*corners, strict=True))
+    return PolygonArea(tuple(corners), f"{UNKNOWN} at x {1000 * x:.0f} mm, y {1000 * y:.0f} mm")

@@ -290,6 +290,9 @@ class PlannerLogic:
             self._monitor.on_object(message, now)
         elif topic == "object_states":
             self._monitor.on_objects(message, now)
+            if self._configured:
+                clock = self._monitor.camera_clock
+                self.goals.other_objects.on_objects(message, clock, now)
         elif topic == "other_objects":
             if self._configured:
                 clock = self._monitor.camera_clock
@@ -571,7 +574,9 @@ class PlannerLogic:
             # Only the goal's time limit can end this wait.
             self._deadline = now.steady + self._settings.observe_deadline
             return
-        unknown = self.goals.update_free_space(task, self._observe_after, now)
+        # While the arm may hide a part of the table, the camera does not search for objects.
+        search_since = self._observe_after if self._monitor.withdrawn(now) else -math.inf
+        unknown = self.goals.update_free_space(task, self._observe_after, search_since, now)
         if unknown is not None:
             if self._late(now):
                 self._fail(*unknown, now)
@@ -914,7 +919,8 @@ class PlannerLogic:
         if self._monitor.seen_away_from(shot.before, *limits):
             return True
         if isinstance(self._task, ArrangementTask):
-            return self._task.others_moved(self._monitor, *limits)
+            obstacles_changed = self._task.obstacles != self.goals.other_objects.unknown
+            return obstacles_changed or self._task.others_moved(self._monitor, *limits)
         return self.goals.others_moved(now)
 
     def _give_up(self, outcome: int, now: Now) -> None:

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.hardware.arm_shape import arm_bars
 from tapping_cell.hardware.motion import (
     MotionSettings,
     Waypoint,
@@ -27,6 +26,7 @@ from tapping_cell.hardware.motion import (
     withdraw_path,
 )
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
+from tapping_cell.logic.arm_in_view import bars_in_table
 from tapping_cell.se2 import Array, Pose
 from tapping_cell.vision.free_view import view_clearance
 
@@ -194,9 +194,8 @@ def _sees_markers(cell: Cell, camera: tuple[float, float, float], bars: Bars) ->
 
 def _bars(cell: Cell, geometry: ScaraGeometry, joints: Array) -> Bars:
     """Return the arm's bars with margin in ``table`` for joints (N, 4)."""
-    bars = arm_bars(geometry, cell.arm.shape(cell.file.tapper), joints)
-    start, end = (_in_table(cell.arm_base, places) for places in (bars.start, bars.end))
-    return start, end, bars.radius + VIEW_MARGIN_M
+    bars = bars_in_table(cell, geometry, joints)
+    return bars.start, bars.end, bars.radius + VIEW_MARGIN_M
 
 
 def _to_next(
@@ -220,13 +219,3 @@ def _to_next(
         return np.zeros(len(joints))
     times = move_durations(geometry, joints[:, None], places[None], motion.travel_speed)
     return np.asarray(times.mean(axis=1))
-
-
-def _in_table(base: Pose, places: Array) -> Array:
-    """Transform points (..., 3) from ``arm_base`` to ``table``."""
-    cos, sin = math.cos(base.theta), math.sin(base.theta)
-    turned = np.empty_like(places)
-    turned[..., 0] = base.x + cos * places[..., 0] - sin * places[..., 1]
-    turned[..., 1] = base.y + sin * places[..., 0] + cos * places[..., 1]
-    turned[..., 2] = places[..., 2]
-    return turned

@@ -236,6 +236,8 @@ class ObjectProgress:
     state: int = 0
     has_goal: bool = False
     goal_pose: Pose = field(default_factory=Pose)
+    position_tolerance: float = 0.0
+    angle_tolerance: float = 0.0
     residual_distance: float = 0.0
     residual_rotation: float = 0.0
     taps: int = 0
@@ -493,6 +495,26 @@ class ObjectState:
 
 
 @dataclass(slots=True, kw_only=True)
+class Point32:
+    """Mirror of ``geometry_msgs/msg/Point32``."""
+
+    ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/Point32"
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+
+@dataclass(slots=True, kw_only=True)
+class Polygon:
+    """Mirror of ``geometry_msgs/msg/Polygon``."""
+
+    ROS_TYPE: ClassVar[str] = "geometry_msgs/msg/Polygon"
+
+    points: list[Point32] = field(default_factory=list)
+
+
+@dataclass(slots=True, kw_only=True)
 class ObjectStates:
     """Mirror of ``tapping_cell_msgs/msg/ObjectStates``."""
 
@@ -500,6 +522,8 @@ class ObjectStates:
 
     header: Header = field(default_factory=Header)
     objects: list[ObjectState] = field(default_factory=list)
+    unknown_objects: list[Polygon] = field(default_factory=list)
+    unknown_searched_at: Time = field(default_factory=Time)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -23,7 +23,7 @@ from scipy.sparse.csgraph import dijkstra
 from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.strike import BoolArray, StrikeSpace
-from tapping_cell.planning.workspace import CircleArea, KeepOut
+from tapping_cell.planning.workspace import CircleArea, KeepOut, PolygonArea
 
 CELL = 0.010
 """Size of a grid cell in m."""
@@ -234,20 +234,28 @@ def _tool_in(area: KeepOut, space: StrikeSpace, centres: Array, tips: Sequence[A
     """Return which taps would put the tip or the bar into this area or its margin; shape as for
     ``_blocked``."""
     shape = (*centres.shape[:-1], DIRECTIONS)
-    heading = np.broadcast_to(tips[0], (DIRECTIONS, 3))[:, 2]
-    if isinstance(area, CircleArea):
-        offset = (np.array([area.x, area.y]) - centres).reshape(-1, 2).astype(np.float32)
-        found = [_circle_hits(offset, turn, area.radius, space).reshape(shape) for turn in tips]
-        return np.stack(found)
-    margin = space.workspace.keep_out_margin
-    found = []
-    for turn in tips:
-        tip = centres[..., None, :] + turn[:, :2]
-        full = np.concatenate([tip, np.broadcast_to(heading[:, None], (*shape, 1))], axis=-1)
-        bar = np.min(area.distance(space.tool_points(full)), axis=-1)
-        reach = space.settings.tool_radius + margin, space.tip_radius + margin
-        found.append((bar < reach[0]) | (area.distance(tip) < reach[1]))
-    return np.stack(found)
+    round_area = area if isinstance(area, CircleArea) else _around(area)
+    offset = (np.array([round_area.x, round_area.y]) - centres).reshape(-1, 2).astype(np.float32)
+    found = np.stack([_circle_hits(offset, turn, round_area.radius, space) for turn in tips])
+    if not isinstance(area, CircleArea):
+        # Only the tools that hit the circle around the polygon can hit the polygon.
+        turn, cell, direction = np.nonzero(found)
+        poses = np.stack(tips)[turn, direction]
+        poses[:, :2] += centres.reshape(-1, 2)[cell]
+        margin = space.workspace.keep_out_margin
+        bar = np.min(area.distance(space.tool_points(poses)), axis=-1)
+        hits = bar < space.settings.tool_radius + margin
+        hits |= area.distance(poses[:, :2]) < space.tip_radius + margin
+        found[turn, cell, direction] = hits
+    return found.reshape(len(tips), *shape)
+
+
+def _around(area: PolygonArea) -> CircleArea:
+    """Return a circle that contains a polygon, slightly enlarged against rounding."""
+    corners = np.asarray(area.vertices)
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    reach = float(np.hypot(*(corners - middle).T).max())
+    return CircleArea(float(middle[0]), float(middle[1]), reach + 1e-4)
 
 
 def _circle_hits(

@@ -82,7 +82,8 @@ def _head(run: ArrangementRun) -> str:
 
 
 def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
-    limit = f"{1000 * run.tolerance[0]:g} mm, {math.degrees(run.tolerance[1]):g} deg"
+    limits = {_tolerance(one) for one in run.objects if one.goal is not None}
+    limit = f"tolerance {limits.pop()}" if len(limits) == 1 else "tolerances: see the objects"
     cards = []
     for word, poses in (
         ("measured", {one.name: one.end for one in run.objects}),
@@ -96,7 +97,7 @@ def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
         if left:
             far, turned = (max(each[axis] for each in left) for axis in (0, 1))
             worst = f"{1000 * far:.2f} mm, {math.degrees(turned):.2f} deg"
-            cards.append((f"largest {word} residual", worst, f"tolerance {limit}"))
+            cards.append((f"largest {word} residual", worst, limit))
     cards.append(("taps", str(len(run.taps)), f"in {counted(len(moves), 'move')}"))
     each = f"{run.seconds / len(run.taps):.1f} s a tap" if run.taps else ""
     cards.append(("time", f"{run.seconds:.0f} s", each))
@@ -177,12 +178,16 @@ def _colour(number: int) -> str:
 
 
 def _objects(run: ArrangementRun) -> str:
-    head = ("object", "start", "goal", "measured residual", "true residual", "taps", "outcome")
+    head = (
+        *("object", "start", "goal", "tolerance", "measured residual", "true residual"),
+        *("taps", "outcome"),
+    )
     rows = [
         (
             f"{number + 1} {one.name}",
             _place(one.start),
             _place(one.goal) if one.goal is not None else "none; it may make way",
+            _tolerance(one),
             _residual(one.end, one.goal),
             _residual(one.end_true, one.goal),
             str(one.taps),
@@ -191,6 +196,13 @@ def _objects(run: ArrangementRun) -> str:
         for number, one in enumerate(run.objects)
     ]
     return f"<section><h2>Objects</h2>{_table('Objects', head, rows)}</section>"
+
+
+def _tolerance(one: ArrangedObject) -> str:
+    """Return the tolerance of an object's goal as text; a dash without a goal."""
+    if one.tolerance is None:
+        return "-"
+    return f"{1000 * one.tolerance[0]:g} mm, {math.degrees(one.tolerance[1]):g} deg"
 
 
 def _order(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:

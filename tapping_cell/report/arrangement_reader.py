@@ -60,7 +60,6 @@ def read_arranged_run(path: Path, name: str) -> tuple[ArrangementRun, tuple[Pict
         began=began,
         seconds=max(0.0, ended - began),
         table_size=tuple(notes.get("table_size", (0.0, 0.0))),
-        tolerance=tuple(notes.get("tolerance", (0.0, 0.0))),
         objects=_objects(bag, last, notes, ended),
         taps=_taps(bag, began),
         contacts=_contacts(bag, since),
@@ -149,6 +148,9 @@ def _objects(
                 end_true=true.get(name),
                 outcome=NOT_MOVED if own is None else word(PROGRESS, int(own.state)),
                 taps=0 if own is None else int(own.taps),
+                tolerance=(float(own.position_tolerance), float(own.angle_tolerance))
+                if own is not None and own.has_goal
+                else None,
             )
         )
     return tuple(objects)

@@ -22,7 +22,7 @@ class ArrangedObject:
 
     ``outline``: corners in the object's frame, m. ``goal`` is None for an object that only makes
     way. ``end`` is the last measured pose, ``end_true`` the ground truth. ``outcome``: state of
-    the object at the end, in words.
+    the object at the end, in words. ``tolerance`` of the goal in m and rad; None without a goal.
     """
 
     name: str
@@ -33,6 +33,7 @@ class ArrangedObject:
     end_true: Pose | None
     outcome: str
     taps: int
+    tolerance: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,7 @@ class ArrangedTap:
 class ArrangementRun:
     """One arrangement from its request to its end.
 
-    ``began``: s since 1970; ``seconds``: duration. ``table_size`` and ``tolerance`` in m and rad.
+    ``began``: s since 1970; ``seconds``: duration. ``table_size`` in m.
     ``contacts``: names of the objects in each true contact; None if they are unknown.
     """
 
@@ -69,7 +70,6 @@ class ArrangementRun:
     began: float
     seconds: float
     table_size: tuple[float, float]
-    tolerance: tuple[float, float]
     objects: tuple[ArrangedObject, ...]
     taps: tuple[ArrangedTap, ...]
     contacts: tuple[tuple[str, str], ...] | None
@@ -130,7 +130,6 @@ def read_arrangement(folder: Path) -> ArrangementRun:
             **{
                 **content,
                 "table_size": tuple(content["table_size"]),
-                "tolerance": tuple(content["tolerance"]),
                 "objects": tuple(_object(each) for each in content["objects"]),
                 "taps": tuple(_tap(each) for each in content["taps"]),
                 "contacts": None
@@ -143,7 +142,8 @@ def read_arrangement(folder: Path) -> ArrangementRun:
 def _object(content: dict[str, Any]) -> ArrangedObject:
     poses = {key: _pose(content[key]) for key in ("start", "goal", "end", "end_true")}
     outline = tuple((float(x), float(y)) for x, y in content["outline"])
-    return ArrangedObject(**{**content, **poses, "outline": outline})
+    tolerance = None if content["tolerance"] is None else tuple(content["tolerance"])
+    return ArrangedObject(**{**content, **poses, "outline": outline, "tolerance": tolerance})
 
 
 def _tap(content: dict[str, Any]) -> ArrangedTap:

@@ -14,8 +14,10 @@ from tapping_cell.vision.outline.shape import Dot, ObjectOutline, OutlineError
 from tapping_cell.vision.rest_detection import RestSettings
 from tapping_cell.vision.table.fit import TableSettings
 from tapping_cell.vision.tracker import PoseTracker, TrackerSettings
+from tapping_cell.vision.unknown_objects import ArmBars, Standing, UnknownObjects
 
 __all__ = [
+    "ArmBars",
     "CameraError",
     "CameraModel",
     "CameraPose",
@@ -31,8 +33,10 @@ __all__ = [
     "ReferenceMarker",
     "RestSettings",
     "RoundRobin",
+    "Standing",
     "TableSettings",
     "TrackerSettings",
+    "UnknownObjects",
     "View",
     "annotate",
     "marker_ids",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -32,19 +33,23 @@ def annotate(
     height: float,
     goal: Pose | None = None,
     references: ReferenceMap | None = None,
+    unknown: Sequence[Array] = (),
 ) -> NDArray[np.uint8]:
     """Return a colour image (BGR, uint8, height x width x 3) of one frame and its observation.
 
     ``outline`` (N, 2) is the object's outline in its own frame, in m, and ``height`` (m) the height
     of its top. ``goal`` is the object's goal pose in table. ``references`` are drawn at their
-    positions in the table file: blue if they were used in this frame, otherwise red. Text is in mm
-    and degrees.
+    positions in the table file: blue if they were used in this frame, otherwise red. ``unknown``
+    are the outlines (N, 2) in table of the objects without an object file, drawn in red. Text is in
+    mm and degrees.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     points = np.asarray(outline, dtype=float)
     if view is not None:
         if references is not None:
             _references(picture, view, references, observation.references_used)
+        for one in unknown:
+            _outline(picture, view, one, Pose(0.0, 0.0, 0.0), 0.0, RED, 2)
         _axes(picture, view, Pose(0.0, 0.0, 0.0), 0.0, 0.06)
         if goal is not None:
             _outline(picture, view, points, goal, height, BLUE, 2)

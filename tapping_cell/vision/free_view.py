@@ -37,6 +37,26 @@ def view_clearance(
     return nearest
 
 
+def shadows(
+    camera: ArrayLike, start: ArrayLike, end: ArrayLike, radius: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Return the areas of the table that K bars hide from the camera: bars in the plane z = 0.
+
+    Args:
+        camera: position of the lens, (3,).
+        start, end: ends of the bars' centre lines, (K, 3).
+        radius: radii of the bars, (K,).
+
+    Returns:
+        The ends (K, 2) and (K, 2), and the radii (K,), in m.
+    """
+    lens, ground = np.asarray(camera, dtype=float), np.zeros(1)
+    a, scale_a = _projected(lens, np.asarray(start, dtype=float), ground)
+    b, scale_b = _projected(lens, np.asarray(end, dtype=float), ground)
+    wide = np.asarray(radius, dtype=float) * np.maximum(scale_a, scale_b)[:, 0]
+    return a[:, 0], b[:, 0], wide
+
+
 def _projected(lens: Array, places: Array, height: Array) -> tuple[Array, Array]:
     """Project places (N, 3) from the lens to the planes at the heights (M,).
 

@@ -36,9 +36,14 @@ def test_two_objects_exchange_their_places_without_a_contact(tmp_path: Path) -> 
     run = read_arrangement(folder)
     assert len(run.objects) == 2 and len(run.taps) == told["taps"]
     for one, other in (run.objects, run.objects[::-1]):
-        assert one.goal is not None and other.start is not None and one.end_true is not None
+        assert (
+            one.tolerance is not None
+            and one.goal is not None
+            and other.start is not None
+            and one.end_true is not None
+        )
         assert one.goal.distance_to(other.start) < 0.0005
-        assert one.end_true.distance_to(one.goal) <= run.tolerance[0]
+        assert one.end_true.distance_to(one.goal) <= one.tolerance[0]
     # Each object stands at the goal of the other, so one of them must move out of the way first.
     first, second = moves_of(run)[:2]
     assert f" makes way: it is in the way of '{second.name}'" in first.purpose

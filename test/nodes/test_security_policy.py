@@ -29,8 +29,8 @@ SENT = ("feedback", "status")
 DISCOVERY_S = 60.0
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
-    # Used with image_transport:=compressed.
-    "camera_pose": {"subscribe": {"/camera/image_raw/compressed"}},
+    # Used with image_transport:=compressed, and in a cell with an arm.
+    "camera_pose": {"subscribe": {"/camera/image_raw/compressed", "/arm_state", "/joint_states"}},
     # Used while a page is open.
     "operator_page": {
         "subscribe": {

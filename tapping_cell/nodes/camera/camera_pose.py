@@ -4,7 +4,7 @@ Further objects (key ``objects`` of the cell file, parameter ``other_object_file
 turn; the object that ``plan_state`` names, and every object that has not been at rest for long, is
 measured in every image. While the planner waits for observations, every object is measured in every
 image. Each measurement is published on ``other_objects``, and the latest states of all objects on
-``object_states``.
+``object_states``, with the outlines of the objects that no object file describes.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.annotated_images import AnnotatedImages
 from tapping_cell.nodes.camera.dropped_frames import Backlog
 from tapping_cell.nodes.camera.pose_messages import camera_to_message
+from tapping_cell.nodes.camera.unknown_search import UnknownSearch
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.conversions import (
     from_message,
@@ -75,6 +76,8 @@ CODES = {
     Problem.WRONG_OBJECT: ErrorCode.OBJECT_NOT_SEEN,
     Problem.DOT_HIDDEN: ErrorCode.OBJECT_NOT_SEEN,
 }
+TABLE_SEEN = (ErrorCode.NONE, ErrorCode.OBJECT_NOT_SEEN, ErrorCode.MARKER_AMBIGUOUS)
+"""Codes of valid images in which the table was located."""
 
 WATCH_PERIOD_S = 0.05
 """Period of the check for missing images."""
@@ -145,6 +148,7 @@ class CameraPose(CellNode[Parameters]):
         self._other_files: tuple[ObjectFile, ...] = ()
         self._turns = RoundRobin(0)
         self._tracker: PoseTracker | None = None
+        self._unknown: UnknownSearch | None = None
         self._camera: CameraModel | None = None
         self._calibration: tuple[object, ...] = ()
         self._camera_problem = ""
@@ -199,10 +203,15 @@ class CameraPose(CellNode[Parameters]):
         for state in self._other_states:
             state.header.frame_id = TABLE
         self._camera, self._calibration = None, ()
+        if self._cell.file.arm is not None:
+            self._unknown = UnknownSearch(self, self._cell, self._other_files)
 
     def cleanup(self) -> None:
-        """Discard the track."""
+        """Discard the track and the unknown objects."""
         self._tracker = None
+        if self._unknown is not None:
+            self._unknown.close()
+        self._unknown = None
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report the number of processed images and the current error."""
@@ -306,10 +315,18 @@ class CameraPose(CellNode[Parameters]):
         self._publish(message, observation)
         self._count_late(observation)
         self._publish_camera(message)
+        self._search_unknown(grey, stamp)
         self._frames += 1
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
         self._publish_others(message, others)
+
+    def _search_unknown(self, grey: NDArray[np.uint8], stamp: float) -> None:
+        """Search for objects without a file in an image in which the table was located."""
+        assert self._tracker is not None
+        if self._unknown is not None and self._last.error_code in TABLE_SEEN:
+            states = (self._last, *self._other_states)
+            self._unknown.search(grey, stamp, self._tracker.view, states, self._awaited)
 
     def _report_no_camera(self, picture: Image) -> None:
         """Report that images arrive without a camera calibration."""
@@ -343,6 +360,8 @@ class CameraPose(CellNode[Parameters]):
             self._others_publisher.publish(state)
         states = ObjectStates(objects=[self._last, *self._other_states])
         states.header = self._last.header
+        if self._unknown is not None:
+            self._unknown.enter(states)
         self._states_publisher.publish(states)
 
     def _publish(self, picture: Image, observation: Observation) -> None:
@@ -399,6 +418,7 @@ class CameraPose(CellNode[Parameters]):
             self._cell.outline(),
             self._cell.object.height,
             self._goal if own else None,
+            unknown=[] if self._unknown is None else self._unknown.outlines,
         )
         self._annotated.publish(picture, message.header, time.monotonic())
 

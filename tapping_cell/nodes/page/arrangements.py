@@ -51,6 +51,7 @@ class Arrangements:
         self._action = ActionClient(node, ArrangeObjects, "arrange_objects")
         self.cancel_client = node.create_client(CancelGoal, "arrange_objects/_action/cancel_goal")
         self._states: dict[str, ObjectState] = {}
+        self._unknown = 0
         self._progress = ArrangementState()
 
     def use_cell(self, cell: Cell) -> None:
@@ -83,7 +84,7 @@ class Arrangements:
 
     def forget(self) -> None:
         """Discard the received states when no page is open."""
-        self._states, self._progress = {}, ArrangementState()
+        self._states, self._progress, self._unknown = {}, ArrangementState(), 0
 
     def state(self) -> dict[str, object]:
         """Return the objects and the progress of the last arrangement for the page, in mm and
@@ -91,6 +92,7 @@ class Arrangements:
         progress = self._progress
         return {
             "objects": [self._object_row(name) for name in self.names],
+            "unknown": self._unknown,
             "active": self.active,
             "taps": progress.taps,
             "progress": {one.object_id: progress_row(one) for one in progress.objects},
@@ -159,6 +161,7 @@ class Arrangements:
 
     def _on_states(self, message: ObjectStates) -> None:
         self._states = {state.object_id: state for state in message.objects}
+        self._unknown = len(message.unknown_objects)
 
     def _on_progress(self, message: ArrangementState) -> None:
         self._progress = message

@@ -10,10 +10,11 @@ Example::
     ...  # fire decision.strike.plan, measure the pose of every object again
     session.observe(decision, before, after)
 
-Contacts between objects are never planned. Other objects are represented by bounding circles.
+Contacts between objects are never planned. Other objects are represented by bounding circles,
+and objects without a file by their outlines (``ArrangementSession.avoid``).
 """
 
-from tapping_cell.planning.arrangement.among import AmongOthers
+from tapping_cell.planning.arrangement.among import AmongOthers, bodies_among
 from tapping_cell.planning.arrangement.baselines import FileOrder, NearestFirst
 from tapping_cell.planning.arrangement.interface import (
     ArrangementPlanner,
@@ -56,6 +57,7 @@ __all__ = [
     "Scene",
     "SequencePlanner",
     "TapOf",
+    "bodies_among",
     "check_goals",
     "check_layout",
     "middle_of",

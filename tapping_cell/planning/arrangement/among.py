@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,13 +21,13 @@ class AmongOthers:
     """Creates and caches the maps; every query concerns one object among some other objects."""
 
     def __init__(self) -> None:
-        self._maps: dict[tuple[int, frozenset[CircleArea]], FreeSpace] = {}
-        self._paths: dict[tuple[int, frozenset[CircleArea], float, float], PathLengths] = {}
+        self._maps: dict[tuple[FreeSpace, frozenset[CircleArea]], FreeSpace] = {}
+        self._paths: dict[tuple[FreeSpace, frozenset[CircleArea], float, float], PathLengths] = {}
 
     def map(self, body: Body, others: Iterable[CircleArea]) -> FreeSpace:
         """Return the map of workable places of an object among these areas."""
         areas = frozenset(others)
-        key = (id(body.free), areas)
+        key = (body.free, areas)
         if key not in self._maps:
             if len(self._maps) >= KEPT:
                 del self._maps[next(iter(self._maps))]
@@ -38,7 +39,7 @@ class AmongOthers:
     def path(self, body: Body, others: Iterable[CircleArea], start: Pose, end: Pose) -> float:
         """Length of the path of workable places between two poses, m; inf if there is no path."""
         areas = frozenset(others)
-        key = (id(body.free), areas, end.x, end.y)
+        key = (body.free, areas, end.x, end.y)
         if key not in self._paths:
             if len(self._paths) >= KEPT:
                 del self._paths[next(iter(self._paths))]
@@ -76,6 +77,17 @@ def gap(first: CircleArea, second: CircleArea) -> float:
     """Gap between two bounding circles, m; negative if they overlap."""
     apart = float(np.hypot(first.x - second.x, first.y - second.y))
     return apart - first.radius - second.radius
+
+
+def bodies_among(bodies: Sequence[Body], obstacles: Sequence[KeepOut]) -> tuple[Body, ...]:
+    """Return the objects with maps that contain additional keep-outs, which do not move."""
+    if not obstacles:
+        return tuple(bodies)
+    made: dict[FreeSpace, FreeSpace] = {}
+    for body in bodies:
+        if body.free not in made:
+            made[body.free] = body.free.among(obstacles)
+    return tuple(replace(body, free=made[body.free]) for body in bodies)
 
 
 def areas_of(

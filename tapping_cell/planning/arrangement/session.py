@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tapping_cell.planning.arrangement.among import AmongOthers, areas_of
+from tapping_cell.planning.arrangement.among import AmongOthers, areas_of, bodies_among
 from tapping_cell.planning.arrangement.interface import (
     ArrangementPlanner,
     Body,
@@ -38,6 +38,7 @@ from tapping_cell.planning.session import (
     noise_of,
 )
 from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.workspace import KeepOut
 from tapping_cell.se2 import Pose
 
 COARSE_ANGLE = 1.5
@@ -108,6 +109,7 @@ class ArrangementSession:
         adapt: whether to learn from taps.
         order: names of objects to be finished in this order before the other objects.
         most_taps: maximum number of taps of all objects together.
+        obstacles: areas that every object and the striker avoid; see :meth:`avoid`.
     """
 
     def __init__(
@@ -120,9 +122,11 @@ class ArrangementSession:
         order: Iterable[str] = (),
         most_taps: int | None = None,
         maps: AmongOthers | None = None,
+        obstacles: Sequence[KeepOut] = (),
     ) -> None:
-        self.bodies = tuple(bodies)
-        self._by_name = {body.name: body for body in bodies}
+        self._given = tuple(bodies)
+        self.bodies = bodies_among(bodies, obstacles)
+        self._by_name = {body.name: body for body in self.bodies}
         self._maps = AmongOthers() if maps is None else maps
         self._planner = SequencePlanner(self._maps) if planner is None else planner
         known = {} if gains is None else gains
@@ -158,6 +162,13 @@ class ArrangementSession:
     def current(self) -> PositioningSession | None:
         """Session of the current or the last move."""
         return self._session
+
+    def avoid(self, obstacles: Sequence[KeepOut]) -> None:
+        """Avoid other obstacles from now on. The layout is checked and the move planned anew."""
+        self.bodies = bodies_among(self._given, obstacles)
+        self._by_name = {body.name: body for body in self.bodies}
+        self._checked, self.move, self._session = False, None, None
+        self._excluded = self._stalled = frozenset()
 
     def decide(
         self, seen: Mapping[str, Observation], *, observe_again: bool = False

@@ -16,6 +16,7 @@ from tapping_cell.planning import (
     CircleArea,
     FreeSpace,
     PlannerSettings,
+    PolygonArea,
     Refusal,
     RefusalReason,
     StrikeSpace,
@@ -77,6 +78,48 @@ def test_the_map_among_others_is_that_of_a_space_with_these_keep_outs(kind: Kind
     assert not np.any(quick.workable & ~slow.workable)
     assert np.sum(slow.workable & ~quick.workable) <= 0.02 * np.sum(slow.workable)
     assert np.array_equal(kind.free.among([]).workable, kind.free.workable)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_map_among_polygons_is_exactly_that_of_a_space_with_these_keep_outs(
+    kind: Kind, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    areas = []
+    for _ in range(2):
+        x, y = random.uniform([-0.2, -0.15], [0.2, 0.15])
+        turns = np.sort(random.uniform(0.0, 2.0 * math.pi, 6))
+        size = random.uniform(0.01, 0.04)
+        areas.append(
+            PolygonArea(tuple((x + size * math.cos(t), y + size * math.sin(t)) for t in turns))
+        )
+    quick = kind.free.among(areas)
+    slow = FreeSpace(kind.free.space.among(areas))
+    assert np.array_equal(quick.workable, slow.workable)
+
+
+def test_an_obstacle_that_appears_is_avoided_and_one_on_a_goal_refuses(kind: Kind) -> None:
+    goal, start = Pose(0.15, 0.0, 0.0), Pose(-0.15, 0.0, 0.0)
+    (body,) = bodies_of(kind, [goal])
+    session = ArrangementSession([body])
+    seen = {"o0": Observation(start)}
+    first = session.decide(seen)
+    assert isinstance(first, TapOf)
+    assert abs(first.strike.predicted.y) < 0.03
+    wall = PolygonArea(((-0.02, -0.12), (0.02, -0.12), (0.02, 0.12), (-0.02, 0.12)), "wall")
+    session.avoid([wall])
+    around = session.decide(seen)
+    assert isinstance(around, TapOf)
+    space = session.bodies[0].free.space
+    assert bool(space.slide_is_safe(np.array(start), np.array([around.strike.commanded]))[0])
+    path = session.bodies[0].free.to_goal(goal).length(np.array([start.x, start.y]))
+    assert float(path) > 0.33
+    on_goal = PolygonArea(((0.14, -0.01), (0.16, -0.01), (0.16, 0.01), (0.14, 0.01)), "thing")
+    session.avoid([on_goal])
+    refused = session.decide(seen)
+    assert isinstance(refused, Refusal) and "'thing'" in refused.sentence
+    session.avoid([])
+    assert isinstance(session.decide(seen), TapOf)
 
 
 def test_one_object_goes_straight_to_its_goal(kind: Kind) -> None:

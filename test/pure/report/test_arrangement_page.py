@@ -25,6 +25,7 @@ from tapping_cell.report.run_folder import RunError
 from tapping_cell.se2 import Pose
 
 SQUARE = ((-0.02, -0.02), (0.02, -0.02), (0.02, 0.02), (-0.02, 0.02))
+FINE, COARSE = (0.001, math.radians(1.0)), (0.002, math.radians(3.0))
 ONE, OTHER, BUFFER = Pose(-0.1, 0.0, 0.0), Pose(0.1, 0.0, 0.5), Pose(0.0, 0.12, 0.0)
 AWAY = "'<b> 2' makes way: it is in the way of 'disk'"
 HOME = "'<b> 2' goes to its goal: its goal and a path to it are free"
@@ -52,10 +53,9 @@ def run() -> ArrangementRun:
         began=1.7e9,
         seconds=42.0,
         table_size=(0.6, 0.44),
-        tolerance=(0.001, math.radians(1.0)),
         objects=(
-            ArrangedObject("disk", SQUARE, ONE, OTHER, OTHER, OTHER, "reached", 1),
-            ArrangedObject("<b> 2", SQUARE, OTHER, ONE, ONE, None, "reached", 4),
+            ArrangedObject("disk", SQUARE, ONE, OTHER, OTHER, OTHER, "reached", 1, FINE),
+            ArrangedObject("<b> 2", SQUARE, OTHER, ONE, ONE, None, "reached", 4, COARSE),
         ),
         taps=taps,
         contacts=(),
@@ -137,3 +137,12 @@ def test_a_damaged_file_is_refused_in_words(tmp_path: Path, content: str) -> Non
     with pytest.raises(RunError, match=r"arrangement\.json is damaged"):
         read_arrangement(tmp_path)
     assert main(["report", str(tmp_path)]) == 2
+
+
+def test_every_object_is_shown_with_its_own_tolerance(run: ArrangementRun) -> None:
+    text = page(run).replace("&nbsp;", " ")
+    assert "1 mm, 1 deg" in text and "2 mm, 3 deg" in text
+    assert "tolerances: see the objects" in text
+    alike = replace(run, objects=tuple(replace(one, tolerance=FINE) for one in run.objects))
+    text = page(alike).replace("&nbsp;", " ")
+    assert "tolerance 1 mm, 1 deg" in text and "2 mm, 3 deg" not in text

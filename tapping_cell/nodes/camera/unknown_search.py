@@ -1,0 +1,125 @@
+"""Search for objects without an object file, in images in which nothing moves and the arm has
+withdrawn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from geometry_msgs.msg import Point32, Polygon
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
+from tapping_cell_msgs.msg import ArmState, ObjectState, ObjectStates
+
+from tapping_cell.configuration.cell import Cell
+from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.hardware.scara import Joints
+from tapping_cell.logic.arm_in_view import bars_in_table
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.conversions import from_message
+from tapping_cell.se2 import transform_points
+from tapping_cell.vision import ArmBars, Standing, UnknownObjects, View
+
+PERIOD_S = 0.5
+"""Time between two searches."""
+AWAITED_PERIOD_S = 0.15
+"""Time between two searches while the planner waits for an observation."""
+MEMORY_S = 2.0
+"""Time for which an object that is not measured any more is still expected at its last pose."""
+
+
+class UnknownSearch:
+    """Searches the images of a cell with an arm, and keeps the outlines found.
+
+    Without an arm nothing is searched for: the strikers of fixed tappers are always in the image.
+    """
+
+    def __init__(self, node: Node, cell: Cell, others: Sequence[ObjectFile]) -> None:
+        """Subscribe to the arm's state and joints."""
+        self._node = node
+        self._cell = cell
+        self._shapes: dict[str, tuple[NDArray[np.float64], float]] = {
+            file.name: (np.array(file.shape.outline()), file.height)
+            for file in (cell.object, *others)
+        }
+        table = cell.file.table
+        self._found = UnknownObjects(table.length, table.width, cell.references)
+        self._seen: dict[str, tuple[float, Standing]] = {}
+        self._searched_at = -math.inf
+        self._clear = False
+        self._joints: Mapping[str, float] = {}
+        self._is_scara = cell.arm.chain() is None
+        driver = cell.arm.ros2_control
+        self._names = tuple(driver.joints) if driver else Joints._fields
+        topic = driver.joint_states if driver else "joint_states"
+        self._subscriptions = [
+            node.create_subscription(ArmState, "arm_state", self._on_arm, LATCHED),
+            node.create_subscription(JointState, topic, self._on_joints, 10),
+        ]
+
+    def close(self) -> None:
+        """End the subscriptions."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+
+    @property
+    def outlines(self) -> list[NDArray[np.float64]]:
+        """Outlines of the unknown objects, points (N, 2) in m in ``table``."""
+        return self._found.outlines
+
+    def search(
+        self,
+        image: NDArray[np.uint8],
+        stamp: float,
+        view: View | None,
+        states: Sequence[ObjectState],
+        awaited: bool,
+    ) -> None:
+        """Search an image, unless something moves in it or the last search was recent.
+
+        ``states``: present states of the cell's objects; ``awaited``: the planner waits for an
+        observation.
+        """
+        period = AWAITED_PERIOD_S if awaited else PERIOD_S
+        for state in states:
+            if state.visible:
+                outline, height = self._shapes[state.object_id]
+                placed = transform_points(from_message(state.pose.pose), outline)
+                self._seen[state.object_id] = stamp, Standing(placed, height)
+        still = all(state.at_rest or not state.visible for state in states)
+        # Before its first measurement, an object of the cell would be taken for an unknown object.
+        measured = all(state.header.stamp.sec for state in states)
+        # Search also if the camera's clock was set back.
+        due = not 0.0 <= stamp - self._searched_at < period
+        if view is None or not (self._clear and still and measured and due):
+            return
+        standing = [one for seen_at, one in self._seen.values() if stamp - seen_at <= MEMORY_S]
+        self._found.search(image, view, standing, self._arm())
+        self._searched_at = stamp
+
+    def enter(self, message: ObjectStates) -> None:
+        """Enter the outlines and the time of the last search into a message."""
+        if self._searched_at == -math.inf:
+            return
+        message.unknown_objects = [
+            Polygon(points=[Point32(x=float(x), y=float(y)) for x, y in outline])
+            for outline in self.outlines
+        ]
+        message.unknown_searched_at = Time(nanoseconds=round(1e9 * self._searched_at)).to_msg()
+
+    def _on_arm(self, message: ArmState) -> None:
+        self._clear = message.clear_of_camera and message.state == ArmState.IDLE
+
+    def _on_joints(self, message: JointState) -> None:
+        self._joints = dict(zip(message.name, message.position, strict=False))
+
+    def _arm(self) -> ArmBars | None:
+        """Return the arm's bars in ``table``, or None if its joints or its shape are not known."""
+        if not self._is_scara or any(name not in self._joints for name in self._names):
+            return None
+        joints = [[self._joints[name] for name in self._names]]
+        bars = bars_in_table(self._cell, self._cell.arm.geometry(), joints)
+        return ArmBars(bars.start[0], bars.end[0], bars.radius)

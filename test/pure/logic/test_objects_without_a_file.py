@@ -1,0 +1,110 @@
+"""Objects without a file in ``object_states``: obstacles of goals, waits, and what is published."""
+
+from __future__ import annotations
+
+from test_planner_with_played_devices import Actors
+
+from tapping_cell.logic.clock import Now
+from tapping_cell.logic.other_objects import OtherObjects
+from tapping_cell.logic.peer_clock import PeerClock
+from tapping_cell.messages import (
+    ErrorCode,
+    ObjectStates,
+    PlanState,
+    Point32,
+    Polygon,
+    TapCommand,
+    Time,
+)
+from tapping_cell.planning import PolygonArea
+from tapping_cell.se2 import Pose
+
+START, GOAL = Pose(-0.12, 0.0, 0.0), Pose(0.12, 0.0, 0.3)
+HALF = 0.03
+
+
+def square_at(x: float, y: float) -> Polygon:
+    corners = [(-HALF, -HALF), (HALF, -HALF), (HALF, HALF), (-HALF, HALF)]
+    return Polygon(points=[Point32(x=x + u, y=y + v) for u, v in corners])
+
+
+class Searching(Actors):
+    """Actors whose camera also searches for objects without a file."""
+
+    def __init__(self, *unknown: Polygon) -> None:
+        self.unknown = list(unknown)
+        self.searching = True
+        self.searched_at = Time()
+        super().__init__()
+        self.pose = START
+        self.scheduler.after(0.0, self._publish_states)
+
+    def _publish_states(self) -> None:
+        if self.searching:
+            self.searched_at = self.stamp()
+        states = ObjectStates(unknown_objects=self.unknown, unknown_searched_at=self.searched_at)
+        states.header.stamp = self.stamp()
+        self.publish("object_states", states)
+        self.scheduler.after(0.03, self._publish_states)
+
+    def taps(self) -> list[TapCommand]:
+        return [each for each in self.commands if each.request == TapCommand.TAP]
+
+    def ended(self) -> PlanState:
+        self.wait(
+            lambda: self.plans[-1].state in (PlanState.REACHED, PlanState.FAILED), "the end", 300.0
+        )
+        return self.plans[-1]
+
+
+def test_an_object_without_a_file_is_gone_around() -> None:
+    actors = Searching(square_at(0.0, 0.0))
+    actors.send(GOAL)
+    assert actors.ended().state == PlanState.REACHED
+    way = [each.object_pose.position.y for each in actors.taps()]
+    assert max(abs(y) for y in way) > 0.05
+
+
+def test_a_goal_on_it_is_refused_with_its_place() -> None:
+    actors = Searching(square_at(0.10, 0.0))
+    actors.send(GOAL)
+    actors.wait(lambda: actors.plans[-1].error_code, "the refusal")
+    last = actors.plans[-1]
+    assert last.error_code == ErrorCode.GOAL_IN_KEEP_OUT
+    assert "unknown object at x 100 mm, y 0 mm" in last.error_msg
+    assert actors.taps() == []
+
+
+def test_no_tap_is_planned_before_the_table_was_searched_since_the_last_motion() -> None:
+    actors = Searching()
+    actors.send(GOAL)
+    actors.wait(lambda: len(actors.taps()) == 1, "a tap")
+    actors.searching = False
+    last = actors.ended()
+    assert last.error_code == ErrorCode.NOT_READY and "search" in last.error_msg
+    assert len(actors.taps()) == 1
+
+
+def test_a_camera_that_does_not_search_is_not_waited_for() -> None:
+    actors = Searching()
+    actors.searching = False
+    actors.send(GOAL)
+    assert actors.ended().state == PlanState.REACHED
+
+
+def test_outlines_are_areas_and_a_moved_one_counts_as_moved() -> None:
+    others, clock, now = OtherObjects((), 5.0, 0.002), PeerClock(), Now(10.0, 10_000_000_000)
+    assert others.searched(1e9)
+    stamp = Time(sec=10)
+    clock.receive(stamp, now)
+    others.on_objects(
+        ObjectStates(unknown_objects=[square_at(0.1, 0.0)], unknown_searched_at=stamp), clock, now
+    )
+    (area,) = before = others.areas(now)
+    assert isinstance(area, PolygonArea) and float(area.distance([0.1, 0.0])) < 0.0
+    assert others.searched(9.0) and not others.searched(11.0)
+    assert not others.moved_since(before, now)
+    others.on_objects(
+        ObjectStates(unknown_objects=[square_at(0.12, 0.0)], unknown_searched_at=stamp), clock, now
+    )
+    assert others.moved_since(before, now)
