@@ -105,6 +105,10 @@ class Parameters:
         "paths of the object files of additional objects on the table, separated by commas",
         default="",
     )
+    search_unknown_objects: bool = text(
+        "search for objects without an object file, which the planner avoids (only with an arm)",
+        default=True,
+    )
     silence_limit: float = quantity(
         "time without an image after which the camera is reported as silent",
         "s",
@@ -203,7 +207,7 @@ class CameraPose(CellNode[Parameters]):
         for state in self._other_states:
             state.header.frame_id = TABLE
         self._camera, self._calibration = None, ()
-        if self._cell.file.arm is not None:
+        if self._cell.file.arm is not None and self.settings.search_unknown_objects:
             self._unknown = UnknownSearch(self, self._cell, self._other_files)
 
     def cleanup(self) -> None:

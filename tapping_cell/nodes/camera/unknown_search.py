@@ -94,10 +94,13 @@ class UnknownSearch:
         measured = all(state.header.stamp.sec for state in states)
         # Search also if the camera's clock was set back.
         due = not 0.0 <= stamp - self._searched_at < period
-        if view is None or not (self._clear and still and measured and due):
+        arm = self._arm()
+        # An arm at an unknown place would be taken for an unknown object.
+        known = arm is not None or not self._is_scara
+        if view is None or not (self._clear and still and measured and due and known):
             return
         standing = [one for seen_at, one in self._seen.values() if stamp - seen_at <= MEMORY_S]
-        self._found.search(image, view, standing, self._arm())
+        self._found.search(image, view, standing, arm)
         self._searched_at = stamp
 
     def enter(self, message: ObjectStates) -> None:
