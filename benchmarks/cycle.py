@@ -41,7 +41,7 @@ from tapping_cell.verification.trial import Trial
 DEFAULT_COUNT = 20
 MOVES = ((10.0, 0.0, 10.0), (-10.0, 0.0, -10.0))
 """Goals relative to the object's pose, used in turn: mm, mm and degrees."""
-READY_PATIENCE_S = 60.0
+READY_TIMEOUT_S = 60.0
 ACTIVITIES = ("travel", "lower", "settle", "charge", "fire", "withdraw", "camera", "planning")
 BESIDES = ("slide", "charging", "planned motion to the strike")
 TOPICS = {
@@ -300,7 +300,7 @@ def in_graph(
                     kind, topic, partial(watch.on_message, topic), quality
                 )
             for number in range(count):
-                session.wait_until_ready(client, READY_PATIENCE_S, graph.check, quiet)
+                session.wait_until_ready(client, READY_TIMEOUT_S, graph.check, quiet)
                 observed = client.object_state
                 client.send((next_goal or _goal)(client.object_pose(), number), observed=observed)
                 session.follow(client, graph.check, quiet)

@@ -42,7 +42,7 @@ SLOW_SPRING = SpringMechanism(step_rate=300.0)
 """Spring that takes several seconds to charge, but less than the driver's timeout for charging."""
 LATEST_LOSS_S = 1.0
 """Maximum random time from the start of charging to the simulated loss of the node or images, s."""
-PATIENCE_S = 90.0
+TIMEOUT_S = 90.0
 OVER = (PlanState.IDLE, PlanState.REACHED, PlanState.FAILED, PlanState.CANCELED)
 CAMERA = "camera_pose"
 NODES = ("sim_world", "tap_planner", "scara_arm", "tapper_trigger")
@@ -107,7 +107,7 @@ class ChargingCell:
 
     def wait_for_charging(self) -> None:
         """Wait until the striker is being charged; send a goal if none is active."""
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         asked = 0.0
         while self.board.state != "CHARGING":
             self.graph.check()

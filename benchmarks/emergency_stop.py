@@ -28,7 +28,7 @@ from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 
 STOPS = 100
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 
 
 class StopTimer:
@@ -154,9 +154,9 @@ def _bare(path: Path, device: StopTimer) -> float:
 
 
 def _wait(condition: Callable[[], bool], graph: Graph) -> None:
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     while not condition():
         graph.check()
         if time.monotonic() > deadline:
-            raise TimeoutError(f"the awaited event did not occur within {PATIENCE_S:.0f} s")
+            raise TimeoutError(f"the awaited event did not occur within {TIMEOUT_S:.0f} s")
         time.sleep(0.001)

@@ -28,7 +28,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float64
 from tapping_cell_msgs.msg import ObjectState
 
-from benchmarks.node import PATIENCE_S, cpu_seconds
+from benchmarks.node import TIMEOUT_S, cpu_seconds
 from tapping_cell.cli.graph import RECORDER, SIMULATED, Graph, own_domain, with_own_ports
 from tapping_cell.nodes.camera.images import PICTURES, to_message
 from tapping_cell.nodes.cell_node import LATCHED, choose_transport
@@ -95,11 +95,11 @@ def _wait_for_rest(graph: Graph) -> None:
         node = rclpy.create_node("idle_benchmark")
         states: list[ObjectState] = []
         node.create_subscription(ObjectState, "object_state", states.append, LATCHED)
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         while not (states and states[-1].at_rest):
             graph.check()
             if time.monotonic() > deadline:
-                raise TimeoutError(f"the object was not seen at rest within {PATIENCE_S:.0f} s")
+                raise TimeoutError(f"the object was not seen at rest within {TIMEOUT_S:.0f} s")
             rclpy.spin_once(node, timeout_sec=0.1)
         node.destroy_node()
     finally:

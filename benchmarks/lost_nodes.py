@@ -34,7 +34,7 @@ LOSSES = Mix((*("kill",) * 8, "restart", "stop service"), 8.0)
 STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
 COST_SEEDS, COST_GOALS = range(1, 5), 5
-LEAST_HOLD_S = 0.16
+MIN_HOLD_S = 0.16
 """A ``hold_still`` request for a longer time begins a promise; one for a shorter time ends it."""
 
 
@@ -92,12 +92,12 @@ class _Waits:
 
         def call(service: str, request: Any) -> None:
             on_call(service, request)
-            if service == "hold_still" and request.duration > LEAST_HOLD_S:
+            if service == "hold_still" and request.duration > MIN_HOLD_S:
                 self._asked = scheduler.now
 
         def answer(node: str, service: str, request: Any, response: Any) -> None:
             on_answer(node, service, request, response)
-            if service == "hold_still" and request.duration > LEAST_HOLD_S:
+            if service == "hold_still" and request.duration > MIN_HOLD_S:
                 self.for_answer.append(scheduler.now - self._asked)
 
         def handled(process: str, topic: str, message: Any) -> None:

@@ -24,7 +24,7 @@ from tapping_cell.nodes.cell_node import LATCHED
 
 DEFAULT_COUNT = 10
 """Duration of the measurement, s."""
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 
 def measure(seconds: int) -> dict[str, Any]:
@@ -64,11 +64,11 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
 
     node.create_subscription(ObjectState, "object_state", on_state, LATCHED)
     node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     while not (states and states[-1][1]):
         graph.check()
         if time.monotonic() > deadline:
-            raise TimeoutError(f"the object was not seen at rest within {PATIENCE_S:.0f} s")
+            raise TimeoutError(f"the object was not seen at rest within {TIMEOUT_S:.0f} s")
         rclpy.spin_once(node, timeout_sec=0.1)
     states.clear()
     before = {name: cpu_seconds(pid) for name, pid in graph.process_ids.items()}

@@ -38,7 +38,7 @@ RATE = 30.0
 PICTURES = 60
 """Number of different images, which are published repeatedly."""
 WARM_UP_S = 4.0
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 MARKED, PLAIN = "aluminium_disk.yaml", "plain_disk_with_dot.yaml"
 
 
@@ -148,13 +148,13 @@ class _Player:
         """Publish for ``seconds`` and discard earlier measurements."""
         executor = SingleThreadedExecutor()
         executor.add_node(self.node)
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         while not (
             self._pictures.get_subscription_count() and self._infos.get_subscription_count()
         ):
             graph.check()
             if time.monotonic() > deadline:
-                raise TimeoutError(f"camera_pose did not become ready within {PATIENCE_S:.0f} s")
+                raise TimeoutError(f"camera_pose did not become ready within {TIMEOUT_S:.0f} s")
             executor.spin_once(timeout_sec=0.1)
         self._late.clear()
         self._inside_before = self._inside

@@ -44,7 +44,7 @@ CLIENTS = 50
 BATCH_PERIOD_S = 0.05
 BATCH = 10
 """Number of messages that each client sends per period, which gives 200 messages per second."""
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 
 
 def measure() -> dict[str, Any]:
@@ -129,7 +129,7 @@ def _stops(
             time.sleep(PAUSE_S)
             listener.received.clear()
             pressed = time.monotonic()
-            if not _press(page, stop) or not listener.received.wait(PATIENCE_S):
+            if not _press(page, stop) or not listener.received.wait(TIMEOUT_S):
                 raise RuntimeError("a stop was not served")
             times.append(listener.received_at - pressed)
     finally:
@@ -148,7 +148,7 @@ def _bare(listener: Listener) -> dict[str, float]:
         listener.received.clear()
         began = time.monotonic()
         listener.bare.publish(Bool(data=True))
-        listener.received.wait(PATIENCE_S)
+        listener.received.wait(TIMEOUT_S)
         times.append(listener.received_at - began)
     return _figures(times)
 
@@ -170,7 +170,7 @@ def _press(page: int, stop: int) -> bool:
         headers={"Origin": f"http://127.0.0.1:{page}"},
     )
     try:
-        with urllib.request.urlopen(asked, timeout=PATIENCE_S) as answer:
+        with urllib.request.urlopen(asked, timeout=TIMEOUT_S) as answer:
             return bool(answer.status == 200)
     except OSError:
         return False
@@ -250,7 +250,7 @@ def _free_port() -> int:
 
 
 def _wait(condition: Callable[[], bool], graph: Graph, what: str) -> None:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIMEOUT_S
     while not condition():
         graph.check()
         if time.monotonic() > end:

@@ -23,7 +23,7 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.planning.lookup import bracket
 from tapping_cell.planning.nominal import nominal_taps
 from tapping_cell.planning.value_iteration import (
-    LEAST_DEVIATION,
+    MIN_DEVIATION,
     RATIO,
     folded_weights,
     interpolation_weights,
@@ -115,7 +115,7 @@ class _Problem:
         spread = np.sqrt(
             (settings.scatter.rotation * self.turns) ** 2
             + 2.0 * settings.camera.angle**2
-            + (LEAST_DEVIATION * box.rotation) ** 2
+            + (MIN_DEVIATION * box.rotation) ** 2
         )
         self.p_t = folded_weights(self.theta, self.theta[:, None] - self.turns, spread)
         self.taps, self.p_r = [], []
@@ -133,7 +133,7 @@ class _Problem:
         """Return the probabilities of the distances after taps (n,) from distance ``r``, and the
         probability of ending inside the box."""
         scatter, measurement = self.settings.scatter, 2.0 * self.settings.camera.position**2
-        floor = LEAST_DEVIATION * self.settings.stopping.distance
+        floor = MIN_DEVIATION * self.settings.stopping.distance
         along = np.sqrt((scatter.distance * size) ** 2 + measurement + floor**2)[:, None]
         aside = np.sqrt((scatter.direction * size) ** 2 + measurement)
         ahead, beside = (r * np.cos(direction) - size)[:, None], -r * np.sin(direction)

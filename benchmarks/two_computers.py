@@ -43,7 +43,7 @@ REFUSED_S = {
 }
 """Offsets of the clocks beyond the limit. The goal is refused before its first tap, and the refusal
 names the computer with the wrong clock."""
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 SETTLE_S = 3.0
 
 
@@ -102,7 +102,7 @@ def _pictures(
     reader = sink.start([*role, "reader", transport], own, stdout=subprocess.PIPE)
     writer = source.start([*role, "writer", transport], own)
     try:
-        output, _ = reader.communicate(timeout=PATIENCE_S)
+        output, _ = reader.communicate(timeout=TIMEOUT_S)
         found: dict[str, Any] = json.loads(output)
         return found
     finally:
@@ -152,7 +152,7 @@ def goals(desk: Computer, own: Mapping[str, str], count: int) -> list[dict[str, 
     words = [sys.executable, "-m", "benchmarks.two_computers", "goals", str(count)]
     client = desk.start(words, own, stdout=subprocess.PIPE)
     try:
-        output, _ = client.communicate(timeout=PATIENCE_S * (count + 1))
+        output, _ = client.communicate(timeout=TIMEOUT_S * (count + 1))
     finally:
         client.kill()
         client.wait()
@@ -187,7 +187,7 @@ def _write(transport: str) -> None:
         publisher.publish(picture, CameraInfo())
         due += 1.0 / RATE_HZ
         time.sleep(max(0.0, due - time.monotonic()))
-    time.sleep(PATIENCE_S)  # lost data may be requested again; the reader ends before this
+    time.sleep(TIMEOUT_S)  # lost data may be requested again; the reader ends before this
 
 
 def _read(transport: str) -> None:
@@ -232,7 +232,7 @@ def _send_goals(count: int) -> None:
     with GoalClient("goal") as client:
         for _ in range(count):
             # A device that was lost because of high load reconnects automatically.
-            deadline = time.monotonic() + PATIENCE_S / 2
+            deadline = time.monotonic() + TIMEOUT_S / 2
             while client.missing() and time.monotonic() < deadline:
                 time.sleep(0.2)
             goal = Pose(chance.uniform(-0.08, 0.08), chance.uniform(-0.06, 0.06), 0.0)

@@ -29,7 +29,7 @@ from tapping_cell.se2 import wrap_angle
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-LEAST_POSES = 6
+MIN_POSES = 6
 NAMES = ("base_x", "base_y", "base_yaw", "elbow_zero", "mount_x", "mount_y", "mount_angle")
 LINKS = ("upper_arm", "forearm")
 RECORD_COLUMNS = (
@@ -136,9 +136,9 @@ def calibrate_arm(
         CalibrationRefused: there are too few poses, or they do not determine the base pose.
     """
     different = len(np.unique(np.round(record.joints / _ALIKE), axis=0))
-    if different < LEAST_POSES:
+    if different < MIN_POSES:
         raise CalibrationRefused(
-            f"{different} different poses are too few: at least {LEAST_POSES} are needed; 20 "
+            f"{different} different poses are too few: at least {MIN_POSES} are needed; 20 "
             "are recommended"
         )
     start, used = _begin(record, geometry)
@@ -287,7 +287,7 @@ def _robust(
         again = distance <= _OUTLIER * sigma[0]
         if turns is not None:
             again &= np.abs(turns) <= _OUTLIER * sigma[1]
-        if again.sum() < max(LEAST_POSES, len(record.rows) // 2):
+        if again.sum() < max(MIN_POSES, len(record.rows) // 2):
             raise CalibrationRefused(
                 f"only {int(again.sum())} of {len(record.rows)} rows are consistent; check "
                 "that the joint values come from the controller in the right unit, and that "

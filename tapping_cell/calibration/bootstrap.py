@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 REPLICATES = 2000
 LEVEL = 0.95
 # clip, in standard errors: a resample may lack the trials that determine a parameter
-_MOST_STD = 5.0
+_MAX_STD = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +68,7 @@ def spread(
     # Within a run of n trials, the variance of a resample is too small by the factor (n - 1) / n.
     sizes = np.array([np.sum(labels == run) for run in labels], dtype=float)
     ratio *= math.sqrt(float(np.mean(sizes / np.maximum(sizes - 1, 1))))
-    ratio = np.clip(ratio, -_MOST_STD, _MOST_STD)
+    ratio = np.clip(ratio, -_MAX_STD, _MAX_STD)
     tail = (1 - level) / 2
     upper, lower = np.quantile(ratio, [1 - tail, tail], axis=0)
     # For few trials the standard error is slightly too small (degrees of freedom).

@@ -20,9 +20,9 @@ from tapping_cell.calibration.camera_views import Rejected, coverage, screen, un
 from tapping_cell.calibration.target import Target, TargetView
 from tapping_cell.vision.camera import Array, CameraError, CameraModel
 
-LEAST_VIEWS = 6
+MIN_VIEWS = 6
 """Minimum number of views for a calibration; about 20 are recommended."""
-_LEAST_TURN = np.radians(10.0)
+_MIN_TURN = np.radians(10.0)
 """Minimum of the largest angle between the target planes of two views."""
 _WORST_FOCAL = 0.01
 """Maximum relative standard deviation of a focal length."""
@@ -131,7 +131,7 @@ def calibrate_camera(
     errors: Array = np.full(len(kept), np.nan)
     for turn in range(5):
         chosen = [view for view, member in zip(kept, members, strict=True) if member]
-        if len(chosen) < LEAST_VIEWS:
+        if len(chosen) < MIN_VIEWS:
             break
         try:
             lens, held_out = _choose(chosen, target, size, lenses)
@@ -166,11 +166,11 @@ def calibrate_camera(
 
 
 def _check_number(views: Sequence[TargetView], rejected: Sequence[Rejected]) -> None:
-    if len(views) >= LEAST_VIEWS:
+    if len(views) >= MIN_VIEWS:
         return
     out = "; ".join(f"{entry.name}: {entry.reason}" for entry in rejected[:4])
     raise CalibrationRefused(
-        f"{len(views)} usable views are too few: at least {LEAST_VIEWS} are needed; 20 are "
+        f"{len(views)} usable views are too few: at least {MIN_VIEWS} are needed; 20 are "
         "recommended. Take more photographs with the target tilted to all sides and in every "
         "part of the image"
         + (f" (left out: {out}{'; ...' if len(rejected) > 4 else ''})" if out else "")
@@ -227,7 +227,7 @@ def _consensus(
             best = errors
     limit = max(_OUTLIER_RATIO * float(np.median(best)), _OUTLIER_PIXELS)
     members = best <= limit
-    return np.asarray(members if members.sum() >= LEAST_VIEWS else np.ones(len(views), dtype=bool))
+    return np.asarray(members if members.sum() >= MIN_VIEWS else np.ones(len(views), dtype=bool))
 
 
 def _fit(
@@ -408,7 +408,7 @@ def _result(
     deviations = {k: v for k, v in deviations.items() if k in names[: 4 + lens.coefficients]}
     normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in fit.turns])
     turns = np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))
-    if turns.max() < _LEAST_TURN:
+    if turns.max() < _MIN_TURN:
         raise CalibrationRefused(
             "the target has nearly the same tilt in all views (they differ by at most "
             f"{np.degrees(turns.max()):.0f} degrees); such views do not determine the focal "

@@ -20,7 +20,7 @@ from tapping_cell.configuration.objects import ObjectFile
 
 Array = NDArray[np.float64]
 
-_LEAST_SCATTER_TRIALS = 8
+_MIN_SCATTER_TRIALS = 8
 _UNKNOWN = 0.5  # relative standard deviation above which a value counts as not determined
 
 
@@ -174,7 +174,7 @@ def scatter_estimates(
     for name, (off, old, value) in columns.items():
         known = np.isfinite(off)
         unit = "rad" if name == "scatter_direction" else ""
-        if known.sum() < _LEAST_SCATTER_TRIALS:
+        if known.sum() < _MIN_SCATTER_TRIALS:
             continue
         total = math.sqrt(float(np.mean(off[known] ** 2)))
         if total == 0.0:

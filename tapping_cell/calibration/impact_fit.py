@@ -32,7 +32,7 @@ _HIGH = dict(zip(NAMES, (math.log(2.0), math.log(2.0), *(math.log(20.0),) * 3), 
 _PASSES = 4
 _STICKS = 2.0  # a contact friction at which every contact sticks
 _SIGNIFICANT = 2.0  # minimum decrease of the criterion that justifies another parameter
-_LEAST_SLIDING = 3  # minimum number of trials with a sliding contact to fit its friction
+_MIN_SLIDING = 3  # minimum number of trials with a sliding contact to fit its friction
 _FLOOR = (0.003, 0.01, 0.001)  # minimum scatter of speed, spin (relative) and direction (rad)
 _FIRST = (0.05, 0.15, 0.02)
 _STEP = 1e-4
@@ -97,7 +97,7 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
     base = _fit(model, free)
     slid = int(np.sum(model.sliding(base.values)))
     stuck = _fit(model.with_known(contact_friction=_STICKS), ("restitution",))
-    if slid < _LEAST_SLIDING or stuck.criterion < base.criterion + _SIGNIFICANT:
+    if slid < _MIN_SLIDING or stuck.criterion < base.criterion + _SIGNIFICANT:
         model = _without_friction(model, base, stuck, notes)
         free, slid = ("restitution",), 0
         base = _fit(model, free)
@@ -310,7 +310,7 @@ def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[s
 def _candidates(model: ImpactModel, base: _Fit, slid: int) -> tuple[str, ...]:
     """Return the names of the scales that the trials could determine."""
     extra = []
-    if model.strikes.speed.size - slid >= _LEAST_SLIDING:
+    if model.strikes.speed.size - slid >= _MIN_SLIDING:
         extra.append("scale_b1")
     b3 = model.impact(base.values).inverse_inertias(model.strikes.incidence, model.strikes.contact)[
         2

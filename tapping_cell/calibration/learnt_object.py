@@ -39,7 +39,7 @@ _OUTLIER = 5.0
 _BOUNDS = (np.log([0.01, 0.05]), np.log([2.0, 20.0]))
 _UNKNOWN = 0.5
 """Relative standard deviation at or above which the torque factor counts as not determined."""
-_LEAST_SCATTER = 0.002
+_MIN_SCATTER = 0.002
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
         )
         start = found.x
         errors = _errors(predicted(start), moved)
-        scatter = [max(1.4826 * float(np.median(np.abs(e[rows]))), _LEAST_SCATTER) for e in errors]
+        scatter = [max(1.4826 * float(np.median(np.abs(e[rows]))), _MIN_SCATTER) for e in errors]
         off = np.max(
             [np.abs(error) / size for error, size in zip(errors, scatter, strict=True)], axis=0
         )

@@ -28,10 +28,10 @@ Array = NDArray[np.float64]
 LEVEL = 0.95
 _SIGNIFICANT = 0.001
 """Significance level of one test; six tests are made for each fit."""
-_LEAST_TRIALS = 8
+_MIN_TRIALS = 8
 _FLOOR = {"distance": 0.005, "rotation": 0.01}
 """Relative deviations that are negligible for every tap, even if they are significant."""
-_LEAST_TURN = 0.2
+_MIN_TURN = 0.2
 """Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful."""
 _CAUSES = {
     "setting": "from run to run, that is with the striker's speed and the incidence",
@@ -96,7 +96,7 @@ class Taps:
     def deviations(self) -> dict[str, Array]:
         """Compute relative deviations from the predictions; NaN for small predicted rotations."""
         measured, predicted = self.measured, self.predicted
-        turned = np.abs(predicted.rotation) > _LEAST_TURN * predicted.distance
+        turned = np.abs(predicted.rotation) > _MIN_TURN * predicted.distance
         rotation = np.where(turned, predicted.rotation, 1.0)
         return {
             "distance": measured.distance / predicted.distance - 1,
@@ -113,7 +113,7 @@ def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
     )
     for quantity, off in taps.deviations().items():
         known = np.isfinite(off)
-        if known.sum() < _LEAST_TRIALS or np.unique(runs[known]).size < 2:
+        if known.sum() < _MIN_TRIALS or np.unique(runs[known]).size < 2:
             continue
         # The fit of p parameters (two here) removes p degrees of freedom from the run means.
         found.append(_by_setting(quantity, off[known], runs[known]))
@@ -140,7 +140,7 @@ def model_errors(taps: Taps) -> tuple[ModelError, ...]:
     for quantity, off in taps.deviations().items():
         known = np.isfinite(off)
         number, groups = int(known.sum()), np.unique(runs[known]).size
-        if number < _LEAST_TRIALS or groups < 2:
+        if number < _MIN_TRIALS or groups < 2:
             continue
         within, between = _mean_squares(off[known], runs[known])
         within = max(within, _FLOOR[quantity] ** 2)
@@ -184,7 +184,7 @@ def _by_angle(
     """Test whether harmonics of an angle explain the residuals about the group means."""
     means = np.stack([(groups == name).astype(float) for name in np.unique(groups)], axis=1)
     spare = off.size - means.shape[1] - (columns.shape[1] if columns.ndim == 2 else 0)
-    if spare < _LEAST_TRIALS // 2:
+    if spare < _MIN_TRIALS // 2:
         return None
     alone = off - means @ np.linalg.lstsq(means, off, rcond=None)[0]
     both = np.concatenate([means, columns], axis=1)

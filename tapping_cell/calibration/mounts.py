@@ -34,17 +34,17 @@ RECORD_COLUMNS = (
     Column("theta_after", "rad", -7.0, 7.0),
 )
 
-LEAST_TAPS = 4
+MIN_TAPS = 4
 """Minimum number of usable taps of each tapper."""
 
-LEAST_MOVE = 0.003
+MIN_MOVE = 0.003
 """Minimum displacement of a usable tap, m; in shorter taps the camera's noise dominates."""
 
 WIDEST = np.array([0.003, math.radians(2.0), 0.5])
 """Prior standard deviations of the three unknowns (m, rad, relative), for mounts set up with ruler
 and protractor."""
 
-WANTED = 0.0003
+MAX_DEVIATION = 0.0003
 """Maximum standard deviation of the line at the object, m, for planning."""
 
 
@@ -91,8 +91,8 @@ class MountFit:
 
     @property
     def taps_wanted(self) -> int:
-        """Approximate total number of taps needed to reach ``WANTED``."""
-        return max(self.taps, math.ceil(self.taps * (self.line_deviation / WANTED) ** 2))
+        """Approximate total number of taps needed to reach ``MAX_DEVIATION``."""
+        return max(self.taps, math.ceil(self.taps * (self.line_deviation / MAX_DEVIATION) ** 2))
 
 
 def fit_mount(
@@ -120,11 +120,11 @@ def fit_mount(
     moved = after - before
     moved[:, 2] = wrap_angle(moved[:, 2])
     size = np.hypot(moved[:, 0], moved[:, 1])
-    used = size >= LEAST_MOVE
-    if int(used.sum()) < LEAST_TAPS:
+    used = size >= MIN_MOVE
+    if int(used.sum()) < MIN_TAPS:
         raise CalibrationRefused(
             f"tapper '{name}': {int(used.sum())} of {speeds.size} taps moved the object by "
-            f"{1e3 * LEAST_MOVE:.0f} mm or more; at least {LEAST_TAPS} are needed"
+            f"{1e3 * MIN_MOVE:.0f} mm or more; at least {MIN_TAPS} are needed"
         )
     speeds, before, moved, size = speeds[used], before[used], moved[used], size[used]
     place = math.hypot(math.sqrt(2.0) * scatter.camera_position, scatter.position_floor) / size

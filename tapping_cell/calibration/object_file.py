@@ -19,7 +19,7 @@ from tapping_cell.configuration.provenance import Provenance, provenance_yaml
 _DIGITS = 6
 _VALUES = ("friction", "torque_factor", "restitution", "contact_friction")
 _SCALES = ("scale_b1", "scale_b2", "scale_b3")
-_MOST_SCATTER = {
+_MAX_SCATTER = {
     "distance": 0.5,
     "rotation": 1.0,
     "direction": 0.5,
@@ -34,7 +34,7 @@ def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
     values = {name: found[name] for name in _VALUES if name in found}
     scatter = {
         name: min(found[f"scatter_{name}"], most)
-        for name, most in _MOST_SCATTER.items()
+        for name, most in _MAX_SCATTER.items()
         if f"scatter_{name}" in found
     }
     old: ScatterSection = replace(fit.content.scatter, **scatter)

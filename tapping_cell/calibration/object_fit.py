@@ -36,7 +36,7 @@ from tapping_cell.calibration.model_error import (
 )
 from tapping_cell.calibration.paper_criterion import PaperFit, paper_fit
 from tapping_cell.calibration.prediction import Launches, RunErrors, run_errors
-from tapping_cell.calibration.screening import LEAST_TRIALS, Used, enough, run_of, screen
+from tapping_cell.calibration.screening import MIN_TRIALS, Used, enough, run_of, screen
 from tapping_cell.calibration.slide_curves import TORQUE_FACTORS, SlideCurves
 from tapping_cell.calibration.sliding_fit import SlideFit, fit_slides
 from tapping_cell.calibration.trials import LeftOut
@@ -46,11 +46,11 @@ from tapping_cell.mechanics import Body, Polygon, Striker
 Array = NDArray[np.float64]
 
 _OUTLIER = 6.0  # robust standard deviations
-_LEAST_FRICTION_SPREAD = 0.01
+_MIN_FRICTION_SPREAD = 0.01
 _MISFIT = 5.0
-_MOST_OUTLIERS = 0.25
+_MAX_OUTLIERS = 0.25
 _CORRELATED = 0.9
-_LEAST_SPEED_ERROR = 0.01  # smallest relative error of the striker's speed that is reported
+_MIN_SPEED_ERROR = 0.01  # smallest relative error of the striker's speed that is reported
 
 
 class SpeedPoint(NamedTuple):
@@ -195,7 +195,7 @@ def _inconsistent(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
     """Find outliers, such as trials disturbed by a hand or by a bump in the table."""
     own = np.log(slide.own_friction)
     centred = own - np.median(own)
-    width = max(1.4826 * float(np.median(np.abs(centred))), _LEAST_FRICTION_SPREAD)
+    width = max(1.4826 * float(np.median(np.abs(centred))), _MIN_FRICTION_SPREAD)
     width_each = np.maximum(width, np.nan_to_num(slide.own_friction_std, posinf=1.0))
     usual = max(float(np.median(slide.misfit)), 1.0)
     found: dict[int, LeftOut] = {}
@@ -212,7 +212,7 @@ def _inconsistent(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
         if reason:
             sentence = f"the object does not slide as in the other trials: {reason}"
             found[index] = LeftOut(entry.trial.file, entry.trial.row, "disturbed", sentence)
-    if len(found) > _MOST_OUTLIERS * len(used):
+    if len(found) > _MAX_OUTLIERS * len(used):
         raise RecordError(
             f"{len(found)} of {len(used)} trials are inconsistent with the others. The first is "
             f"{next(iter(found.values()))}. The records may contain several objects or "
@@ -311,9 +311,9 @@ def _fit_impact(
         sentences.append(
             f"{len(used) - rows.size} of {len(used)} trials have no striker speed, incidence "
             "or (for polygons) contact angle: the impact is "
-            + ("fitted without them." if rows.size >= LEAST_TRIALS else "not fitted.")
+            + ("fitted without them." if rows.size >= MIN_TRIALS else "not fitted.")
         )
-    if rows.size < LEAST_TRIALS:
+    if rows.size < MIN_TRIALS:
         return None
     # A new fit starts from the model's own constants, not from the scales of the previous fit.
     old = {"restitution": content.restitution, "contact_friction": content.contact_friction}
@@ -478,11 +478,11 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
     """Report a striker speed that differs significantly from the commanded speed."""
     pairs = np.array([(t.trial.striker_speed_measured, t.trial.striker_speed) for t in used])
     ratios = pairs[np.isfinite(pairs).all(axis=1)]
-    if len(ratios) < LEAST_TRIALS:
+    if len(ratios) < MIN_TRIALS:
         return []
     off = np.log(ratios[:, 0] / ratios[:, 1])
     mean, standard_error = float(off.mean()), float(off.std(ddof=1)) / math.sqrt(len(off))
-    if abs(mean) < max(_LEAST_SPEED_ERROR, 3.0 * standard_error):
+    if abs(mean) < max(_MIN_SPEED_ERROR, 3.0 * standard_error):
         return []
     return [
         f"The striker is {100 * math.expm1(mean):+.1f} % faster than commanded. The fit "

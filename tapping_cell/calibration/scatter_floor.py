@@ -19,8 +19,8 @@ from scipy.stats import chi2
 
 Array = NDArray[np.float64]
 
-LEAST_TRIALS = 8
-LEAST_RATIO = 2.5
+MIN_TRIALS = 8
+MIN_RATIO = 2.5
 """Minimum ratio of large to small sizes (90 % and 10 % of the taps) that determines a floor."""
 SIGNIFICANCE = 0.01
 _TINY = 1e-12
@@ -50,10 +50,10 @@ def scatter_parts(series: Sequence[tuple[Array, Array]]) -> Parts | None:
     """
     taken = [_known(*pair) for pair in series]
     for deviation, size in taken:
-        if deviation.size < LEAST_TRIALS or not np.any(deviation):
+        if deviation.size < MIN_TRIALS or not np.any(deviation):
             return None
         low, high = np.quantile(size, (0.1, 0.9))
-        if high < LEAST_RATIO * low:
+        if high < MIN_RATIO * low:
             return None
     alone = [math.sqrt(float(np.mean((d / s) ** 2))) for d, s in taken]
 

@@ -20,11 +20,11 @@ from tapping_cell.calibration.track import Slide, slide_of
 from tapping_cell.calibration.trials import LeftOut, Trial
 from tapping_cell.mechanics import Body
 
-LEAST_RUNS = 2
-LEAST_IN_RUN = 3
-LEAST_TRIALS = 8
-_LEAST_MOTION = 0.0002  # m
-_LEAST_SPEED = 0.02  # m/s: corresponds to a displacement of 0.1 mm at a friction of 0.2
+MIN_RUNS = 2
+MIN_IN_RUN = 3
+MIN_TRIALS = 8
+_MIN_MOTION = 0.0002  # m
+_MIN_SPEED = 0.02  # m/s: corresponds to a displacement of 0.1 mm at a friction of 0.2
 _FRICTION = (0.005, 5.0)
 # 1 + gamma kappa / 4 for torque factors of up to 20, with tolerance for noise
 _SPIN_GAIN = (0.3, 30.0)
@@ -100,7 +100,7 @@ def enough(used: Sequence[Used], left_out: Sequence[LeftOut]) -> Screened:
     kept, dropped = [], list(left_out)
     for entry in used:
         size = sizes[run_of(entry.trial)]
-        if size >= LEAST_IN_RUN:
+        if size >= MIN_IN_RUN:
             kept.append(entry)
             continue
         dropped.append(
@@ -108,16 +108,15 @@ def enough(used: Sequence[Used], left_out: Sequence[LeftOut]) -> Screened:
                 entry.trial.file,
                 entry.trial.row,
                 "short run",
-                f"run {entry.trial.run} has {size} usable trials; at least {LEAST_IN_RUN} are "
-                "needed",
+                f"run {entry.trial.run} has {size} usable trials; at least {MIN_IN_RUN} are needed",
             )
         )
     runs = {run_of(entry.trial) for entry in kept}
-    if len(runs) < LEAST_RUNS or len(kept) < LEAST_TRIALS:
+    if len(runs) < MIN_RUNS or len(kept) < MIN_TRIALS:
         reasons = "; ".join(str(row) for row in dropped[:3])
         raise RecordError(
             f"{len(kept)} usable trials in {len(runs)} runs are too few for a fit; at least "
-            f"{LEAST_TRIALS} trials in {LEAST_RUNS} runs of {LEAST_IN_RUN} are needed"
+            f"{MIN_TRIALS} trials in {MIN_RUNS} runs of {MIN_IN_RUN} are needed"
             + (f". Left out: {reasons}" + (" ..." if len(dropped) > 3 else "") if dropped else "")
         )
     return Screened(tuple(kept), tuple(dropped))
@@ -145,8 +144,8 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     if rejection is not None:
         return rejection
     # A high initial speed without displacement is a wrong unit, not a miss; it is detected below.
-    still = not trial.initial_speed > _LEAST_SPEED
-    if still and trial.displacement < max(_LEAST_MOTION, _OTHER_NOISE * spread):
+    still = not trial.initial_speed > _MIN_SPEED
+    if still and trial.displacement < max(_MIN_MOTION, _OTHER_NOISE * spread):
         return _Rejection(
             "missed", f"the object moved by only {1e3 * trial.displacement:.3g} mm: a miss"
         )
@@ -171,7 +170,7 @@ def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Rejectio
     """Check that displacement and rotation agree with the poses, if all are given."""
     by_poses = math.hypot(trial.end_x - trial.start_x, trial.end_y - trial.start_y)
     off = abs(by_poses - trial.displacement)
-    if off > max(_LEAST_MOTION, 0.02 * by_poses, _OTHER_NOISE * spread):
+    if off > max(_MIN_MOTION, 0.02 * by_poses, _OTHER_NOISE * spread):
         units = max(by_poses, trial.displacement) > 100 * min(by_poses, trial.displacement)
         return _Rejection(
             "units" if units else "inconsistent",
@@ -281,7 +280,7 @@ def _from_track(
         _or(trial.rotation, slide.turned),
     )
     off = abs(slide.displacement - displacement)
-    if off > max(_LEAST_MOTION, 0.03 * displacement, _OTHER_NOISE * spread):
+    if off > max(_MIN_MOTION, 0.03 * displacement, _OTHER_NOISE * spread):
         units = off > 100 * min(slide.displacement, displacement)
         return _Rejection(
             "units" if units else "disturbed",

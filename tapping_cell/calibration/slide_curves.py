@@ -31,7 +31,7 @@ _FARTHEST = 14.0
 _NEAREST = -20.0  # ln of the smallest distance from the terminal ratio
 _KNOTS = 1000
 _SPACING = 0.02
-_LEAST_LEFT = 1e-9
+_MIN_LEFT = 1e-9
 
 
 class State(NamedTuple):
@@ -100,7 +100,7 @@ class _Curve:
         """
         total = self.table.rest_many(speed, rim)
         left = np.maximum(total[2][rows] - time, 0.0)
-        share = np.maximum(left / np.maximum(total[2][rows], 1e-300), _LEAST_LEFT)
+        share = np.maximum(left / np.maximum(total[2][rows], 1e-300), _MIN_LEFT)
         ratio = self._ratio_after(
             np.log(np.maximum(rim, 1e-12)) - np.log(np.maximum(speed, 1e-12)), np.log(share), rows
         )

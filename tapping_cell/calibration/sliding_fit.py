@@ -51,7 +51,7 @@ _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
 _CENTRE_STD = 0.05  # prior of the centre of pressure; only worn or tilted objects exceed it
 _STARTS = (0.6, 1.5, 3.5)
 _FREE = 0.3  # prior of a trial's friction if it is estimated from this trial alone
-_LEAST_SCATTER = 1e-4
+_MIN_SCATTER = 1e-4
 _NEAR_ONE = 1e-3
 
 
@@ -145,15 +145,15 @@ def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFi
     fine, coarse = problem.curves, problem.curves.on(COARSE)
     problem = problem._replace(curves=coarse)
     start = min(
-        (_fitted(problem, _first_guess(problem, motions, k), _LEAST_SCATTER) for k in _STARTS),
+        (_fitted(problem, _first_guess(problem, motions, k), _MIN_SCATTER) for k in _STARTS),
         key=lambda estimate: estimate.cost,
     )
     problem = _weighted(_unblurred(problem, motions, start), start)._replace(curves=fine)
-    start = _fitted(problem, start, _LEAST_SCATTER)
+    start = _fitted(problem, start, _MIN_SCATTER)
     problem = _weighted(problem, start)
     own, own_std = _own_friction(problem, _fitted(problem, start, _FREE, local_only=True))
     scatter = _between(own, own_std)
-    best = _fitted(problem, start, max(scatter, _LEAST_SCATTER))
+    best = _fitted(problem, start, max(scatter, _MIN_SCATTER))
     return _result(problem, best, scatter)
 
 
@@ -404,7 +404,7 @@ def _own_friction(problem: _Problem, at: Estimate) -> tuple[Array, Array]:
 
 
 def _result(problem: _Problem, best: Estimate, scatter: float) -> SlideFit:
-    score, information = eliminated(_linearised(problem, best, max(scatter, _LEAST_SCATTER)))
+    score, information = eliminated(_linearised(problem, best, max(scatter, _MIN_SCATTER)))
     alone = _fitted(problem, best, _FREE, local_only=True)
     own, own_std = _own_friction(problem, alone)
     covariance = np.linalg.inv(_linearised(problem, alone, _FREE).h_local)

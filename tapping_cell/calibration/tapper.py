@@ -27,7 +27,7 @@ from tapping_cell.mechanics import Impact, Tap
 
 Array = NDArray[np.float64]
 
-LEAST_TAPS = 8
+MIN_TAPS = 8
 SHARES = (8, 4, 3, 3, 4, 8)
 """Distribution of 30 taps over six energies (equal steps in ln E). The ends of the range have more
 taps because only these taps determine the curve there."""
@@ -168,10 +168,10 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
         for k in np.flatnonzero(~usable)
     ]
-    if usable.sum() < LEAST_TAPS:
+    if usable.sum() < MIN_TAPS:
         raise CalibrationRefused(
             f"{int(usable.sum())} taps that moved the object are too few: at least "
-            f"{LEAST_TAPS} are needed; 30 over the range are recommended"
+            f"{MIN_TAPS} are needed; 30 over the range are recommended"
         )
     speeds = np.where(usable, striker_speeds(record, tap), 1.0)
     x, y = np.log(record.energies), np.log(speeds)
@@ -200,7 +200,7 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
             )
         )
         usable[worst] = False
-        if usable.sum() < max(LEAST_TAPS, len(x) // 2):
+        if usable.sum() < max(MIN_TAPS, len(x) // 2):
             raise CalibrationRefused(
                 "no single curve fits the taps: more than half of them would have to be "
                 "rejected. Check the columns' units and that all taps hit the object's middle"

@@ -21,8 +21,8 @@ from tapping_cell.vision.markers.detection import marker_dictionary
 
 _SEARCH_WIDTH = 1600
 """Width in pixels of the downscaled image for detection; corners are refined at full resolution."""
-_LEAST_SHARE = 0.2
-_LEAST_CORNERS = 8
+_MIN_SHARE = 0.2
+_MIN_CORNERS = 8
 """Minimum fraction and minimum number of the board's corners in a view."""
 _NEWER = "; a board drawn by OpenCV before 4.6 can only be detected with OpenCV 4.7 or newer"
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
@@ -98,7 +98,7 @@ class Target:
     @cached_property
     def least_corners(self) -> int:
         """Minimum number of corners in a view."""
-        return max(_LEAST_CORNERS, int(np.ceil(_LEAST_SHARE * len(self.points))))
+        return max(_MIN_CORNERS, int(np.ceil(_MIN_SHARE * len(self.points))))
 
     def describe(self) -> str:
         """Describe the target for the user, with sizes in mm."""

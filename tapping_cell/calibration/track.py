@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 # Samples within this fraction of the displacement from its start or its end may be at rest.
 _EDGE = 0.02
 _NOISE = 8.0  # standard deviations
-_LEAST_MOTION = 0.0002  # m: minimum displacement
+_MIN_MOTION = 0.0002  # m: minimum displacement
 _GAP = 1.6  # maximum time between two samples, in camera periods
 
 
@@ -74,7 +74,7 @@ def slide_of(
         )
     moved = end - start
     distance = float(np.hypot(*moved))
-    if distance < max(_LEAST_MOTION, floor):
+    if distance < max(_MIN_MOTION, floor):
         return TrackProblem("missed", f"the object moved by only {1e3 * distance:.3g} mm")
     direction = moved / distance
     along = (places - start) @ direction

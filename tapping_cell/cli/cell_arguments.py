@@ -10,7 +10,7 @@ from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.nodes.clients.cell_client import CellClient, NoCell, NotDone
 
-PATIENCE_S = 6.0
+TIMEOUT_S = 6.0
 """Timeout for the first message of every node."""
 
 

@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from tapping_cell.cli.supervision import MOST_RESTARTS
+from tapping_cell.cli.supervision import MAX_RESTARTS
 from tapping_cell.configuration.cell import (
     Cell,
     load_cell,
@@ -134,7 +134,7 @@ def _start(
             respawn=node.respawn,
             respawn_delay=1.0,
             # A node with an invalid configuration would end again after each restart.
-            respawn_max_retries=MOST_RESTARTS,
+            respawn_max_retries=MAX_RESTARTS,
         )
         for node in nodes
     ]

@@ -14,7 +14,7 @@ from tapping_cell.cli import cell_arguments, cell_words
 from tapping_cell.cli.errors import ExitStatus, print_error
 from tapping_cell.nodes.clients.cell_client import CellClient
 
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 BUTTON_S = 1.0
 """Upper limit of the time for which the simulated button is pressed."""
 
@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if neither a stop nor a fault remains, otherwise 1 with a message."""
 
     def clear(client: CellClient) -> int:
-        client.wait_for_cell(cell_arguments.PATIENCE_S)
+        client.wait_for_cell(cell_arguments.TIMEOUT_S)
         if arguments.press_button:
             print(client.press_button())
             time.sleep(BUTTON_S)
@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _settled(client: CellClient) -> dict[str, Any]:
     """Return the state once neither a stop nor a fault remains, or the state at the timeout."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     while True:
         state = client.state()
         if state["mode"] not in ("stopped", "fault") or time.monotonic() > deadline:

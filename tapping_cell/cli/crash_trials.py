@@ -44,7 +44,7 @@ RELEASE_AFTER_SILENCE_S = 0.65
 tapper (0.45 s), a message under way, and the firing window."""
 STROKE_FACTOR = 1.1
 """Maximum time of flight, as a multiple of the stroke divided by the commanded speed."""
-PATIENCE_S = 240.0
+TIMEOUT_S = 240.0
 PHASE_S = 120.0
 """Maximum wait for a phase of a tap."""
 DOWN_S = 0.3
@@ -252,7 +252,7 @@ class CrashCell:
             return Crash(node, phase, "hung", PHASE_S, f"the phase {phase} was not reached", ())
         began = time.monotonic()
         self.kill(node)
-        self.wait(lambda: self.ended() is not None, PATIENCE_S)
+        self.wait(lambda: self.ended() is not None, TIMEOUT_S)
         return self.finish(node, phase, time.monotonic() - began)
 
     def finish(self, node: str, phase: str, seconds: float) -> Crash:

@@ -32,7 +32,7 @@ from tapping_cell_msgs.msg import ErrorCode
 
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.demo_arrangement import arrange
-from tapping_cell.cli.demo_scene import GOALS, MOST_OBJECTS, write_scene
+from tapping_cell.cli.demo_scene import GOALS, MAX_OBJECTS, write_scene
 from tapping_cell.cli.errors import ExitStatus, print_error, print_refusal
 from tapping_cell.cli.graph import (
     RECORDER,
@@ -66,9 +66,9 @@ from tapping_cell.report.run_folder import (
 )
 from tapping_cell.se2 import Pose, wrap_angle
 
-READY_PATIENCE_S = 60.0
-RECORD_PATIENCE_S = 60.0
-INTERRUPTED_PATIENCE_S = 8.0
+READY_TIMEOUT_S = 60.0
+RECORD_TIMEOUT_S = 60.0
+INTERRUPTED_TIMEOUT_S = 8.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,9 +91,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     task.add_argument(
         "--objects",
         type=int,
-        choices=range(1, MOST_OBJECTS + 1),
+        choices=range(1, MAX_OBJECTS + 1),
         metavar="N",
-        help=f"number of objects (1 to {MOST_OBJECTS}), each brought to a goal of its own",
+        help=f"number of objects (1 to {MAX_OBJECTS}), each brought to a goal of its own",
     )
     parser.add_argument(
         "--goals",
@@ -206,7 +206,7 @@ def _position(
     arguments: argparse.Namespace, graph: Graph, client: GoalClient, console: Console
 ) -> Path:
     """Send the goal and follow it to its end. Return the folder of its record."""
-    session.wait_until_ready(client, READY_PATIENCE_S, graph.check, console)
+    session.wait_until_ready(client, READY_TIMEOUT_S, graph.check, console)
     observed = client.object_state
     assert observed is not None
     start = from_message(observed.pose.pose)
@@ -223,9 +223,9 @@ def _position(
     except KeyboardInterrupt:
         if client.cancel():
             with contextlib.suppress(session.NotRecorded, GraphError):
-                session.wait_for_record(client, INTERRUPTED_PATIENCE_S, graph.check, console)
+                session.wait_for_record(client, INTERRUPTED_TIMEOUT_S, graph.check, console)
         raise
-    return session.wait_for_record(client, RECORD_PATIENCE_S, graph.check, console)
+    return session.wait_for_record(client, RECORD_TIMEOUT_S, graph.check, console)
 
 
 def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> int:

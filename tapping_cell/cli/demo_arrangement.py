@@ -34,7 +34,7 @@ from tapping_cell.report.arrangement_run import (
 from tapping_cell.report.run_folder import PAGE
 from tapping_cell.se2 import Pose
 
-READY_PATIENCE_S = 90.0
+READY_TIMEOUT_S = 90.0
 TRUTH_S = 0.5
 """Waiting time (s) after the end of the arrangement, so that the final true poses are received."""
 PICTURE = "arrangement.png"
@@ -51,7 +51,7 @@ def arrange(
     """
     names = frozenset(goal.object for goal in layout.goals)
     with ArrangeClient("demo") as client:
-        wait_for(client, names, READY_PATIENCE_S, graph.check, console)
+        wait_for(client, names, READY_TIMEOUT_S, graph.check, console)
         history = [dict(client.true_poses)]
         starts, began_at = dict(client.poses), time.time()
         began = time.monotonic()

@@ -31,7 +31,7 @@ GAP_M = 0.04
 """Minimum gap between objects at their start poses, and at their goals."""
 TRIES = 40
 GOALS = ("random", "swap")
-MOST_OBJECTS = 8
+MAX_OBJECTS = 8
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ from tapping_cell.hardware.transport import Connection
 from tapping_cell.nodes.drivers.output_link import RosOutputLink
 from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
 
-PATIENCE = 8.0
+TIMEOUT = 8.0
 """Timeout in s for a port, and then for its device."""
 
 
@@ -95,10 +95,10 @@ def check_arm(cell: Cell, confirm: Callable[[Finding], bool] | None = None) -> l
         with _connection(arm) as connection:
             port = connection.name
             dialect = make_dialect(arm, connection)
-            connection.open(PATIENCE)
-            firmware, findings = dialect.inspect(connection.now() + PATIENCE)
+            connection.open(TIMEOUT)
+            firmware, findings = dialect.inspect(connection.now() + TIMEOUT)
             if confirm is not None and _store(dialect, findings, confirm, connection):
-                firmware, findings = dialect.inspect(connection.now() + PATIENCE)
+                firmware, findings = dialect.inspect(connection.now() + TIMEOUT)
     except (HardwareFault, ValueError) as fault:
         return [Row("arm", "connection", "failed", False, str(fault))]
     rows = [Row("arm", "controller", f"{firmware.name} {firmware.version} on {port}", True)]
@@ -153,7 +153,7 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
         link = RosOutputLink(node, section)
         driver = OutputTapperDriver(link, tapper.output_settings(), _NoMemory())
         try:
-            reply = driver.connect(PATIENCE)
+            reply = driver.connect(TIMEOUT)
             version, other_commanders = driver.version, link.other_commanders
             driver.close()
         except (HardwareFault, ValueError) as fault:
@@ -213,7 +213,7 @@ def _check_board(name: str, given_port: str, baud: int) -> list[Row]:
         port = _port(given_port)
         driver = TapperDriver(SerialTransport(port, baud))
         try:
-            reply = driver.connect(PATIENCE)
+            reply = driver.connect(TIMEOUT)
         finally:
             driver.close()
     except (HardwareFault, ValueError) as fault:
@@ -248,7 +248,7 @@ def _store(
     Return whether any was stored."""
     wanted = [f for f in findings if not f.met and f.storable and confirm(f)]
     for finding in wanted:
-        dialect.store(finding, connection.now() + PATIENCE)
+        dialect.store(finding, connection.now() + TIMEOUT)
     return bool(wanted)
 
 

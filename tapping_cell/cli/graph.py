@@ -29,16 +29,16 @@ HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tappe
 RECORDER = "run_recorder"
 """Recorder of every goal. The cell works without it, so its end does not end the graph."""
 
-PATIENCE_S = 5.0
+TIMEOUT_S = 5.0
 """Time for a node to exit before it is killed."""
 
-MOST_RECORDER_STARTS = 3
+MAX_RECORDER_STARTS = 3
 """Maximum number of restarts of a recorder that keeps ending. Its log states the cause."""
 
 LAST_DOMAIN = 232
 """Highest ROS domain for which the middleware has valid port numbers."""
 
-MOST_PARTICIPANTS = 20
+MAX_PARTICIPANTS = 20
 """Number of participants of a domain that are looked for; a cell has 8."""
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is the shared
@@ -207,7 +207,7 @@ class Graph:
         for ended in self.ended():
             if ended.name != RECORDER:
                 raise NodeDied(ended.sentence)
-            if self._recorder_starts < MOST_RECORDER_STARTS:
+            if self._recorder_starts < MAX_RECORDER_STARTS:
                 self._recorder_starts += 1
                 self.restart(RECORDER)
 
@@ -229,10 +229,10 @@ class Graph:
         return {child.name: child.process.pid for child in self._children}
 
     def stop(self) -> None:
-        """End every node by an interrupt signal and, after PATIENCE_S, by a kill signal."""
+        """End every node by an interrupt signal and, after TIMEOUT_S, by a kill signal."""
         for child in self._children:
             _signal_group(child, signal.SIGINT)
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         for child in self._children:
             try:
                 child.process.wait(max(0.0, deadline - time.monotonic()))
@@ -330,7 +330,7 @@ def has_participants(domain: int) -> bool:
     DDSI-RTPS 2.2, section 9.6.1.1: participant k of domain d receives discovery messages on the UDP
     port 7400 + 250 d + 10 + 2 k.
     """
-    for participant in range(MOST_PARTICIPANTS):
+    for participant in range(MAX_PARTICIPANTS):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
             try:
                 tried.bind(("", 7400 + 250 * domain + 10 + 2 * participant))

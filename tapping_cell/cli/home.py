@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 if the arm is homed and idle, otherwise 1 with a message."""
 
     def home(client: CellClient) -> int:
-        client.wait_for_cell(cell_arguments.PATIENCE_S)
+        client.wait_for_cell(cell_arguments.TIMEOUT_S)
         print(client.home())
         deadline = time.monotonic() + arguments.wait
         begun = False

@@ -35,8 +35,8 @@ Move = tuple[float, float, float]
 Moves = tuple[Move, Move]
 """Commanded and measured displacement of a tap: m, m, rad."""
 
-MOST_GOALS = 9
-LEAST_TAPS = 15
+MAX_GOALS = 9
+MIN_TAPS = 15
 FRICTION_KNOWN, FACTOR_KNOWN = 0.02, 0.1
 """Sufficient relative standard deviations of friction and torque factor. They are well below the
 scatter of a tap, which then limits the next goals."""
@@ -60,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--goals",
         type=argument_types.whole(1, 200),
-        default=MOST_GOALS,
-        help=f"maximum number of goals to send (default: {MOST_GOALS})",
+        default=MAX_GOALS,
+        help=f"maximum number of goals to send (default: {MAX_GOALS})",
     )
     add_graph_arguments(parser)
     parser.add_argument(
@@ -186,7 +186,7 @@ def _known(taps: list[Moves], content: ObjectFile) -> bool:
         learnt = learn_object(content, *_arrays(taps))
     except RecordError:
         return False  # too few taps so far
-    if learnt.used < LEAST_TAPS:
+    if learnt.used < MIN_TAPS:
         return False
     known = {entry.name: entry for entry in learnt.estimates}
     friction, factor = known["friction"], known["torque_factor"]

@@ -22,8 +22,8 @@ from tapping_cell.configuration.cell import (
 from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.se2 import Pose, wrap_angle
 
-READY_PATIENCE_S = 60.0
-RECORD_PATIENCE_S = 60.0
+READY_TIMEOUT_S = 60.0
+RECORD_TIMEOUT_S = 60.0
 REACH, TURN = 0.025, math.radians(20.0)
 """Radius (m) of the circle of goals about the object's first position, and their rotation in either
 direction (rad): large enough to measure friction, small enough that the object keeps clearance."""
@@ -59,7 +59,7 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
         measuring_graph(arguments, nodes, parameters, logs, console.print) as check,
         GoalClient("learn_object", arguments.namespace) as client,
     ):
-        session.wait_until_ready(client, READY_PATIENCE_S, check, console)
+        session.wait_until_ready(client, READY_TIMEOUT_S, check, console)
         session.require_object(client, cell)
         middle, without_taps = client.object_pose(), 0
         for number in range(arguments.goals):
@@ -72,7 +72,7 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
             except BaseException:
                 client.cancel()
                 raise
-            folder = session.wait_for_record(client, RECORD_PATIENCE_S, check, console)
+            folder = session.wait_for_record(client, RECORD_TIMEOUT_S, check, console)
             if finished.error_code:
                 console.print(f"goal not reached: {finished.error_msg}")
             yield folder
@@ -81,7 +81,7 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
                 raise ProbingStopped(
                     f"{IN_A_ROW} consecutive goals ended without a tap: {finished.error_msg}"
                 )
-            session.wait_until_ready(client, READY_PATIENCE_S, check, console)
+            session.wait_until_ready(client, READY_TIMEOUT_S, check, console)
 
 
 def goal_of(middle: Pose, here: Pose, number: int) -> Pose:

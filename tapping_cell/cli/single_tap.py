@@ -54,7 +54,7 @@ from tapping_cell.cli.measuring_graph import add_graph_arguments, measuring_grap
 from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.start_checks import check_simulation_files
 from tapping_cell.cli.tap_feasibility import TapFeasibility
-from tapping_cell.cli.tap_maker import READY_PATIENCE_S, SeriesStopped
+from tapping_cell.cli.tap_maker import READY_TIMEOUT_S, SeriesStopped
 from tapping_cell.cli.tap_series import TapSeries
 from tapping_cell.cli.tap_summary import print_summary, trial_text
 from tapping_cell.cli.up import node_parameters
@@ -271,7 +271,7 @@ def _measure(
         _graph(arguments, cell, folder / "logs", seed, console) as check,
         SingleTapClient("single_tap_client", arguments.namespace) as client,
     ):
-        session.wait_until_ready(client, READY_PATIENCE_S, check, console)
+        session.wait_until_ready(client, READY_TIMEOUT_S, check, console)
         session.require_object(client, cell)
         header = _header(arguments, cell, client, check)
         _keep_header(folder, header)

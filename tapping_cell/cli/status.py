@@ -27,7 +27,7 @@ def run(arguments: argparse.Namespace) -> int:
     respond."""
 
     def show(client: CellClient) -> int:
-        state = client.wait_for_cell(cell_arguments.PATIENCE_S)
+        state = client.wait_for_cell(cell_arguments.TIMEOUT_S)
         if arguments.json:
             print(json.dumps(state, indent=2, allow_nan=False))
         else:

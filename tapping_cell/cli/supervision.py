@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from tapping_cell.cli.graph import RECORDER, Ended, Graph, NodeDied
 
-MOST_RESTARTS = 3
+MAX_RESTARTS = 3
 WINDOW_S = 120.0
 """Time window in s. A node that ends for the fourth time within it is not restarted."""
 DELAY_S = 1.0
@@ -56,15 +56,15 @@ class Supervisor:
         recent = self._restarts.setdefault(ended.name, deque())
         while recent and now - recent[0] > WINDOW_S:
             recent.popleft()
-        if len(recent) < MOST_RESTARTS and not ended.refused:
+        if len(recent) < MAX_RESTARTS and not ended.refused:
             recent.append(now)
             self._due[ended.name] = now + DELAY_S
             return Incident(
                 ended.name,
-                f"{ended.sentence}; it is restarted ({len(recent)} of {MOST_RESTARTS})",
+                f"{ended.sentence}; it is restarted ({len(recent)} of {MAX_RESTARTS})",
             )
         if ended.name not in ASIDE:
-            often = "" if ended.refused else f" {MOST_RESTARTS + 1} times in {WINDOW_S:.0f} s"
+            often = "" if ended.refused else f" {MAX_RESTARTS + 1} times in {WINDOW_S:.0f} s"
             raise NodeDied(f"the cell cannot work without {ended.name}:{often} {ended.sentence}")
         self.left_alone[ended.name] = ended.sentence
         return Incident(

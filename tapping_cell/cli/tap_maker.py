@@ -21,7 +21,7 @@ from tapping_cell.nodes.conversions import from_message
 from tapping_cell.report import error_codes
 from tapping_cell.se2 import Pose
 
-READY_PATIENCE_S = 60.0
+READY_TIMEOUT_S = 60.0
 BACK_TOLERANCE = (0.015, math.radians(45.0))
 """Tolerance in m and rad of a goal that brings the object back; large, to save taps."""
 NO_CLEARANCE = (
@@ -109,13 +109,13 @@ class TapMaker:
 
     def _wait(self) -> None:
         """Wait until the cell can tap."""
-        deadline = time.monotonic() + READY_PATIENCE_S
+        deadline = time.monotonic() + READY_TIMEOUT_S
         while missing := self.client.missing():
             self.check()
             if time.monotonic() > deadline:
                 raise SeriesStopped(
                     ErrorCode.NOT_READY,
-                    f"the cell was not ready for a tap within {READY_PATIENCE_S:.0f} s: "
+                    f"the cell was not ready for a tap within {READY_TIMEOUT_S:.0f} s: "
                     + "; ".join(missing),
                 )
             time.sleep(0.02)

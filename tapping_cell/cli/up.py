@@ -58,7 +58,7 @@ STOP_PORT_OFFSET = 1000
 CHECK_PERIOD_S = 0.2
 CAMERA = "/dev/video0"
 """Default camera of a cell on hardware."""
-READY_PATIENCE_S = 60.0
+READY_TIMEOUT_S = 60.0
 
 
 class NotReadyInTime(GraphError):
@@ -101,7 +101,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wait",
         type=argument_types.within(1, 3600),
-        default=READY_PATIENCE_S,
+        default=READY_TIMEOUT_S,
         help="longest time for the nodes to get ready, in seconds (default: 60)",
     )
     parser.add_argument(

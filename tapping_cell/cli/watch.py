@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     def follow(client: CellClient) -> int:
         console = Console(highlight=False)
         began = time.monotonic()
-        client.wait_for_cell(cell_arguments.PATIENCE_S)
+        client.wait_for_cell(cell_arguments.TIMEOUT_S)
         with Live(console=console, screen=console.is_terminal, auto_refresh=False) as live:
             while arguments.seconds is None or time.monotonic() - began < arguments.seconds:
                 live.update(cell_words.overview(client.state(), log=True), refresh=True)

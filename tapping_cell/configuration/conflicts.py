@@ -17,7 +17,7 @@ from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
 
-LEAST_WORKABLE = 0.5
+MIN_TAPPABLE = 0.5
 """A warning is reported if the arm can tap objects in less than this fraction of the usable
 area."""
 NOISE_MARGIN = 3.0
@@ -180,7 +180,7 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
             f"the table of {1e3 * space.workspace.length:.0f} x {1e3 * space.workspace.width:.0f} "
             "mm with its margins and keep-outs"
         ], []
-    share = float(np.count_nonzero(free.workable)) / float(np.count_nonzero(fits))
+    share = float(np.count_nonzero(free.tappable)) / float(np.count_nonzero(fits))
     if share == 0.0:
         return [
             f"{cell.path}: the arm can tap the object at no place on the table: everywhere, "
@@ -188,7 +188,7 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
             "links and the "
             "joint limits"
         ], []
-    if share < LEAST_WORKABLE:
+    if share < MIN_TAPPABLE:
         return [], [
             f"{cell.path}: only {100 * share:.0f} % of the places where the object fits are "
             "within the arm's reach for taps; goals elsewhere are refused"

@@ -39,7 +39,7 @@ MOVE_ATTEMPTS = 3
 
 FRESHNESS = 0.05
 """Maximum age of a reading that is reused at the start of a move, s."""
-LEAST_FEED = 0.001
+MIN_FEED = 0.001
 """Lowest feed rate that a move line can carry, units/min."""
 
 HOMING_LOST = frozenset(
@@ -56,7 +56,7 @@ HOMING_LOST = frozenset(
 
 UNANSWERED = (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE, FaultReason.NEEDS_PERSON)
 """Faults of a controller that does not answer as expected, or whose replies are unreadable."""
-LEAST_BAD_LINES = 3
+MIN_BAD_LINES = 3
 """Minimum number of unreadable lines in one call that explains a timeout; they must also be at
 least half of all lines."""
 OF_A_STOP = (FaultReason.STOPPED, FaultReason.ALARM, FaultReason.BOARD_RESET)
@@ -398,7 +398,7 @@ class ArmDriver:
             )
             if time == 0:
                 continue
-            moves.append(StraightMove(target, max(60 * length / time, LEAST_FEED)))
+            moves.append(StraightMove(target, max(60 * length / time, MIN_FEED)))
         try:
             self._dialect.start_moves(moves, deadline)
         except HardwareFault as fault:
@@ -523,7 +523,7 @@ class ArmDriver:
         received, name = counters.received, self._transport.name
         if fault.reason in UNANSWERED and received.are_noise:
             what = f"{received.strange} of {received.total} bytes from {name} are not text"
-        elif fault.reason is FaultReason.TIMEOUT and bad >= max(LEAST_BAD_LINES, 0.5 * lines):
+        elif fault.reason is FaultReason.TIMEOUT and bad >= max(MIN_BAD_LINES, 0.5 * lines):
             what = f"{bad} of {lines} lines from the arm's controller on {name} were unreadable"
         else:
             return fault

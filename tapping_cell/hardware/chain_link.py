@@ -25,7 +25,7 @@ from tapping_cell.hardware.trajectory_link import JointSample, Progress, Traject
 
 STEP = 0.02
 """Time between two points of a trajectory, s."""
-LEAST_STEP = 0.005
+MIN_STEP = 0.005
 """Minimum time between an intermediate point and a corner, s; closer points are left out."""
 LONGEST_STRETCH = 1.4
 LONGEST_DELAY = 1.5
@@ -296,5 +296,5 @@ def _times(points: Sequence[TrajectoryPoint]) -> Array:
     """Return the times of the corners and of intermediate points, from 0, s."""
     corners = np.array([0.0, *(point.time for point in points)])
     between = np.arange(STEP, corners[-1], STEP)
-    apart = np.min(np.abs(between[:, None] - corners), axis=1) > LEAST_STEP
+    apart = np.min(np.abs(between[:, None] - corners), axis=1) > MIN_STEP
     return np.sort(np.concatenate([corners, between[apart]]))

@@ -25,7 +25,7 @@ from tapping_cell.hardware.transport import Transport
 
 REPLY_TIMEOUT = 0.5
 """Longest wait for an answer, s; a report takes up to 10 ms, the answer to `$$` up to 100 ms."""
-REST_PATIENCE = 15.0
+REST_TIMEOUT = 15.0
 """Longest wait before homing for the last move of another program to end, s."""
 EARLY = 0.002
 """Time from the start of polling to the computed end of a move, s. Polling starts early because a
@@ -227,7 +227,7 @@ class GrblDialect:
         because a garbled feed rate can make a move extremely slow. With an axis without a switch,
         which an operator moves to its mark before homing, a moving arm is refused.
         """
-        patience = min(deadline, self._transport.now() + REST_PATIENCE)
+        patience = min(deadline, self._transport.now() + REST_TIMEOUT)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
             if self._settings.without_switch:
                 raise HardwareFault(FaultReason.HOMING_FAILED, self._not_at_its_mark())

@@ -20,10 +20,10 @@ from tapping_cell.hardware.dialect import StraightMove
 
 Array = NDArray[np.float64]
 
-LEAST_TIME = 0.02
+MIN_TIME = 0.02
 """Minimum duration of a move, s; controllers reject two points with the same time."""
 
-LEAST_PIECE = 1e-3
+MIN_PIECE = 1e-3
 """Minimum duration of a segment of a move, s; shorter segments are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
 """Minimum cosine of the angle between two moves that are passed without a stop."""
@@ -102,7 +102,7 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
     for index, (before, after) in enumerate(pairwise(legs), start=1):
         along = sum(a * b for a, b in zip(before.direction, after.direction, strict=True))
         # Very short moves get the minimum duration, from rest to rest.
-        short = min(leg.length / leg.speed for leg in (before, after)) < LEAST_TIME
+        short = min(leg.length / leg.speed for leg in (before, after)) < MIN_TIME
         if along > STRAIGHT and not short:
             corners[index] = min(before.speed, after.speed)
     # Forward pass: limit each corner to a speed that can be reached; backward pass: to a speed from
@@ -158,7 +158,7 @@ def brake_point(
 ) -> TrajectoryPoint:
     """Return the point where all joints stop together, after the longest braking time of any."""
     slowest = max(abs(v) / a for v, a in zip(velocities, max_acceleration, strict=True))
-    duration = max(slowest, LEAST_TIME)
+    duration = max(slowest, MIN_TIME)
     return TrajectoryPoint(
         duration,
         tuple(p + v * duration / 2 for p, v in zip(positions, velocities, strict=True)),
@@ -175,15 +175,15 @@ def _trapezoid(leg: _Leg, entry: float, exit_: float) -> list[tuple[float, float
     ramps = (peak + entry) / 2 * first + (peak + exit_) / 2 * last
     even = max((leg.length - ramps) / peak, 0.0)
     total = first + even + last
-    if total < LEAST_TIME and entry == exit_ == 0.0:
-        return [(LEAST_TIME, leg.length, 0.0)]
+    if total < MIN_TIME and entry == exit_ == 0.0:
+        return [(MIN_TIME, leg.length, 0.0)]
     corners = [
         (first, (peak + entry) / 2 * first, peak),
         (first + even, leg.length - (peak + exit_) / 2 * last, peak),
     ]
     kept, before = [], 0.0
     for corner in corners:
-        if min(corner[0] - before, total - corner[0]) > LEAST_PIECE:
+        if min(corner[0] - before, total - corner[0]) > MIN_PIECE:
             kept.append(corner)
             before = corner[0]
     return [*kept, (total, leg.length, exit_)]

@@ -21,7 +21,7 @@ REST_WINDOW = 0.05
 """Time for which the joints must be constant for the arm to be at rest, s: 3 states at 50 Hz."""
 REST_SPEED = 0.02
 """Reported speed above which a joint is moving, rad/s or m/s; noise at rest is below it."""
-LEAST_RATE = 20.0
+MIN_RATE = 20.0
 """Minimum rate of the joint states, Hz; a strike pose is verified twenty times a second."""
 RATE_WINDOW = 0.5
 """Time over which the rate is measured, s."""
@@ -87,9 +87,9 @@ class Ros2ControlDialect:
             Finding(
                 "rate of the joint states",
                 f"{rate:.0f} Hz",
-                f"must be at least {LEAST_RATE:.0f} Hz (the broadcaster's or the controller"
+                f"must be at least {MIN_RATE:.0f} Hz (the broadcaster's or the controller"
                 " manager's update_rate)",
-                rate >= LEAST_RATE,
+                rate >= MIN_RATE,
             ),
             Finding(
                 "clock of the joint states' stamps",

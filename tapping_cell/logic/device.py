@@ -40,9 +40,9 @@ from tapping_cell.logic.tap_commands import CodedError
 from tapping_cell.logic.transitions import StateMachine
 from tapping_cell.messages import ErrorCode, StopState, Trigger
 
-FIRST_PATIENCE_S = 1.0
+FIRST_TIMEOUT_S = 1.0
 """Timeout of the first attempt to open a port and receive a reply."""
-LONGEST_PATIENCE_S = 6.0
+LONGEST_TIMEOUT_S = 6.0
 """Maximum of this timeout. It is doubled after each attempt without a reply, because opening a port
 restarts many boards, and some of them take seconds."""
 MUTE = (
@@ -61,8 +61,8 @@ Event = TypeVar("Event", bound=Enum)
 def patience_after(patience: float, fault: HardwareFault | None) -> float:
     """Return the timeout in s of the next ``connect`` after one with the timeout ``patience``."""
     if fault is not None and fault.reason in MUTE:
-        return min(2 * patience, LONGEST_PATIENCE_S)
-    return FIRST_PATIENCE_S
+        return min(2 * patience, LONGEST_TIMEOUT_S)
+    return FIRST_TIMEOUT_S
 
 
 class DeviceLogic(ABC, Generic[State, Event]):
@@ -77,7 +77,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def __init__(self, machine: StateMachine[State, Event], tick_period: float) -> None:
         self.tick_period = tick_period
-        self.patience = FIRST_PATIENCE_S
+        self.patience = FIRST_TIMEOUT_S
         self._machine = machine
         self._stops = stops.StopLatch()
         self._active = False

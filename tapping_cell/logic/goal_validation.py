@@ -17,7 +17,7 @@ LARGEST_HEIGHT = 0.001
 NORM_SLACK = 0.01
 OLDEST_S = 60.0
 FARTHEST_AHEAD_S = 5.0
-LEAST_TOLERANCE = 5e-5
+MIN_TOLERANCE = 5e-5
 """Minimum tolerance of position (m) and angle (rad) for any object."""
 
 REFUSALS = {
@@ -100,11 +100,11 @@ def read_tolerance(
 ) -> tuple[float, float] | Refused:
     """Return the tolerance of an action goal in m and rad; 0 means the cell's default."""
     for name, value, unit in (("position", position, "m"), ("angle", angle, "rad")):
-        if not math.isfinite(value) or value < 0 or 0 < value < LEAST_TOLERANCE:
+        if not math.isfinite(value) or value < 0 or 0 < value < MIN_TOLERANCE:
             return Refused(
                 ErrorCode.GOAL_BAD_TOLERANCE,
                 f"the {name} tolerance is {value:g} {unit}; it must be 0 (the cell's own) or at "
-                f"least {LEAST_TOLERANCE:g} {unit}",
+                f"least {MIN_TOLERANCE:g} {unit}",
             )
     return position or default[0], angle or default[1]
 

@@ -42,7 +42,7 @@ from tapping_cell.logic.learnt import to_message as learnt_message
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.logic.poses import from_message, to_message
-from tapping_cell.logic.task import LEAST_EFFECT, Shot, SingleTapTask, Task
+from tapping_cell.logic.task import MIN_EFFECT, Shot, SingleTapTask, Task
 from tapping_cell.logic.transitions import StateMachine, table
 from tapping_cell.messages import (
     ArrangeObjects,
@@ -660,7 +660,7 @@ class PlannerLogic:
             return (
                 ErrorCode.TAP_WITHOUT_EFFECT,
                 f"{task.without_effect} taps in a row moved the object by less than"
-                f" {100 * LEAST_EFFECT:.0f} % of the wanted distance; check that the striker hits"
+                f" {100 * MIN_EFFECT:.0f} % of the wanted distance; check that the striker hits"
                 " it at the right height, and calibrate arm and tapper",
             )
         if len(task.records) >= task.max_taps:

@@ -45,7 +45,7 @@ from tapping_cell.vision import ReferenceMap
 
 Array = NDArray[np.float64]
 
-LEAST_EFFECT = 0.2
+MIN_EFFECT = 0.2
 """A tap that moves the object by less than this fraction of the wanted distance has no effect."""
 
 
@@ -228,7 +228,7 @@ class Task:
         self.learn(shot, pose, covariance)
         self.records.append(shot.record(seen, self.session.gains))
         wanted = math.hypot(shot.strike.wanted.x, shot.strike.wanted.y)
-        moved = shot.before.distance_to(pose) > LEAST_EFFECT * wanted
+        moved = shot.before.distance_to(pose) > MIN_EFFECT * wanted
         self.without_effect = 0 if moved else self.without_effect + 1
 
     def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:

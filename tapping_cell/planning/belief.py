@@ -25,7 +25,7 @@ BUMP = 0.02
 CHANGE = 0.004
 """Prior probability, per measurement, that the true values have changed."""
 
-LEAST_WEIGHT = 1e-9
+MIN_WEIGHT = 1e-9
 
 _BISECTIONS = 40
 
@@ -155,7 +155,7 @@ class Belief:
         covariance = covariance - (taken * total)[..., None, None] * outer
         covariance = covariance + (taken * (1.0 - taken) * error**2)[..., None, None] * outer
         weight = weight * np.where(known[..., None], likelihood, 1.0)
-        weight = np.maximum(weight / weight.sum(axis=-1, keepdims=True), LEAST_WEIGHT)
+        weight = np.maximum(weight / weight.sum(axis=-1, keepdims=True), MIN_WEIGHT)
         probability = (weight * taken).sum(axis=-1) / weight.sum(axis=-1)
         return _settled(weight, mean, covariance), np.where(known, probability, 0.0)
 
@@ -192,7 +192,7 @@ def _settled(weight: Array, mean: Array, covariance: Array) -> Belief:
     main_weight = np.where(wins[..., None], candidate_weight / count, main_weight)
     main_mean = np.where(wins[..., None, None], candidate_mean, main_mean)
     main_covariance = np.where(wins[..., None, None, None], candidate_covariance, main_covariance)
-    candidate_weight = np.where(wins[..., None], LEAST_WEIGHT, candidate_weight)
+    candidate_weight = np.where(wins[..., None], MIN_WEIGHT, candidate_weight)
     weight = np.concatenate([main_weight, candidate_weight], axis=-1)
     return Belief(
         weight / weight.sum(axis=-1, keepdims=True),

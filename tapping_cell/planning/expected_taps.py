@@ -21,8 +21,8 @@ from tapping_cell.planning.lookup import bracket
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import (
     FINE_STEPS,
-    LEAST_DEVIATION,
-    LEAST_SCATTER,
+    MIN_DEVIATION,
+    MIN_SCATTER,
     Solution,
     folded_weights,
 )
@@ -51,9 +51,9 @@ def expected_taps(
         turns: rotations of the tap, rad.
     """
     box, camera = settings.stopping, settings.camera
-    scatter = settings.scatter.at_least(LEAST_SCATTER)
+    scatter = settings.scatter.at_least(MIN_SCATTER)
     camera_noise = 2.0 * camera.position**2
-    floor = LEAST_DEVIATION * box.distance
+    floor = MIN_DEVIATION * box.distance
     along = np.sqrt(scatter.along(sizes) ** 2 + camera_noise + floor**2)
     across = np.sqrt(scatter.across(sizes) ** 2 + camera_noise)
     ahead = distance * np.cos(aside)[:, None] - sizes
@@ -66,7 +66,7 @@ def expected_taps(
 
     sense = -1.0 if rotation < 0.0 else 1.0
     deviation = np.sqrt(
-        scatter.turning(turns) ** 2 + 2.0 * camera.angle**2 + (LEAST_DEVIATION * box.rotation) ** 2
+        scatter.turning(turns) ** 2 + 2.0 * camera.angle**2 + (MIN_DEVIATION * box.rotation) ** 2
     )
     after, after_in = folded_weights(solution.rotations, abs(rotation) - sense * turns, deviation)
     value, near = solution.value, slice(0, FINE_STEPS + 1)

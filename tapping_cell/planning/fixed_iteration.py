@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from tapping_cell.planning.fixed_policy import (
-    LEAST_SCATTER,
     LOST,
+    MIN_SCATTER,
     Grading,
     Grid,
     Solution,
@@ -70,7 +70,7 @@ SWEEPS = 20
 SETTLED = 0.01
 """Mean change of W, in taps, below which the iteration ends."""
 
-MOST_KEPT = 20
+MAX_KEPT = 20
 """Number of taps per state that are compared on the fine grid."""
 
 AROUND = (0.93, 1.07)
@@ -194,7 +194,7 @@ class _Problem:
         self.least = lines.least.astype(np.float32)
         most = np.minimum(lines.most, settings.largest_distance)
         self.most = np.maximum(most, lines.least).astype(np.float32)
-        self.scatter = settings.scatter.at_least(LEAST_SCATTER)
+        self.scatter = settings.scatter.at_least(MIN_SCATTER)
         self.points = scatter_points(points).astype(np.float32)
         self._make_axes(far + 2.0 * settings.largest_distance)
         self._row = np.linspace(0.0, 1.0, lengths, dtype=np.float32)
@@ -305,15 +305,15 @@ class _Problem:
         """Restrict later comparisons to the taps with the lowest mean W over a few points."""
         table = self._table(value)
         count = self.kept.shape[1]
-        if count <= MOST_KEPT:
+        if count <= MAX_KEPT:
             return
-        kept = np.empty((self.rows.size, MOST_KEPT), dtype=np.intp)
+        kept = np.empty((self.rows.size, MAX_KEPT), dtype=np.intp)
         few = self.points[: len(self.points) // 2]
         for rows in self._chunks(count * few.shape[0]):
             taps = self._taps(rows)
             mean = table[self._leads_to(rows, *taps, few)].mean(axis=-1)
             mean += self._cost(rows, *taps)
-            kept[rows] = np.argpartition(mean, MOST_KEPT, axis=1)[:, :MOST_KEPT]
+            kept[rows] = np.argpartition(mean, MAX_KEPT, axis=1)[:, :MAX_KEPT]
         self.kept = kept
 
     def improve(self, value: Array) -> tuple[NDArray[np.intp], Singles]:

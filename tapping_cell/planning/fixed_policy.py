@@ -27,7 +27,7 @@ from tapping_cell.se2 import wrap_angle
 LOST = 40.0
 """Cost, in taps, of a state without a tap towards the goal or of a forbidden state."""
 
-LEAST_SCATTER = Scatter(0.02, 0.04, 0.003)
+MIN_SCATTER = Scatter(0.02, 0.04, 0.003)
 """Minimum scatter that plans assume."""
 
 

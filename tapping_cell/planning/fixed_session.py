@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from tapping_cell.planning.fixed_iteration import OUTER
 from tapping_cell.planning.fixed_policy import (
-    LEAST_SCATTER,
     LOST,
+    MIN_SCATTER,
     expected_taps,
     scatter_points,
     states_after,
@@ -28,8 +28,8 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.planning.mounts import MountBelief, corrected_space
 from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import (
+    MAX_TAPS,
     MISSED,
-    MOST_TAPS,
     Expected,
     GoalSession,
     Strike,
@@ -91,7 +91,7 @@ class FixedTapperSession(GoalSession):
         mounts: MountBelief | None = None,
         *,
         adapt: bool = True,
-        most_taps: int = MOST_TAPS,
+        most_taps: int = MAX_TAPS,
     ) -> None:
         self.goal = np.asarray(goal_pose, dtype=float)
         self._settings = settings
@@ -103,7 +103,7 @@ class FixedTapperSession(GoalSession):
         self._missed: frozenset[int] = frozenset()
         self._skipped: frozenset[int] = frozenset()
         self._solver = GoalSolver() if solver is None else solver
-        self._scatter = settings.scatter.at_least(LEAST_SCATTER)
+        self._scatter = settings.scatter.at_least(MIN_SCATTER)
         self._points = scatter_points(POINTS)
         self.use_free_space(space)
 

@@ -1,6 +1,6 @@
 """Map of the places where an object can be tapped, and path lengths from there to the goal.
 
-A place is *tappable* (``workable`` in names) if the object fits there and can be tapped in enough
+A place is *tappable* if the object fits there and can be tapped in enough
 directions: no half plane of directions is missing. From such a place every remaining error can be
 corrected, if necessary by a zigzag. Taps may only end at tappable places, and the goal must be
 tappable, so that a run does not get stuck. Path lengths around keep-outs are computed on a grid
@@ -71,9 +71,9 @@ class FreeSpace:
         """``blocked``: bit masks of the impossible tap directions, (turns, cells x, cells y)."""
         self._space = space
         self._blocked = blocked
-        self._tappable = ~np.any(_has_long_run(blocked), axis=0)
+        self._strikable = ~np.any(_has_long_run(blocked), axis=0)
         fits = space.workspace.object_clearance(self.centres) >= space.object_radius
-        self.workable: BoolArray = self._tappable & fits
+        self.tappable: BoolArray = self._strikable & fits
 
     def among(self, areas: Sequence[KeepOut]) -> FreeSpace:
         """Return the map with additional keep-outs. This is fast because the arm's reach is not
@@ -99,16 +99,16 @@ class FreeSpace:
 
     @cached_property
     def _graph(self) -> coo_array:
-        return _neighbour_graph(self.workable)
+        return _neighbour_graph(self.tappable)
 
     @cached_property
     def _nearest(self) -> NDArray[np.intp]:
-        return _nearest_cells(self.workable)
+        return _nearest_cells(self.tappable)
 
     @cached_property
     def regions(self) -> NDArray[np.int32]:
         """Region number of each cell (flat): connected tappable cells from 1, other cells 0."""
-        return np.asarray(label(self.workable, structure=np.ones((3, 3)))[0].reshape(-1))
+        return np.asarray(label(self.tappable, structure=np.ones((3, 3)))[0].reshape(-1))
 
     def contains(self, points: ArrayLike) -> BoolArray:
         """Return whether the points (..., 2) are tappable."""
@@ -119,13 +119,13 @@ class FreeSpace:
             for dy in (0, 1):
                 i = np.clip(low[..., 0] + dx, 0, self._shape[0] - 1)
                 j = np.clip(low[..., 1] + dy, 0, self._shape[1] - 1)
-                found |= self._tappable[i, j]
+                found |= self._strikable[i, j]
         clearance = self._space.workspace.object_clearance(p)
         return np.asarray(found & (clearance >= self._space.object_radius - 1e-9))
 
     def outline(self) -> Array:
         """Edges between tappable and other cells, (edges, 2 ends, 2), for drawing, m in `table`."""
-        padded = np.pad(self.workable, 1)
+        padded = np.pad(self.tappable, 1)
         corner = self._origin - CELL / 2
         edges = []
         for axis in (0, 1):
@@ -144,7 +144,7 @@ class FreeSpace:
         Accurate to the size of a cell: all points in one cell have the same nearest cell.
         """
         p = np.asarray(points, dtype=float)
-        if not np.any(self.workable):
+        if not np.any(self.tappable):
             return np.zeros(p.shape[:-1], dtype=np.intp), np.full(p.shape[:-1], np.inf)
         cell = self._nearest[self._cell_of(p)]
         centre = self.centres.reshape(-1, 2)[cell]
@@ -155,7 +155,7 @@ class FreeSpace:
         tappable."""
         share = np.linspace(0.0, 1.0, SIGHT_POINTS)[:, None]
         line = np.asarray(points, dtype=float)[..., None, :] * (1.0 - share) + goal * share
-        return np.asarray(np.all(self.workable.reshape(-1)[self._cell_of(line)], axis=-1))
+        return np.asarray(np.all(self.tappable.reshape(-1)[self._cell_of(line)], axis=-1))
 
     def _cell_of(self, points: Array) -> NDArray[np.intp]:
         place = np.rint((points - self._origin) / CELL).astype(np.intp)
@@ -171,7 +171,7 @@ class FreeSpace:
         """Path length from every cell to the goal's cell (flat), m; inf if there is no path."""
         cell, offset = self.nearest_cells(goal)
         if not np.isfinite(offset):
-            return np.full(self.workable.size, np.inf)
+            return np.full(self.tappable.size, np.inf)
         return np.asarray(dijkstra(self._graph, directed=False, indices=int(cell)))
 
 
@@ -182,7 +182,7 @@ class PathLengths:
         self._free = free
         self._goal = goal
         self._lengths = free.cell_lengths(goal)
-        self._open = bool(np.all(free.workable[_hull_mask(free.workable)]))
+        self._open = bool(np.all(free.tappable[_hull_mask(free.tappable)]))
 
     def reachable(self, point: ArrayLike) -> bool:
         """Return whether a path connects the tappable cell nearest to the point with the goal."""
@@ -334,9 +334,9 @@ def _largest_run(missing: BoolArray) -> Array:
     return np.asarray((np.minimum(longest, DIRECTIONS - 1) + 1) * (2.0 * math.pi / DIRECTIONS))
 
 
-def _neighbour_graph(workable: BoolArray) -> coo_array:
+def _neighbour_graph(tappable: BoolArray) -> coo_array:
     """Symmetric graph of tappable cells; an edge's weight is the distance of the centres."""
-    columns, rows = workable.shape
+    columns, rows = tappable.shape
     # SciPy before 1.12 accepts only 32-bit indices for a graph.
     index = np.arange(columns * rows, dtype=np.int32).reshape(columns, rows)
     starts, ends, weights = [], [], []
@@ -345,25 +345,25 @@ def _neighbour_graph(workable: BoolArray) -> coo_array:
         j0, j1 = max(0, -dy), rows - max(0, dy)
         first = (slice(i0, i1), slice(j0, j1))
         second = (slice(i0 + dx, i1 + dx), slice(j0 + dy, j1 + dy))
-        both = workable[first] & workable[second]
+        both = tappable[first] & tappable[second]
         starts.append(index[first][both])
         ends.append(index[second][both])
         weights.append(np.full(int(both.sum()), CELL * math.hypot(dx, dy)))
     return coo_array(
         (np.concatenate(weights), (np.concatenate(starts), np.concatenate(ends))),
-        shape=(workable.size, workable.size),
+        shape=(tappable.size, tappable.size),
     ).tocsr()
 
 
-def _nearest_cells(workable: BoolArray) -> NDArray[np.intp]:
+def _nearest_cells(tappable: BoolArray) -> NDArray[np.intp]:
     """Flat index of the tappable cell nearest to each cell; 0 if no cell is tappable."""
-    if not np.any(workable):
-        return np.zeros(workable.size, dtype=np.intp)
-    nearest = distance_transform_edt(~workable, return_distances=False, return_indices=True)
-    return np.asarray(np.ravel_multi_index(tuple(nearest), workable.shape).reshape(-1))
+    if not np.any(tappable):
+        return np.zeros(tappable.size, dtype=np.intp)
+    nearest = distance_transform_edt(~tappable, return_distances=False, return_indices=True)
+    return np.asarray(np.ravel_multi_index(tuple(nearest), tappable.shape).reshape(-1))
 
 
-def _hull_mask(workable: BoolArray) -> BoolArray:
+def _hull_mask(tappable: BoolArray) -> BoolArray:
     """Cells between two tappable cells of the same column or of the same row."""
 
     def between(cells: BoolArray, axis: int) -> BoolArray:
@@ -371,4 +371,4 @@ def _hull_mask(workable: BoolArray) -> BoolArray:
         after = np.flip(np.logical_or.accumulate(np.flip(cells, axis), axis=axis), axis)
         return np.asarray(before & after)
 
-    return between(workable, 0) | between(workable, 1)
+    return between(tappable, 0) | between(tappable, 1)

@@ -70,14 +70,14 @@ DIRECTION = Prior(
 )
 """Prior of (e, f): usually a standard deviation of 0.6 degrees, else errors up to 20 degrees."""
 
-LEAST_SLOPE = 0.1
+MIN_SLOPE = 0.1
 """Standard deviation, rad/m, of the rotation per distance of a tap without commanded rotation. It
 corresponds to an arm that is 0.2 mm beside the middle of the paper's disk."""
 
 KEPT = 0.95
 """Probability that the gains of an earlier run are still valid."""
 
-LEAST_MOVE = 1e-6
+MIN_MOVE = 1e-6
 """Displacements below this length, m, count as no displacement."""
 
 UNEXPLAINED = 0.5
@@ -216,11 +216,11 @@ class Gains:
         asked = np.hypot(command[..., 0], command[..., 1])
         moved = np.hypot(seen[..., 0], seen[..., 1])
         usable = np.isfinite(moved) & np.isfinite(seen[..., 2]) & np.isfinite(asked)
-        usable = usable & (asked > LEAST_MOVE)
+        usable = usable & (asked > MIN_MOVE)
         # The parts of the error that do not depend on the size of the tap.
         place = math.hypot(math.sqrt(2.0) * camera.position, scatter.position_floor)
         angle = math.hypot(math.sqrt(2.0) * camera.angle, scatter.angle_floor)
-        least = np.where(usable, np.maximum(moved, max(place, LEAST_MOVE)), 1.0)
+        least = np.where(usable, np.maximum(moved, max(place, MIN_MOVE)), 1.0)
         size = np.where(usable, asked, 1.0)
         slope = np.where(usable, command[..., 2], 0.0) / size
         heading = np.where(usable, np.arctan2(command[..., 1], command[..., 0]), 0.0)
@@ -246,7 +246,7 @@ class Gains:
             ),
             seen[..., 2] / least + still,
             zero + math.hypot(scatter.rotation, scatter.distance),
-            np.hypot(LEAST_SLOPE, angle / least),
+            np.hypot(MIN_SLOPE, angle / least),
         )
         direction, aimed = self.direction.observe(
             DIRECTION,
@@ -275,7 +275,7 @@ class Gains:
         """
         command = np.asarray(commanded, dtype=float)
         length = np.hypot(command[..., 0], command[..., 1])
-        size = np.maximum(length, LEAST_MOVE)
+        size = np.maximum(length, MIN_MOVE)
         slope = command[..., 2] / size
         high, low = float(ndtr(deviations)), float(ndtr(-deviations))
         one = np.ones_like(slope)
@@ -306,7 +306,7 @@ class Gains:
         command = np.asarray(commanded, dtype=float)
         x, y, turn = self.predict(command, orientation).tolist()
         length = math.hypot(x, y)
-        size = max(math.hypot(command[0], command[1]), LEAST_MOVE)
+        size = max(math.hypot(command[0], command[1]), MIN_MOVE)
         slope = command[2] / size
 
         def half(belief: Belief, numbers: list[float], noise: float) -> float:

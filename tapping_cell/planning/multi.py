@@ -34,7 +34,7 @@ AIM = 0.3
 FARTHEST = 1.0
 """Distance in m up to which cones are chained."""
 
-MOST_CONES = 200
+MAX_CONES = 200
 TAP_RATIO = 1.05
 ROWS = 2048
 """Number of states per batch, which bounds the memory."""
@@ -140,7 +140,7 @@ class MultiPlanner:
         end = np.abs(self.distances[:, None] - taps)
         cones: list[Array] = []
         before = np.full(self.distances.size, -1.0)
-        while len(cones) < MOST_CONES:
+        while len(cones) < MAX_CONES:
             below = self._box_opening(end) if not cones else np.interp(end, self.distances, before)
             widest = np.minimum(settings.cone_slope * np.abs(taps), below / line)
             opening = np.where(below > 0.0, below + (1.0 - line) * widest, -1.0)

@@ -25,7 +25,7 @@ FORMAT = 6
 """Version of the format. Increase it whenever the solver gives different plans for the same
 settings and grids."""
 
-MOST_FILES = 64
+MAX_FILES = 64
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ def load_policy(settings: PlannerSettings) -> Solution | None:
 
 
 def keep_policy(settings: PlannerSettings, solution: Solution) -> None:
-    """Write a solved plan and remove the oldest files beyond ``MOST_FILES``."""
+    """Write a solved plan and remove the oldest files beyond ``MAX_FILES``."""
     path = policy_file(settings)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -72,7 +72,7 @@ def keep_policy(settings: PlannerSettings, solution: Solution) -> None:
             np.savez(part, **solution._asdict())
         os.replace(part.name, path)
         kept = sorted(path.parent.glob("*.npz"), key=lambda item: item.stat().st_mtime)
-        for old in kept[:-MOST_FILES]:
+        for old in kept[:-MAX_FILES]:
             old.unlink(missing_ok=True)
     except OSError as error:
         _log.warning("the solved plan cannot be saved in %s: %s", path.parent, error)

@@ -9,7 +9,7 @@ import numpy as np
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.stopping import inside_probability
 
-LEAST_SHARE = 0.05
+MIN_SHARE = 0.05
 """Minimum share of the smallest taps that must end within the tolerance. If only one of twenty taps
 ends there, a goal takes about forty taps, because each failed tap requires another tap away from
 the goal."""
@@ -36,7 +36,7 @@ def precision_limit(settings: PlannerSettings) -> str:
     The accuracy of the camera is checked for each observation (see ``stopping``).
     """
     share = smallest_tap_share(settings)
-    if share >= LEAST_SHARE or not settings.stopping.camera_suffices:
+    if share >= MIN_SHARE or not settings.stopping.camera_suffices:
         return ""
     least, scatter = settings.smallest_distance, settings.scatter
     along, across = float(scatter.along(least)), float(scatter.across(least))
@@ -48,6 +48,6 @@ def precision_limit(settings: PlannerSettings) -> str:
         f"{math.degrees(settings.tolerance_angle):.3g} degrees is too fine for the smallest tap: "
         f"its {1e3 * least:.3g} mm scatter by {1e3 * along:.2g} mm in distance and "
         f"{1e3 * across:.2g} mm across{turned}, so that {100.0 * share:.2g} % of such taps would "
-        f"end inside; {100.0 * LEAST_SHARE:.0f} % are needed. Widen the tolerance, or make smaller "
+        f"end inside; {100.0 * MIN_SHARE:.0f} % are needed. Widen the tolerance, or make smaller "
         "or more even taps (smallest_tap and scatter of the object's file)"
     )

@@ -30,7 +30,7 @@ from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.planning.visited import VisitedPoses
 from tapping_cell.se2 import Pose, wrap_angle
 
-MOST_TAPS = 100
+MAX_TAPS = 100
 """Maximum number of taps of a run. More taps indicate a fault that the planner cannot detect."""
 
 MISSED = 0.1
@@ -45,7 +45,7 @@ WORTH_OBSERVING = 0.02
 PROBE_SIZE = 1.5
 """Length of a probe tap, in lengths of the smallest tap."""
 
-MOST_PROBES = 3
+MAX_PROBES = 3
 
 PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
 
@@ -59,7 +59,7 @@ least value from that number on, for the object to be judged not to turn. More t
 the estimate of a gain slightly below the least value, so that the goal would end only at the
 maximum number of taps."""
 
-LEAST_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
+MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
 NEAR_CHUNK = 12
 """Number of taps, in order of rank, whose clearance is checked together."""
@@ -293,12 +293,12 @@ class GoalSession(ABC):
         if abs(left[2]) <= box.rotation or not required:
             return None
         gain = float(self.gains.largest_rotation_gain(min(required)))
-        if gain > LEAST_ROTATION_GAIN:
+        if gain > MIN_ROTATION_GAIN:
             return None
         return Refusal(
             RefusalReason.TAP_WITHOUT_ROTATION,
             f"taps turn the object by at most {100.0 * gain:.0f} % of what its file predicts "
-            f"({100.0 * LEAST_ROTATION_GAIN:.0f} % is needed), so that its angle, "
+            f"({100.0 * MIN_ROTATION_GAIN:.0f} % is needed), so that its angle, "
             f"{abs(math.degrees(left[2])):.1f} degrees from the goal, cannot be corrected; clean "
             "the side of the object, check contact_friction in its file, or send a goal with the "
             "object's present angle",
@@ -335,7 +335,7 @@ class PositioningSession(GoalSession):
         goal_pose: x, y (m), theta (rad) of the object in `table`.
         planner: planning method; its settings hold the tolerance and the box.
         space: the set of possible strikes.
-        free: map of workable places in ``space``. If None, the map is computed here, which takes
+        free: map of tappable places in ``space``. If None, the map is computed here, which takes
             about 0.1 s; reuse one map for several goals.
         gains: gains learnt about the object in earlier runs.
         times: durations of the arm's motions; None if unknown.
@@ -360,7 +360,7 @@ class PositioningSession(GoalSession):
         objective: str = "taps",
         adapt: bool = True,
         probe: bool = False,
-        most_taps: int = MOST_TAPS,
+        most_taps: int = MAX_TAPS,
     ) -> None:
         self.goal = np.asarray(goal_pose, dtype=float)
         self.planner = planner
@@ -371,7 +371,7 @@ class PositioningSession(GoalSession):
         self._times = times
         self._objective = objective
         self._adapt = adapt
-        self._probes_left = MOST_PROBES if probe else 0
+        self._probes_left = MAX_PROBES if probe else 0
         self._most_taps = most_taps
         self._visited = VisitedPoses(self.goal)
         self.use_free_space(space, FreeSpace(space) if free is None else free)
@@ -679,18 +679,18 @@ class PositioningSession(GoalSession):
 
     def _ends_well(self, pose: Array, commanded: Array, *, trusting: bool = False) -> BoolArray:
         """Return which displacements (n, 3) are acceptable, (n,). The slide must be safe under all
-        uncertainty and, under the scatter alone, must end in a workable place. ``trusting``:
+        uncertainty and, under the scatter alone, must end in a tappable place. ``trusting``:
         ignore the uncertainty of the gains."""
         expected = self.gains.predict(commanded, pose[2])
         end = self._space.footprint(pose, expected)[..., -1, :]
-        workable = np.all(self._free.contains(end), axis=-1)
+        tappable = np.all(self._free.contains(end), axis=-1)
         nominal = self._free.contains(pose[:2] + expected[..., :2])
         if not self._free.contains(pose[:2]):
             # The object is not at a tappable place, so only the expected end must be at one.
-            workable = nominal
+            tappable = nominal
         spread = None if trusting else self._spread(commanded)
         safe = self._space.slide_is_safe(pose, expected, spread)
-        return np.asarray(workable & nominal & safe)
+        return np.asarray(tappable & nominal & safe)
 
     def _spread(self, commanded: ArrayLike) -> Spread | None:
         """Return bounds of where displacements (..., 3) may end.

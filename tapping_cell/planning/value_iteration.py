@@ -57,7 +57,7 @@ SMALLEST_TURN = 0.26
 LATERAL_NODES = 8
 """Number of quadrature nodes over one half of the (symmetric) error of direction."""
 
-LEAST_SCATTER = Scatter(0.02, 0.04, 0.0)
+MIN_SCATTER = Scatter(0.02, 0.04, 0.0)
 """Minimum scatter that plans assume. Without scatter they would aim exactly at the edge of the
 cone, between two grid points."""
 
@@ -66,7 +66,7 @@ EVALUATIONS = 25
 SETTLED, NEAR = 1e-3, 10.0
 """Stop when an improvement changes no value below ``NEAR`` taps by ``SETTLED`` taps or more."""
 
-LEAST_DEVIATION = 0.01
+MIN_DEVIATION = 0.01
 """Minimum standard deviation as a share of the box; keeps the integrals finite without scatter."""
 
 
@@ -127,7 +127,7 @@ class _Problem:
     def __init__(self, settings: PlannerSettings, ratio: float) -> None:
         box = settings.stopping
         least, most, k = settings.smallest_distance, settings.largest_distance, settings.cone_slope
-        scatter, camera = settings.scatter.at_least(LEAST_SCATTER), settings.camera
+        scatter, camera = settings.scatter.at_least(MIN_SCATTER), settings.camera
         self.slope = k
         self.r, self.box_r = state_grid(box.distance, least, max(FARTHEST, 4.0 * most), ratio)
         self.theta, self.box_t = state_grid(box.rotation, k * least, math.pi, ratio)
@@ -143,7 +143,7 @@ class _Problem:
             [np.broadcast_to(turns, (self.theta.size, turns.size)), self.theta[:, None]], axis=1
         )
 
-        floor_r, floor_t = LEAST_DEVIATION * box.distance, LEAST_DEVIATION * box.rotation
+        floor_r, floor_t = MIN_DEVIATION * box.distance, MIN_DEVIATION * box.rotation
         camera_r, camera_t = 2.0 * camera.position**2, 2.0 * camera.angle**2
         along = np.sqrt(scatter.along(self.taps) ** 2 + camera_r + floor_r**2)
         aside = np.sqrt(scatter.across(self.taps) ** 2 + camera_r)

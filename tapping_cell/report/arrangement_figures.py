@@ -17,7 +17,7 @@ from tapping_cell.se2 import Pose, transform_points
 
 Array = NDArray[np.float64]
 
-MOST_SCENES = 6
+MAX_SCENES = 6
 ROW_INCHES = 0.28
 _COLOURS = 10
 
@@ -27,7 +27,7 @@ def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]
     folder.mkdir(parents=True, exist_ok=True)
     order = sorted(range(len(trials)), key=lambda number: trials[number].end == "done")
     files = []
-    for number in order[:MOST_SCENES]:
+    for number in order[:MAX_SCENES]:
         file = folder / f"scene_{number + 1:03d}.png"
         draw_scene(trials[number], file)
         files.append(file)

@@ -17,7 +17,7 @@ from tapping_cell.report.run import Run
 from tapping_cell.report.words import counted
 from tapping_cell.se2 import Array, Pose, transform_points
 
-MOST_IN_WORDS = 6
+MAX_IN_WORDS = 6
 
 
 def draw_cell(run: Run, path: Path) -> None:
@@ -48,7 +48,7 @@ def _moves(run: Run) -> str:
     parts = [
         f"tap {tap.number}: {1000 * tap.before.distance_to(tap.measured):.1f} mm, "
         f"{math.degrees(tap.before.rotation_to(tap.measured)):+.1f} deg"
-        for tap in run.taps[-MOST_IN_WORDS:]
+        for tap in run.taps[-MAX_IN_WORDS:]
     ]
     return "     ".join(parts)
 

@@ -16,7 +16,7 @@ from itertools import count
 
 Action = Callable[[], None]
 
-MOST_EVENTS_AT_ONCE = 100_000
+MAX_EVENTS_AT_ONCE = 100_000
 """Maximum number of events at the same virtual time; with more, the run counts as hanging."""
 
 
@@ -114,7 +114,7 @@ class Scheduler:
                 if action is None:
                     continue
                 self._at_once = self._at_once + 1 if time <= self.now else 0
-                if self._at_once > MOST_EVENTS_AT_ONCE:
+                if self._at_once > MAX_EVENTS_AT_ONCE:
                     raise HangError(f"{self._at_once} events at {self.now:.3f} s")
                 self.now = time
                 action()

@@ -129,7 +129,7 @@ PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_CONFLICTS = 0.1
 """Fraction of these taps for which a second program commands another tap with the same id."""
-PROGRAM_PATIENCE_S, PROGRAM_EXPIRY_S = 12.0, 10.0
+PROGRAM_TIMEOUT_S, PROGRAM_EXPIRY_S = 12.0, 10.0
 """Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 GOAL_SLACK_S = 5.0
 """Maximum time from a goal's time limit to its end, if the planner's process is alive."""
@@ -537,7 +537,7 @@ class Trial:
                 reported is not None and reported.tap_id == command.tap_id and reported.outcome != 0
             )
 
-        self.scheduler.run(self.scheduler.now + PROGRAM_PATIENCE_S, over)
+        self.scheduler.run(self.scheduler.now + PROGRAM_TIMEOUT_S, over)
         self.scheduler.run(self.scheduler.now + 0.5 * float(self.rng.random()))
         withdrawal = TapCommand(request=TapCommand.WITHDRAW, tap_id=command.tap_id)
         withdrawal.header = command.header

@@ -6,7 +6,7 @@ differs from the table's are such objects, unless they are
 - reference markers or objects that have been measured (with the shadow beside them),
 - connected to the edge of the table's area, as the arm, a cable or a hand is,
 - covered by the arm according to its joints, or
-- narrower than ``_LEAST_WIDTH``, as printed lines are.
+- narrower than ``_MIN_WIDTH``, as printed lines are.
 
 A flat print wider than this, or an object of the table's brightness, cannot be recognised as such.
 The silhouette on the table's plane contains the footprint, because a camera above the table sees
@@ -35,12 +35,12 @@ CELL = 0.002
 """Size of a cell of the rectified image in m."""
 _EVERY = 8
 """Spacing of the cells that are projected; those between are interpolated."""
-_LEAST_WIDTH = 0.010
+_MIN_WIDTH = 0.010
 """Width in m of a differing area below which it is a printed line or dirt. The rectified image
 widens areas by up to a cell on both sides."""
-_LEAST_RADIUS = 0.0075
+_MIN_RADIUS = 0.0075
 """Radius in m of the disk whose area is the least area of an object."""
-_LEAST_CONTRAST = 5.0
+_MIN_CONTRAST = 5.0
 _RELATIVE_CONTRAST = 0.1
 _NOISE_DEVIATIONS = 6.0
 """Minimum difference from the table's brightness: in grey levels, relative to the table, and in
@@ -61,7 +61,7 @@ _MARGIN = 0.004
 """Distance in m by which an outline encloses its area."""
 _MISSES = 2
 """Number of searches without the object after which it counts as removed."""
-_LEAST_CELLS = 1000
+_MIN_CELLS = 1000
 """Number of visible cells of the table below which an image is not searched."""
 _FIT_POINTS = 3000
 _FIT_STEPS = 8
@@ -126,7 +126,7 @@ class UnknownObjects:
         visible = np.isfinite(seen)
         known = self._known(view, standing)
         free = visible & (known == 0) & (self._markers == 0)
-        if int(free.sum()) < _LEAST_CELLS:
+        if int(free.sum()) < _MIN_CELLS:
             return
         other = self._differs(seen, free)
         hidden = np.where(visible, 0, 1).astype(np.uint8)
@@ -188,7 +188,7 @@ class UnknownObjects:
         noise = 1.4826 * float(np.median(off))
         table = (terms @ light.astype(np.float32)).reshape(self._shape)
         least = np.maximum(
-            _RELATIVE_CONTRAST * table, max(_LEAST_CONTRAST, _NOISE_DEVIATIONS * noise)
+            _RELATIVE_CONTRAST * table, max(_MIN_CONTRAST, _NOISE_DEVIATIONS * noise)
         )
         other = (free & (np.abs(np.nan_to_num(seen) - table) > least)).astype(np.uint8)
         # Between a dark and a bright part of an object, a line has the table's brightness.
@@ -241,9 +241,9 @@ class UnknownObjects:
         standing: Sequence[Standing],
     ) -> list[Mask]:
         """Return the cells of each object; add those of arms and hands to ``hidden``."""
-        wide = cv2.morphologyEx(other, cv2.MORPH_OPEN, _kernel(0.5 * _LEAST_WIDTH))
+        wide = cv2.morphologyEx(other, cv2.MORPH_OPEN, _kernel(0.5 * _MIN_WIDTH))
         # The corners that this removed are added again, but not the lines.
-        other = np.asarray(_grown(np.asarray(wide), 0.5 * _LEAST_WIDTH) & other)
+        other = np.asarray(_grown(np.asarray(wide), 0.5 * _MIN_WIDTH) & other)
         outer, _ = cv2.findContours(other, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         other = np.asarray(cv2.drawContours(other, outer, -1, (1,), cv2.FILLED))
         count, labels = cv2.connectedComponents(other, connectivity=8)
@@ -251,7 +251,7 @@ class UnknownObjects:
         edge[0] = edge[-1] = edge[:, 0] = edge[:, -1] = True
         edge |= cv2.erode(visible.astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
         reaching = set(np.unique(labels[edge]).tolist())
-        least = np.pi * (_LEAST_RADIUS / CELL) ** 2
+        least = np.pi * (_MIN_RADIUS / CELL) ** 2
         highest = max((one.height for one in standing), default=0.0)
         beside = _grown(known, 2.0 * CELL)
         found: list[Mask] = []

@@ -18,12 +18,12 @@ from tapping_cell.nodes.clients.goal_client import Finished, GoalClient
 from tapping_cell.se2 import Pose
 
 START, BETWEEN, GOAL = Pose(-0.17, 0.02, 0.0), Pose(0.0, 0.0, 0.4), Pose(0.17, 0.0, 0.3)
-PATIENCE_S = 240.0
+TIMEOUT_S = 240.0
 
 
 def outcome(client: GoalClient, graph: Graph, goal: Pose) -> Finished:
     client.send(goal, (0.0, 0.0))
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     for event in client.events():
         graph.check()
         assert time.monotonic() < deadline
@@ -32,7 +32,7 @@ def outcome(client: GoalClient, graph: Graph, goal: Pose) -> Finished:
     raise AssertionError("the goal has no end")
 
 
-@pytest.mark.timeout(2 * PATIENCE_S + 180)
+@pytest.mark.timeout(2 * TIMEOUT_S + 180)
 def test_an_object_without_a_file_is_seen_and_goals_go_around_it(tmp_path: Path) -> None:
     truth = safe_load((shared_folder() / "truth" / "default.yaml").read_text())
     truth["object_start"], truth["further_starts"] = [*START], [[*BETWEEN]]

@@ -48,14 +48,14 @@ from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.page.operator_page import OperatorPage
-from tapping_cell.nodes.page.server import MOST_PAGES, PICTURE_HEADER
+from tapping_cell.nodes.page.server import MAX_PAGES, PICTURE_HEADER
 from tapping_cell.nodes.planner.tap_planner import TapPlanner
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import CameraPose, View
 
 pytestmark = pytest.mark.alone
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 PARAMETERS: dict[str, dict[str, object]] = {"operator_page": {"port": 0, "stop_port": 0}}
 
 
@@ -131,7 +131,7 @@ class Browser:
                 if isinstance(content, dict) and content["type"] == "answer":
                     self.answers.append(content)
 
-        return await asyncio.wait_for(search(), PATIENCE_S)
+        return await asyncio.wait_for(search(), TIMEOUT_S)
 
     async def state(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Return the next state for which the condition holds."""
@@ -288,7 +288,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
     async def scenario() -> None:
         assert subscribers() == 0
         async with cell.open() as page:
-            frame = await asyncio.wait_for(pictures(page), PATIENCE_S)
+            frame = await asyncio.wait_for(pictures(page), TIMEOUT_S)
             number, _, age = PICTURE_HEADER.unpack(frame[:20])
             picture = cv2.imdecode(np.frombuffer(frame[20:], np.uint8), cv2.IMREAD_COLOR)
             assert picture.shape == colours.shape and 0.0 <= age < 10.0
@@ -299,7 +299,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
             with pytest.raises(asyncio.TimeoutError):
                 await asyncio.wait_for(page.receive(lambda m: isinstance(m, bytes)), 0.5)
             await page.send({"do": "seen", "number": number})
-            again = await asyncio.wait_for(pictures(page), PATIENCE_S)
+            again = await asyncio.wait_for(pictures(page), TIMEOUT_S)
             assert PICTURE_HEADER.unpack(again[:20])[0] > number
             await ghost(page)
         cell.bench.wait(lambda: subscribers() == 0, "nobody listens when nobody looks")
@@ -512,7 +512,7 @@ def test_recorded_runs_are_listed_but_nothing_outside_the_folder(tmp_path: Path)
 def stop_port(cell: Cell) -> int:
     """Return the port of the STOP server after waiting until it is ready."""
     cell.bench.wait(lambda: cell.page._stop and cell.page._stop.ready.is_set(), "STOP is served")
-    with urllib.request.urlopen(f"http://{cell.address}/stop-port", timeout=PATIENCE_S) as answer:
+    with urllib.request.urlopen(f"http://{cell.address}/stop-port", timeout=TIMEOUT_S) as answer:
         return int(answer.read())
 
 
@@ -523,7 +523,7 @@ def press_stop(cell: Cell, port: int) -> int:
         data=b'{"do": "stop"}',
         headers={"Origin": f"http://{cell.address}"},
     )
-    with urllib.request.urlopen(asked, timeout=PATIENCE_S) as answer:
+    with urllib.request.urlopen(asked, timeout=TIMEOUT_S) as answer:
         return int(answer.status)
 
 
@@ -539,7 +539,7 @@ def test_stop_has_a_path_that_full_and_busy_pages_cannot_block(cell: Cell) -> No
 
     async def scenario() -> None:
         async with contextlib.AsyncExitStack() as pages:
-            opened = [await pages.enter_async_context(cell.open()) for _ in range(MOST_PAGES)]
+            opened = [await pages.enter_async_context(cell.open()) for _ in range(MAX_PAGES)]
             for page in opened:
                 for number in range(50):
                     await page.send({"do": "place", "number": number, "x": 0, "y": 0, "angle": 0})

@@ -159,7 +159,7 @@ def test_another_cell_file_than_the_running_cells_is_refused(
 def test_a_marker_that_is_never_seen_stops_the_recording(
     held: HeldMarker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tapping_cell.nodes.clients.arm_pose_client.UNSEEN_PATIENCE_S", 0.1)
+    monkeypatch.setattr("tapping_cell.nodes.clients.arm_pose_client.UNSEEN_TIMEOUT_S", 0.1)
     held.blind = True
     with pytest.raises(CalibrationRefused, match="6 consecutive postures"):
         arm_recording.record(asked(tmp_path / "poses.csv"), CELL, QUIET)

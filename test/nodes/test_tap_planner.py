@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from harness import PATIENCE_S, Bench, bench
+from harness import TIMEOUT_S, Bench, bench
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -149,7 +149,7 @@ class Actors:
         message.header.frame_id = "table"
         self.goals.publish(message)
 
-    def end(self, patience: float = PATIENCE_S) -> PlanState:
+    def end(self, patience: float = TIMEOUT_S) -> PlanState:
         final = (PlanState.REACHED, PlanState.FAILED)
         self.bench.wait(lambda: self.plans[-1].state in final, "the goal's end", patience)
         return self.plans[-1]

@@ -104,7 +104,7 @@ def test_a_difference_is_named_with_its_command_and_stored_after_a_yes(
 def test_devices_that_are_not_there_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tapping_cell.cli.doctor.PATIENCE", 0.2)
+    monkeypatch.setattr("tapping_cell.cli.doctor.TIMEOUT", 0.2)
     shutil.copytree(shared_folder(), tmp_path / "config")
     path = tmp_path / "config" / "cell.yaml"
     document = yaml.safe_load(path.read_text())

@@ -17,7 +17,7 @@ from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 
 HOME = (0.0, math.pi / 2, 0.0, 0.0)
 NEAR_HOME = (0.05, 1.5, -0.005, 0.1)
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 
 
 class EmulatedArm:
@@ -43,7 +43,7 @@ class EmulatedArm:
 
     def wait_moving(self, moving: bool) -> None:
         """Wait until the emulated arm moves, or until it has stopped."""
-        deadline = time.monotonic() + _PATIENCE_S
+        deadline = time.monotonic() + _TIMEOUT_S
         while True:
             with self.port.lock:
                 if self.emulator.moving(time.monotonic()) is moving:

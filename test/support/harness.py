@@ -13,7 +13,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 """Timeout, long enough for a slow and busy machine. Tests wait for events, not for a fixed time."""
 
 
@@ -32,9 +32,7 @@ class Bench:
         self.probe.create_subscription(kind, topic, messages.append, profile)
         return messages
 
-    def wait(
-        self, condition: Callable[[], object], what: str, patience: float = PATIENCE_S
-    ) -> None:
+    def wait(self, condition: Callable[[], object], what: str, patience: float = TIMEOUT_S) -> None:
         """Wait until the condition holds; otherwise fail with ``what`` and the last message of each
         observed topic."""
         deadline = time.monotonic() + patience

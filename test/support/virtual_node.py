@@ -21,7 +21,7 @@ from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.verification.serial_line import SerialLine
 from tapping_cell.verification.trial import QUALITIES, SERVES, SUBSCRIPTIONS
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 PROBE = "probe"
 
 
@@ -91,9 +91,7 @@ class VirtualNode:
         """Let time pass."""
         self.scheduler.run(self.now() + duration)
 
-    def wait(
-        self, condition: Callable[[], object], what: str, patience: float = PATIENCE_S
-    ) -> None:
+    def wait(self, condition: Callable[[], object], what: str, patience: float = TIMEOUT_S) -> None:
         """Let time pass until the condition holds; otherwise fail with ``what``."""
         self.scheduler.run(self.now() + patience, lambda: bool(condition()))
         assert condition(), f"waited {patience:.0f} s in vain: {what}"

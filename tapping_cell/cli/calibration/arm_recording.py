@@ -31,7 +31,7 @@ SPARE = 2
 some."""
 BLIND = 6
 """Number of consecutive postures without a visible marker after which the recording is aborted."""
-READY_PATIENCE_S = 30.0
+READY_TIMEOUT_S = 30.0
 _SAME_TIP = 0.001
 """Maximum distance in m between the tip positions according to the given cell file and according
 to the running cell."""
@@ -56,7 +56,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
     try:
         with ArmPoseClient(arguments.namespace, cell.arm.ros2_control) as client:
-            session.wait_until_ready(client, READY_PATIENCE_S, lambda: None, console)
+            session.wait_until_ready(client, READY_TIMEOUT_S, lambda: None, console)
             _visit(arguments, cell, client, growing, console)
     except KeyboardInterrupt:
         console.print("interrupted; continue with --resume")

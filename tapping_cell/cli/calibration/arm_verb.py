@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.calibration.arm import (
-    LEAST_POSES,
+    MIN_POSES,
     RECORD_COLUMNS,
     ArmCalibration,
     ArmRecord,
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_existing(output)
     cell = load_cell(arguments.cell)
     if arguments.record_first:
-        check_count("--poses", arguments.poses, LEAST_POSES)
+        check_count("--poses", arguments.poses, MIN_POSES)
         from tapping_cell.cli.calibration.arm_recording import record as make_record
 
         if not make_record(arguments, cell, recording_console(arguments)):

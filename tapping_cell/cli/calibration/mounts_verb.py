@@ -29,8 +29,8 @@ from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import RecordError, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
 from tapping_cell.calibration.mounts import (
+    MAX_DEVIATION,
     RECORD_COLUMNS,
-    WANTED,
     Array,
     MountFit,
     TapScatter,
@@ -257,11 +257,11 @@ def lines(found: dict[str, Any]) -> list[str]:
             f"{math.degrees(fit['angle']):>11.2f} {100 * (fit['speed_factor'] - 1):>+9.1f}"
         )
     for fit in found["tappers"]:
-        if fit["line_deviation"] > WANTED:
+        if fit["line_deviation"] > MAX_DEVIATION:
             rows.append(
                 f"note: the line of '{fit['name']}' is known to "
                 f"{1e3 * fit['line_deviation']:.2f} mm at the object (needed: "
-                f"{1e3 * WANTED:.1f} mm); make about {fit['taps_wanted']} taps"
+                f"{1e3 * MAX_DEVIATION:.1f} mm); make about {fit['taps_wanted']} taps"
             )
     rows += [f"note: unchanged: {sentence}" for sentence in found["too_few_taps"]]
     if found["without_taps"]:

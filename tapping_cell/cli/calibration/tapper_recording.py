@@ -33,7 +33,7 @@ _STEP = 0.93
 """Factor by which the largest speed is reduced until the tap has enough clearance on the table."""
 _USELESS = 4
 """Number of consecutive unusable taps after which the recording is aborted."""
-READY_PATIENCE_S = 60.0
+READY_TIMEOUT_S = 60.0
 RATE_WINDOW_S = 1.0
 _ALIKE = 0.02
 
@@ -56,7 +56,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     )
     try:
         with SingleTapClient("calibrate_tapper", arguments.namespace) as client:
-            session.wait_until_ready(client, READY_PATIENCE_S, lambda: None, console)
+            session.wait_until_ready(client, READY_TIMEOUT_S, lambda: None, console)
             _make(cell, client, left, growing, console)
     except KeyboardInterrupt:
         console.print("interrupted; continue with --resume")

@@ -33,7 +33,7 @@ from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
 from tapping_cell.calibration.tapper import (
-    LEAST_TAPS,
+    MIN_TAPS,
     RECORD_COLUMNS,
     USUAL_DEVIATION,
     TapperCalibration,
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
     if arguments.record_first:
-        check_count("--taps", arguments.taps, LEAST_TAPS)
+        check_count("--taps", arguments.taps, MIN_TAPS)
         from tapping_cell.cli.calibration.tapper_recording import record as make_record
 
         if not make_record(arguments, cell, recording_console(arguments)):

@@ -87,7 +87,7 @@ CAMERA_PERIOD_S = 1.0
 """Period at which the camera pose is published."""
 STAMP_AHEAD_S = 1.0
 """Maximum time by which an image stamp may be ahead of this node's clock."""
-MOST_LATE = 15
+MAX_LATE = 15
 """Number of consecutive images, each older than the last accepted image, after which tracking
 restarts. They span about half a second, which is too long for reordered messages."""
 
@@ -350,7 +350,7 @@ class CameraPose(CellNode[Parameters]):
     def _count_late(self, observation: Observation) -> None:
         """Restart tracking when the camera's clock was set back, which makes every image late."""
         self._late = self._late + 1 if observation.problem is Problem.LATE_FRAME else 0
-        if self._late >= MOST_LATE and self._camera is not None and self._cell is not None:
+        if self._late >= MAX_LATE and self._camera is not None and self._cell is not None:
             self.get_logger().warning(
                 f"{self._late} consecutive images are older than an earlier image: the camera's "
                 "clock was set back; tracking restarts"

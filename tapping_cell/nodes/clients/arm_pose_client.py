@@ -25,9 +25,9 @@ from tapping_cell.se2 import Pose
 
 ARRIVED = 0.01
 """Maximum distance of each joint from its target, in rad, at which the posture is reached."""
-MOVE_PATIENCE_S = 30.0
-OBSERVATION_PATIENCE_S = 10.0
-UNSEEN_PATIENCE_S = 3.0
+MOVE_TIMEOUT_S = 30.0
+OBSERVATION_TIMEOUT_S = 10.0
+UNSEEN_TIMEOUT_S = 3.0
 """Timeout for an observation at rest, and for the first observation of the marker."""
 PICTURES = 10
 """Number of images at rest that are fused into an observation."""
@@ -119,7 +119,7 @@ class ArmPoseClient(GoalClient):
 
     def _arrival(self, target: Joints, sent: Time, check: Callable[[], None]) -> Time:
         """Return the time at which the measured joints reached the posture."""
-        deadline = time.monotonic() + MOVE_PATIENCE_S
+        deadline = time.monotonic() + MOVE_TIMEOUT_S
         while time.monotonic() < deadline:
             check()
             state, here = self.arm_state, self.joints()
@@ -132,7 +132,7 @@ class ArmPoseClient(GoalClient):
                 raise ArmRefused(f"the arm rejected the motion: {state.error_msg}")
             time.sleep(_POLL_S)
         raise ArmRefused(
-            f"the arm did not reach its posture within {MOVE_PATIENCE_S:.0f} s; check its "
+            f"the arm did not reach its posture within {MOVE_TIMEOUT_S:.0f} s; check its "
             "driver, then continue with --resume"
         )
 
@@ -141,7 +141,7 @@ class ArmPoseClient(GoalClient):
         arrival."""
         begun = shown = time.monotonic()
         while (now := time.monotonic()) < min(
-            begun + OBSERVATION_PATIENCE_S, shown + UNSEEN_PATIENCE_S
+            begun + OBSERVATION_TIMEOUT_S, shown + UNSEEN_TIMEOUT_S
         ):
             check()
             seen = self.object_state

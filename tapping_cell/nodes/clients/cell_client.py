@@ -30,7 +30,7 @@ from tapping_cell.nodes.page.node_watch import ARM, CAMERAS, NOT_YET, NodeWatch
 
 NAME = "cell_client"
 ACTORS = (ARM, "tapper_trigger")
-STOP_PATIENCE_S = 2.0
+STOP_TIMEOUT_S = 2.0
 STOP_PERIOD_S = 0.02
 _POLL_S = 0.05
 
@@ -138,7 +138,7 @@ class CellClient(ClientNode):
                 if actor not in asked and client.service_is_ready():
                     asked[actor] = client.call_async(Trigger.Request())
 
-        deadline = time.monotonic() + STOP_PATIENCE_S
+        deadline = time.monotonic() + STOP_TIMEOUT_S
         missing = list(actors)
         while missing and time.monotonic() < deadline:
             self.in_executor(ask)
@@ -146,7 +146,7 @@ class CellClient(ClientNode):
             time.sleep(STOP_PERIOD_S)
         if missing:
             raise NotDone(
-                f"{' and '.join(missing)} did not confirm the stop within {STOP_PATIENCE_S:.0f} s:"
+                f"{' and '.join(missing)} did not confirm the stop within {STOP_TIMEOUT_S:.0f} s:"
                 " use the wired emergency stop"
             )
 

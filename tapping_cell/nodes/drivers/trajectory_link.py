@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from tapping_cell.configuration.cell import Ros2ControlSection
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.joint_trajectory import LEAST_TIME, Course, TrajectoryPoint
+from tapping_cell.hardware.joint_trajectory import MIN_TIME, Course, TrajectoryPoint
 from tapping_cell.hardware.trajectory_link import (
     GoalState,
     JointSample,
@@ -246,7 +246,7 @@ class RosTrajectoryLink(RosLink):
             command = JointTrajectoryPoint(
                 positions=list(point.positions), velocities=list(point.velocities)
             )
-            nanoseconds = round(1e9 * max(point.time, LEAST_TIME))
+            nanoseconds = round(1e9 * max(point.time, MIN_TIME))
             command.time_from_start.sec, command.time_from_start.nanosec = divmod(
                 nanoseconds, 10**9
             )

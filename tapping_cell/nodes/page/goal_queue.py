@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from tapping_cell.se2 import Pose
 
-MOST_WAITING = 50
-MOST_NAMES = 50
+MAX_WAITING = 50
+MAX_NAMES = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +45,9 @@ class GoalQueue:
 
     def add(self, goal: RequestedGoal) -> None:
         """Append a goal. Raises QueueFull."""
-        if len(self._waiting) >= MOST_WAITING:
+        if len(self._waiting) >= MAX_WAITING:
             raise QueueFull(
-                f"{MOST_WAITING} goals are already waiting; remove one, or run the queue"
+                f"{MAX_WAITING} goals are already waiting; remove one, or run the queue"
             )
         self._waiting[next(self._numbers)] = goal
 
@@ -101,8 +101,8 @@ class NamedGoals:
 
     def keep(self, name: str, pose: Pose) -> None:
         """Store a pose under a name, replacing the previous pose. Raises QueueFull."""
-        if name not in self._poses and len(self._poses) >= MOST_NAMES:
-            raise QueueFull(f"{MOST_NAMES} goals already have names; remove one")
+        if name not in self._poses and len(self._poses) >= MAX_NAMES:
+            raise QueueFull(f"{MAX_NAMES} goals already have names; remove one")
         self._poses[name] = pose
 
     def forget(self, name: str) -> bool:

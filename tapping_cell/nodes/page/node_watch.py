@@ -26,7 +26,7 @@ CAMERAS = ("sim_world", "overhead_camera")
 SILENCE_LIMIT_S = 3.5
 """Maximum age of the last diagnostics, which are sent every second, before a node counts as
 silent."""
-PATIENCE_S = 3.0
+TIMEOUT_S = 3.0
 LEVELS = {
     DiagnosticStatus.OK: "ok",
     DiagnosticStatus.WARN: "warn",
@@ -92,7 +92,7 @@ class NodeWatch:
         if peer.client is None:
             peer.client = self._node.create_client(GetState, f"{self._prefix}{name}/get_state")
         if peer.asked is not None:
-            if now - peer.asked_at < PATIENCE_S:
+            if now - peer.asked_at < TIMEOUT_S:
                 return
             peer.client.remove_pending_request(peer.asked)
             peer.life = "does not answer"

@@ -201,7 +201,7 @@ KINDS = (
     *COMMANDS,
 )
 LONGEST_NAME = 40
-MOST_OBJECTS = 20
+MAX_OBJECTS = 20
 """Maximum number of objects in a request."""
 
 
@@ -285,8 +285,8 @@ def _object(content: dict[str, object]) -> str:
 
 def _list(content: dict[str, object], name: str) -> list[object]:
     value = content.get(name)
-    if not isinstance(value, list) or len(value) > MOST_OBJECTS:
-        raise BadRequest(f"{name} is not a list of at most {MOST_OBJECTS} entries")
+    if not isinstance(value, list) or len(value) > MAX_OBJECTS:
+        raise BadRequest(f"{name} is not a list of at most {MAX_OBJECTS} entries")
     return value
 
 

@@ -18,7 +18,7 @@ from tapping_cell.nodes.recorder.run_names import is_run_name
 
 SUMMARY, ARRANGEMENT = "summary.json", "arrangement.json"
 REPORT = "report.html"
-MOST_ROWS = 40
+MAX_ROWS = 40
 LARGEST_SUMMARY = 4_000_000
 """Maximum number of bytes of a summary."""
 
@@ -115,7 +115,7 @@ class Runs:
         except OSError:
             return []
         found.sort(key=lambda each: each[1], reverse=True)
-        return found[:MOST_ROWS]
+        return found[:MAX_ROWS]
 
     def _row(self, name: str) -> dict[str, object]:
         row: dict[str, object] = {

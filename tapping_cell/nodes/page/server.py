@@ -47,22 +47,22 @@ from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.report.palette import css_variables
 
 STATIC = Path(__file__).parent / "static"
-MOST_PAGES = 16
-HELLO_PATIENCE_S = 5.0
+MAX_PAGES = 16
+HELLO_TIMEOUT_S = 5.0
 """Timeout for the first message of a connection."""
-WRITE_PATIENCE_S = 5.0
+WRITE_TIMEOUT_S = 5.0
 """Timeout for a page to read its data."""
 PING_PERIOD_S = 5.0
-MOST_MESSAGES = 100
+MAX_MESSAGES = 100
 """Maximum number of messages of one page per second, beyond which its connection is closed."""
-MOST_COMMANDS = 10
+MAX_COMMANDS = 10
 """Maximum number of goals and commands of one page per second. Further requests are refused, except
 for a stop."""
-MOST_ANSWERS = 64
+MAX_ANSWERS = 64
 """Maximum number of queued responses for one page."""
-MOST_DOWNLOADS = 2
+MAX_DOWNLOADS = 2
 """Maximum number of concurrent downloads. Packing a run needs a thread and disk space."""
-PIECE_PATIENCE_S = 60.0
+PIECE_TIMEOUT_S = 60.0
 """Timeout of a download without progress."""
 
 # WebSocket close codes; 4000 to 4999 are reserved for private use.
@@ -240,7 +240,7 @@ class PageServer:
 
     def join(self, page: PageSocket) -> bool:
         """Admit a page if the limit is not reached."""
-        if len(self.pages) >= MOST_PAGES:
+        if len(self.pages) >= MAX_PAGES:
             return False
         self.pages.add(page)
         page.answer({"type": "welcome", "key": page.key, **self.backend.greet()})
@@ -359,8 +359,8 @@ class RunHandler(_Guarded):
                 await self._send_file(file)
 
     async def _archive(self, name: str) -> None:
-        if self.server.downloads >= MOST_DOWNLOADS:
-            self.refuse(503, f"{MOST_DOWNLOADS} downloads are in progress; try again later")
+        if self.server.downloads >= MAX_DOWNLOADS:
+            self.refuse(503, f"{MAX_DOWNLOADS} downloads are in progress; try again later")
             return
         self.server.downloads += 1
         try:
@@ -384,7 +384,7 @@ class RunHandler(_Guarded):
         with contextlib.suppress(StreamClosedError, asyncio.TimeoutError):
             while piece := file.read(1 << 18):
                 self.write(piece)
-                await asyncio.wait_for(self.flush(), PIECE_PATIENCE_S)
+                await asyncio.wait_for(self.flush(), PIECE_TIMEOUT_S)
 
 
 class PageSocket(_Guarded, WebSocketHandler):
@@ -424,7 +424,7 @@ class PageSocket(_Guarded, WebSocketHandler):
         ]
 
     async def _expect_hello(self) -> None:
-        await asyncio.sleep(HELLO_PATIENCE_S)
+        await asyncio.sleep(HELLO_TIMEOUT_S)
         if not self.joined:
             self.close(BAD_TOKEN, "no hello")
 
@@ -432,7 +432,7 @@ class PageSocket(_Guarded, WebSocketHandler):
         """Process one message. Whatever its content, the page receives a readable response."""
         if self.ws_connection is None:  # closed by the server, so remaining messages are ignored
             return
-        if self._messages.add() > MOST_MESSAGES:
+        if self._messages.add() > MAX_MESSAGES:
             self.close(TOO_MANY_MESSAGES, "too many messages per second")
             return
         try:
@@ -448,7 +448,7 @@ class PageSocket(_Guarded, WebSocketHandler):
             if request.number == self._awaited:
                 self._awaited = 0
         elif self._is_too_much(request):
-            text = f"more than {MOST_COMMANDS} commands per second; wait a moment"
+            text = f"more than {MAX_COMMANDS} commands per second; wait a moment"
             self.answer({"type": "answer", "ok": False, "text": text})
         else:
             self.server.backend.on_request(
@@ -462,7 +462,7 @@ class PageSocket(_Guarded, WebSocketHandler):
         """Return whether a page exceeds its request limit."""
         if request == Command("stop") or isinstance(request, Frequent):
             return False
-        return self._commands.add() > MOST_COMMANDS
+        return self._commands.add() > MAX_COMMANDS
 
     def _hello(self, request: Hello) -> None:
         if self.joined:
@@ -470,7 +470,7 @@ class PageSocket(_Guarded, WebSocketHandler):
         if not self.server.guard.admits(request.token):
             self.close(BAD_TOKEN, "the token is wrong or missing")
         elif not self.server.join(self):
-            self.close(TOO_MANY_PAGES, f"{MOST_PAGES} pages are open already; close one")
+            self.close(TOO_MANY_PAGES, f"{MAX_PAGES} pages are open already; close one")
         else:
             self.joined = True
 
@@ -489,7 +489,7 @@ class PageSocket(_Guarded, WebSocketHandler):
 
     def send(self, text: str) -> None:
         """Send a text. All texts arrive in order."""
-        if len(self._answers) >= MOST_ANSWERS:
+        if len(self._answers) >= MAX_ANSWERS:
             self.close(TOO_MANY_MESSAGES, "too many messages at the same time")
             return
         self._answers.append(text)
@@ -534,7 +534,7 @@ class PageSocket(_Guarded, WebSocketHandler):
             stream.close()
 
     async def _send(self, content: str | bytes, *, binary: bool) -> None:
-        await asyncio.wait_for(self.write_message(content, binary), WRITE_PATIENCE_S)
+        await asyncio.wait_for(self.write_message(content, binary), WRITE_TIMEOUT_S)
 
 
 class _Count:

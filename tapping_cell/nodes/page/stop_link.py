@@ -14,7 +14,7 @@ from dataclasses import asdict
 from tapping_cell.nodes.page.guard import Guard
 
 RESTART_PAUSE_S = 0.5
-END_PATIENCE_S = 2.0
+END_TIMEOUT_S = 2.0
 
 
 class StopLink:
@@ -66,10 +66,10 @@ class StopLink:
             process = self._process
             if process is not None and process.stdin is not None:
                 process.stdin.close()
-        self._thread.join(END_PATIENCE_S)
+        self._thread.join(END_TIMEOUT_S)
         if process is not None and process.poll() is None:
             process.kill()
-        self._thread.join(END_PATIENCE_S)
+        self._thread.join(END_TIMEOUT_S)
         for each in self._sockets:
             each.close()
 

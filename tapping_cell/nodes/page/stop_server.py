@@ -24,7 +24,7 @@ from tornado.web import Application, RequestHandler
 from tapping_cell.nodes.page.guard import Guard
 
 LONGEST_BODY = 1024
-MOST_CONNECTIONS = 256
+MAX_CONNECTIONS = 256
 REPEAT_PERIOD_S = 0.02
 """Stops within this time after the last one are published once."""
 SLOW_ANSWER_S = 0.1
@@ -165,7 +165,7 @@ class StopServer(HTTPServer):
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
         """Accept a new connection."""
         self._forget_closed()
-        while len(self._streams) + len(self._admitted) >= MOST_CONNECTIONS:
+        while len(self._streams) + len(self._admitted) >= MAX_CONNECTIONS:
             (self._streams or self._admitted).pop(0).close()
         self._streams.append(stream)
         super().handle_stream(stream, address)

@@ -120,7 +120,7 @@ def _tapper_markers(cell: Cell) -> list[Marker]:
 def region_marker(edges: Points) -> Marker:
     """Return the marker of the object's workspace from its edges (n, 2, 2) in m. Computed only
     once."""
-    return _points("workable", Marker.LINE_LIST, edges.reshape(-1, 2), LINE_WIDTH / 2, GREY)
+    return _points("tappable", Marker.LINE_LIST, edges.reshape(-1, 2), LINE_WIDTH / 2, GREY)
 
 
 def _circle(radius: float) -> Points:

@@ -75,7 +75,7 @@ TAIL_S = 1.0
 SILENCE_S = 30.0
 """Timeout for messages of the planner, after which the recording ends without the end of the
 goal."""
-END_PATIENCE_S = 4.0
+END_TIMEOUT_S = 4.0
 WRITE_PERIOD_S = 0.5
 POLL_PERIOD_S = 0.1
 REPEATED_WITHIN_S = 10.0
@@ -292,7 +292,7 @@ class RunRecorder(CellNode[Parameters]):
             # launcher kills a stopping node after 5 s.
             written = threading.Event()
             self._worker.submit(written.set)
-            written.wait(END_PATIENCE_S)
+            written.wait(END_TIMEOUT_S)
             for worker in (self._worker, self._reporter):
                 if worker is not None:
                     worker.close(patience=0.2)

@@ -1,4 +1,4 @@
-"""Maps of workable places for one object among others, and queries on these maps."""
+"""Maps of tappable places for one object among others, and queries on these maps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class AmongOthers:
         self._paths: dict[tuple[FreeSpace, frozenset[CircleArea], float, float], PathLengths] = {}
 
     def map(self, body: Body, others: Iterable[CircleArea]) -> FreeSpace:
-        """Return the map of workable places of an object among these areas."""
+        """Return the map of tappable places of an object among these areas."""
         areas = frozenset(others)
         key = (body.free, areas)
         if key not in self._maps:
@@ -37,7 +37,7 @@ class AmongOthers:
         return self._maps[key]
 
     def path(self, body: Body, others: Iterable[CircleArea], start: Pose, end: Pose) -> float:
-        """Length of the path of workable places between two poses, m; inf if there is no path."""
+        """Length of the path of tappable places between two poses, m; inf if there is no path."""
         areas = frozenset(others)
         key = (body.free, areas, end.x, end.y)
         if key not in self._paths:
@@ -50,11 +50,11 @@ class AmongOthers:
         return float(paths.length(np.array([start.x, start.y])))
 
     def fits(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> bool:
-        """Return whether a pose of the object is workable."""
+        """Return whether a pose of the object is tappable."""
         return bool(self.map(body, others).contains(np.array([pose.x, pose.y])))
 
     def in_largest_region(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> bool:
-        """Return whether a pose is in the largest connected region of workable places."""
+        """Return whether a pose is in the largest connected region of tappable places."""
         free = self.map(body, others)
         if not bool(free.contains(np.array([pose.x, pose.y]))):
             return False
@@ -64,7 +64,7 @@ class AmongOthers:
         return bool(np.isfinite(offset) and free.regions[cell] == int(np.argmax(counts)))
 
     def places(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> Array:
-        """Centres (n, 2) of the workable cells that can be reached from a pose."""
+        """Centres (n, 2) of the tappable cells that can be reached from a pose."""
         free = self.map(body, others)
         cell, offset = free.nearest_cells(np.array([pose.x, pose.y]))
         if not np.isfinite(offset):

@@ -18,7 +18,7 @@ from tapping_cell.se2 import Pose
 class Body:
     """One object of an arrangement.
 
-    name: unique name. free: map of workable places on the table without other objects; objects of
+    name: unique name. free: map of tappable places on the table without other objects; objects of
     the same shape may share it. planner: method that chooses the taps; its settings contain the
     tolerance of the goal. goal: pose in `table`; None for an object without a goal.
     movable: whether the object may be tapped, to reach its goal or to make way.

@@ -1,6 +1,6 @@
 """The built-in arrangement planner: free goals first, then objects in the way make way.
 
-A move to a goal is possible if the goal is free, a path of workable places leads to it among the
+A move to a goal is possible if the goal is free, a path of tappable places leads to it among the
 other objects, and every remaining goal can still be reached afterwards (``stuck_goals``). The
 cheapest possible move is chosen. Its cost is the number of taps for the way around other objects,
 minus a bonus for goals that it frees. If no such move is possible (occupied goals, swaps, cycles,

@@ -54,9 +54,9 @@ STILL = 4.0
 """Displacement of an object at its goal, in standard deviations of the observations' difference, up
 to which it counts as unmoved."""
 
-MOST_TAPS_EACH = 60
+MAX_TAPS_EACH = 60
 
-PATIENCE = 6
+TIMEOUT = 6
 """Consecutive taps of one move without progress after which another move is tried first."""
 
 PROGRESS = 0.25
@@ -134,7 +134,7 @@ class ArrangementSession:
         self._adapt = adapt
         self._order = tuple(order)
         goals = sum(body.goal is not None for body in bodies)
-        self._most_taps = MOST_TAPS_EACH * max(1, goals) if most_taps is None else most_taps
+        self._most_taps = MAX_TAPS_EACH * max(1, goals) if most_taps is None else most_taps
         self._checked = False
         self._excluded: frozenset[tuple[str, Purpose]] = frozenset()
         self._stalled: frozenset[tuple[str, Purpose]] = frozenset()
@@ -241,7 +241,7 @@ class ArrangementSession:
         left = taps(body, path, turn) if math.isfinite(path) else math.inf
         if left <= self._best - PROGRESS:
             self._best, self._taps_without_progress = left, 0
-        return self._taps_without_progress < PATIENCE
+        return self._taps_without_progress < TIMEOUT
 
     def _residual(self, name: str, pose: Pose) -> Pose:
         goal = self._by_name[name].goal

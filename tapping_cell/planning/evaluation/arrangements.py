@@ -157,7 +157,7 @@ def draw_scene(
             goals = draw_places(chosen, task.gap, rng)
         elif task.goals == "swap":
             goals = swapped_goals(starts, rng)
-            if not all(_workable(k, g) for k, g in zip(chosen, goals, strict=True)):
+            if not all(_tappable(k, g) for k, g in zip(chosen, goals, strict=True)):
                 continue
         else:
             goals = _grid(chosen, task.grid_gap)
@@ -347,7 +347,7 @@ def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -
                 pose.distance_to(other) < least + radius + space.object_radius
                 for other, radius in placed
             )
-            if not near and _workable(kind, pose):
+            if not near and _tappable(kind, pose):
                 placed.append((pose, space.object_radius))
                 break
         else:
@@ -373,7 +373,7 @@ def _grid(kinds: Sequence[Kind], between: float) -> list[Pose]:
     return [Pose(float(x), float(y), 0.0) for x, y in places]
 
 
-def _workable(kind: Kind, pose: Pose) -> bool:
+def _tappable(kind: Kind, pose: Pose) -> bool:
     return bool(kind.free.contains(np.array([pose.x, pose.y])))
 
 

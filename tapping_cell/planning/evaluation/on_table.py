@@ -22,7 +22,7 @@ from tapping_cell.planning.session import Done, PositioningSession, Strike
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.se2 import Pose, wrap_angle
 
-MOST_DRAWS = 1000
+MAX_DRAWS = 1000
 
 
 def run_table_trials(
@@ -57,7 +57,7 @@ def run_table_trials(
 
 def _draw_start(space: StrikeSpace, free: FreeSpace, rng: np.random.Generator) -> Array:
     half = np.array([space.workspace.length, space.workspace.width]) / 2
-    for _ in range(MOST_DRAWS):
+    for _ in range(MAX_DRAWS):
         place = rng.uniform(-half, half)
         if bool(free.contains(place)):
             return np.append(place, rng.uniform(-math.pi, math.pi))

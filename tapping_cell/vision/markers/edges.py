@@ -20,7 +20,7 @@ from tapping_cell.vision.camera import Array, Image
 BINS = 8
 """Number of points per side, enough for the slight curve due to lens distortion."""
 
-_LEAST_CONTRAST = 12.0
+_MIN_CONTRAST = 12.0
 """Minimum difference of the white and black grey levels at a side (six times the usual noise)."""
 _SOFT = 0.02
 """Maximum slope of the grey level at the ends of the window across an edge, per pixel and relative
@@ -39,9 +39,9 @@ _OBLIQUE = 0.8
 determines the window."""
 _ROWS_ALIKE = 3
 """Maximum lag, in rows, of the error correlation."""
-_MOST_OBSERVATIONS = 8
-_MOST_PULL = 0.9
-_LEAST_SHARE = 0.7
+_MAX_OBSERVATIONS = 8
+_MAX_PULL = 0.9
+_MIN_SHARE = 0.7
 """Minimum fraction of a side's rows that must agree with a straight line."""
 
 
@@ -100,7 +100,7 @@ def narrowest(quads: Array) -> Array:
 
 
 def _accepted(edges: MarkerEdges) -> MarkerEdges:
-    return replace(edges, good=edges.good & (edges.pull < _MOST_PULL))
+    return replace(edges, good=edges.good & (edges.pull < _MAX_PULL))
 
 
 def _at_widths(image: Image, quads: Array, widths: NDArray[np.intp]) -> MarkerEdges:
@@ -119,7 +119,7 @@ def _at_widths(image: Image, quads: Array, widths: NDArray[np.intp]) -> MarkerEd
 def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
     """Measure the edges with windows of one width, until the windows are centred on the edges."""
     found = _sample_edges(image, quads, half_width)
-    for _ in range(_MOST_OBSERVATIONS):
+    for _ in range(_MAX_OBSERVATIONS):
         shift = np.abs(found.corners - quads).max(axis=(1, 2))
         redo = found.good & (shift > np.where(found.soft > _SOFT, 0.04, 0.6)) & (shift < 8.0)
         if not redo.any():
@@ -192,7 +192,7 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
     sums = np.matmul(grey, _sums(half_width)).astype(float)
     black, white = _along(p, np.moveaxis(sums[..., 1:3], -1, 0), mask)
     contrast = white - black
-    usable = mask * (contrast > _LEAST_CONTRAST)
+    usable = mask * (contrast > _MIN_CONTRAST)
     total = (2 * half_width + 1) * white - sums[..., 0]
     share = total / np.where(contrast == 0.0, 1.0, contrast) - (half_width + 0.5)
     usable *= np.abs(share) < half_width - 0.5
@@ -204,8 +204,8 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
     kept = usable * (off < np.maximum(0.3, 4.0 * scale)[:, None])
     offset, slope, residual = _line(p, q, kept)
     number = kept.sum(axis=1)
-    good = (number >= _LEAST_SHARE * np.maximum(mask.sum(axis=1), 4.0)) & (
-        number >= _LEAST_SHARE * (high - low)
+    good = (number >= _MIN_SHARE * np.maximum(mask.sum(axis=1), 4.0)) & (
+        number >= _MIN_SHARE * (high - low)
     )
     corners = _corners(offset, slope, along)
     # Change from pixel to pixel at the window's ends, relative to the contrast, averaged over rows.

@@ -34,7 +34,7 @@ freedom of the prior for their usual noise."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width, in pixels and as a fraction of the side. A larger
 difference means that an object beside the marker was mistaken for one of its sides."""
-_MORE_OBLONG, _MOST_OBLONG = 4.0, 0.03
+_MORE_OBLONG, _MAX_OBLONG = 4.0, 0.03
 """Allowed ratio of this difference to that of nearby reference markers (root mean square), which
 accounts for a poor lens, bent paper or a sharpened image. The second value limits the difference
 that this ratio allows, as a fraction of the side."""
@@ -104,7 +104,7 @@ def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
     seen = view.on_plane(references)
     sides = np.linalg.norm(np.roll(seen, -1, axis=1) - seen, axis=2)
     longer = np.abs(sides @ [1.0, -1.0, 1.0, -1.0]) / (0.5 * sides.sum(axis=1))
-    return min(_MORE_OBLONG * float(np.sqrt((longer**2).mean())), _MOST_OBLONG)
+    return min(_MORE_OBLONG * float(np.sqrt((longer**2).mean())), _MAX_OBLONG)
 
 
 def _metres(pixels: Array, seen: Array) -> Array:

@@ -34,7 +34,7 @@ _POSE = slice(11, 14)
 """Columns of the design matrix that move the marker."""
 _LAGS = 4
 """Maximum lag, in pixels, of the noise autocorrelation."""
-_LEAST_POWER = 0.1
+_MIN_POWER = 0.1
 """Minimum power of the noise at every spatial frequency, relative to white noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. At this distance, the second-order
@@ -246,7 +246,7 @@ def _together(
     near = np.ix_(lags, lags)
     kernel = np.zeros(size, dtype=np.float32)
     kernel[near] = products[near] / pairs[near] * (pairs[0, 0] / max(products[0, 0], 1e-9))
-    power = np.maximum(fft.rfft2(kernel).real, _LEAST_POWER)
+    power = np.maximum(fft.rfft2(kernel).real, _MIN_POWER)
     filtered = fft.irfft2(waves[:3] * power, size)[:, : shape[0], : shape[1]]
     apart = maps[:3].reshape(3, -1) @ filtered.reshape(3, -1).T - influence.T @ influence
     return np.asarray(np.eye(3) + 0.5 * (apart + apart.T), dtype=float)

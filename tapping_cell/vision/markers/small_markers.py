@@ -21,7 +21,7 @@ from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 
 _QUIET = 0.6
 """Width of the white margin used, in modules; a narrow margin is one module wide."""
-_BLUR, _LEAST_BLUR, _MOST_BLUR = 0.7, 0.35, 2.5
+_BLUR, _MIN_BLUR, _MAX_BLUR = 0.7, 0.35, 2.5
 """Sigma of the blur in pixels: initial value and bounds."""
 _ROUNDS = 15
 _LARGEST_STEP = 0.6
@@ -29,11 +29,11 @@ _LARGEST_STEP = 0.6
 _CONVERGED = 0.03
 _MAX_CORNER_SHIFT = 0.9
 """Maximum distance of a corner from its detected position, in modules."""
-_LEAST_CONTRAST = 12.0
-_MOST_UNEXPLAINED = 0.18
+_MIN_CONTRAST = 12.0
+_MAX_UNEXPLAINED = 0.18
 """Maximum root mean square residual relative to the contrast (at most 0.16 on 530 markers in
 photographs)."""
-_VAGUE, _LEAST_MODULE = 0.15, 1.2
+_VAGUE, _MIN_MODULE = 0.15, 1.2
 """Maximum standard deviation of a side, in modules, and minimum width of a module, in pixels. On
 the same photographs, this deviation was at most 0.10 for correct patterns and at least 0.2 for
 wrong patterns."""
@@ -104,7 +104,7 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
             return None
         matrix, step = _stepped(matrix, answer[:8], corners - middle)
         corners = corners + step
-        blur = float(np.clip(blur + np.clip(answer[8], -0.3, 0.3), _LEAST_BLUR, _MOST_BLUR))
+        blur = float(np.clip(blur + np.clip(answer[8], -0.3, 0.3), _MIN_BLUR, _MAX_BLUR))
         gain = max(float(answer[10]), 1.0)
         residual = grey - columns @ answer
         spread = max(1.4826 * float(np.median(np.abs(residual))), 0.5)
@@ -115,7 +115,7 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
         return None
     modules = pattern.shape[0]
     side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).min())
-    if side < _LEAST_MODULE * modules:
+    if side < _MIN_MODULE * modules:
         return None
     if np.abs(corners - quad).max() > max(_MAX_CORNER_SHIFT * side / modules, 1.0):
         return None
@@ -123,7 +123,7 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
     slope = weight * (columns[:, 2] ** 2 + columns[:, 5] ** 2)
     unexplained = float(np.sqrt((slope * residual**2).sum() / max(float(slope.sum()), 1e-9)))
     noise = max(unexplained, float(np.sqrt((residual**2).mean())), 0.5)
-    if contrast < _LEAST_CONTRAST or noise > _MOST_UNEXPLAINED * contrast:
+    if contrast < _MIN_CONTRAST or noise > _MAX_UNEXPLAINED * contrast:
         return None
     seen = places @ matrix.T
     if not _whole(0.5 * modules * (seen[:, :2] / seen[:, 2:] + 1.0), residual / contrast, modules):

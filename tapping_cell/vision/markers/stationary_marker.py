@@ -32,7 +32,7 @@ _BLUR_STEP = 0.15
 _FIXED_EDGES = 0.25
 """Fraction of the edges' variance that does not average out (standard deviation: 0.0025 of 0.005
 pixel, measured)."""
-_LEAST_FIXED = 0.01
+_MIN_FIXED = 0.01
 _DOWNWARDS = 0.95
 """Cosine of the angle between the optical axis and the table's normal, below which edges are used
 instead. A template is blurred equally in all directions of the plane, but an oblique image is not
@@ -102,7 +102,7 @@ class RestingMarker:
             self._changing += share * (0.5 * float(np.var(now - self._last)) - self._changing)
             self._unexplained += share * (unexplained**2 - self._unexplained)
             stays = 1.0 - self._changing / max(self._unexplained, 1e-9)
-            self.fixed = min(max(stays, _LEAST_FIXED), 1.0)
+            self.fixed = min(max(stays, _MIN_FIXED), 1.0)
         else:
             self._pairs = 0
         self._window, self._last = window, now

@@ -30,7 +30,7 @@ from tapping_cell.vision.outline.model import (
     rim_model,
 )
 from tapping_cell.vision.outline.pixels import (
-    MOST_PIXELS,
+    MAX_PIXELS,
     ROUGH_PIXELS,
     SOFTENED,
     Pixels,
@@ -46,7 +46,7 @@ FINE = 4.5
 COARSE = 10.0
 """Half widths of the band in pixels: for a fine fit, and for a coarse fit."""
 USUAL_BLUR = 0.75
-LEAST_CONTRAST = 8.0
+MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between top and surroundings, and between dot and top."""
 SIZE_SPREAD = 0.004
 """Standard deviation of an object's size relative to its file."""
@@ -159,7 +159,7 @@ def fit_outline(
     smeared = float(np.hypot(*moving)) > _SMEARED
     # A fit without the dot only prepares a fit with the dot.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
-    most = ROUGH_PIXELS if rough else MOST_PIXELS
+    most = ROUGH_PIXELS if rough else MAX_PIXELS
     state = _State(start.copy(), blur, size)
     gathered: Array | None = None
     tolerance, stays = (0.1, 3.0) if coarse else (0.02, 2.0) if rough else (_STEADY, 1.0)
@@ -355,7 +355,7 @@ class _State:
         usual = float(np.median(contrast[self.good])) if self.good.any() else 0.0
         assert self.taken is not None
         agrees = (
-            self.good & self.taken & (contrast > 0.35 * usual) & (contrast > 0.5 * LEAST_CONTRAST)
+            self.good & self.taken & (contrast > 0.35 * usual) & (contrast > 0.5 * MIN_CONTRAST)
         )
         dot_contrast = 0.0
         if dot is not None and scene.with_dot and self.dot_levels is not None:

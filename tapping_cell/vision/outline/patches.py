@@ -21,7 +21,7 @@ _EDGE = 0.05
 """Change of the grey level from pixel to pixel, relative to the level, at which a patch ends."""
 _LEAST, _MOST = 0.08, 1.3
 """Minimum and maximum area of a patch, relative to the object's area."""
-_MOST_PATCHES = 60
+_MAX_PATCHES = 60
 
 
 def patches(small: Image, area: float, reach: float) -> Iterator[Points]:
@@ -38,7 +38,7 @@ def patches(small: Image, area: float, reach: float) -> Iterator[Points]:
     count, found, boxes, middles = cv2.connectedComponentsWithStats(even, connectivity=4)
     labels, stats = np.asarray(found, dtype=np.int32), np.asarray(boxes, dtype=np.int32)
     sizes = stats[:, cv2.CC_STAT_AREA]
-    kept = [k for k in range(1, count) if _LEAST * area < sizes[k] < _MOST * area][:_MOST_PATCHES]
+    kept = [k for k in range(1, count) if _LEAST * area < sizes[k] < _MOST * area][:_MAX_PATCHES]
     rims = {k: _rim(labels, stats[k], k) for k in kept}
     for number, first in enumerate(kept):
         yield _hull(rims[first])

@@ -17,7 +17,7 @@ from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 
 SOFTENED = 2.5
 """Sigma in pixels of the blur for a coarse fit, which extends the range of convergence."""
-MOST_PIXELS, ROUGH_PIXELS = 3000, 1000
+MAX_PIXELS, ROUGH_PIXELS = 3000, 1000
 """Maximum number of pixels in a fine fit, and in a coarse or motion-blurred fit."""
 _SECTORS = 24
 
@@ -54,7 +54,7 @@ def rim_pixels(
     outline: ObjectOutline,
     pose: Array,
     width: float,
-    most: int = MOST_PIXELS,
+    most: int = MAX_PIXELS,
 ) -> Pixels | None:
     """Select at most ``most`` pixels of the band along the rim of the top."""
     top = view.project(transform_points(pose, outline.points()), outline.height)
@@ -99,7 +99,7 @@ def _seen_through(
     height: float,
     mask: NDArray[np.uint8],
     corner: tuple[int, int],
-    most: int = MOST_PIXELS,
+    most: int = MAX_PIXELS,
 ) -> Pixels | None:
     """Project the pixels of a mask whose first pixel is ``corner`` (x, y) of the image."""
     rows, columns = mask.shape

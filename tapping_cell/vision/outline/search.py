@@ -21,7 +21,7 @@ from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.outline.fit import (
     COARSE,
-    LEAST_CONTRAST,
+    MIN_CONTRAST,
     SIZE_SPREAD,
     USUAL_BLUR,
     OutlineFit,
@@ -30,10 +30,10 @@ from tapping_cell.vision.outline.fit import (
 from tapping_cell.vision.outline.patches import patches
 from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
 
-_LEAST_SEEN = {"disk": 0.55, "polygon": 0.7}
+_MIN_SEEN = {"disk": 0.55, "polygon": 0.7}
 """Minimum visible fraction of the rim. An arc of a circle fits in only one place, but a polygon
 displaced along some of its sides still agrees with these sides."""
-_LEAST_SIDE = 0.25
+_MIN_SIDE = 0.25
 """Minimum visible fraction of each long side of a polygon. Without this limit, a triangle displaced
 by some millimetres can fit well: two of its sides agree, and its third side agrees with a wall as
 bright as the top."""
@@ -91,7 +91,7 @@ OTHER_SHAPE, OTHER_SIZE, NO_DOT, TWO_DOTS = "shape", "size", "no dot", "two dots
 
 def least_seen(outline: ObjectOutline) -> float:
     """Minimum fraction of the rim that must be visible for the outline to be accepted."""
-    return _LEAST_SEEN["disk" if outline.vertices is None else "polygon"]
+    return _MIN_SEEN["disk" if outline.vertices is None else "polygon"]
 
 
 def find_outlines(
@@ -213,19 +213,19 @@ def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
     if abs(fit.size - 1.0) > LARGEST_STRETCH:
         return wrong_size(fit)
     least = least_seen(outline)
-    if fit.seen < least or fit.contrast < LEAST_CONTRAST:
+    if fit.seen < least or fit.contrast < MIN_CONTRAST:
         return Refused(
             OTHER_SHAPE,
             f"{fit.seen * 100:.0f} % of its rim is seen with a contrast of {fit.contrast:.0f} "
-            f"grey levels (at least {least * 100:.0f} % and {LEAST_CONTRAST:.0f} are needed)",
+            f"grey levels (at least {least * 100:.0f} % and {MIN_CONTRAST:.0f} are needed)",
         )
-    if fit.least_side < _LEAST_SIDE:
+    if fit.least_side < _MIN_SIDE:
         return Refused(
             OTHER_SHAPE,
             f"only {fit.least_side * 100:.0f} % of one of its sides is seen (at least "
-            f"{_LEAST_SIDE * 100:.0f} % of each side is needed)",
+            f"{_MIN_SIDE * 100:.0f} % of each side is needed)",
         )
-    if outline.dot is not None and fit.dot_contrast < LEAST_CONTRAST:
+    if outline.dot is not None and fit.dot_contrast < MIN_CONTRAST:
         return Refused(NO_DOT, "its dot is not seen at the expected position")
     return fit
 
@@ -393,7 +393,7 @@ def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) ->
     # Each mean is over a dozen pixels, so that noise alone gives no contrast.
     difference = (inside - beside).mean(axis=1).reshape(-1, 4).mean(axis=1)
     contrast = difference * (1.0 if outline.brighter else -1.0)
-    seen = float((contrast > 0.5 * LEAST_CONTRAST).mean())
+    seen = float((contrast > 0.5 * MIN_CONTRAST).mean())
     return seen >= 0.5 * least_seen(outline)
 
 
@@ -411,11 +411,11 @@ def turn_by_dot(
     difference = inner.mean(axis=1) - np.median(outer, axis=1)
     contrast = difference if dot.brighter else -difference
     best = int(contrast.argmax())
-    if contrast[best] < LEAST_CONTRAST:
+    if contrast[best] < MIN_CONTRAST:
         return Refused(
             NO_DOT,
             f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels; at "
-            f"least {LEAST_CONTRAST:.0f} are needed)",
+            f"least {MIN_CONTRAST:.0f} are needed)",
         )
     away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius
     if away.any() and contrast[away].max() > 0.6 * contrast[best]:

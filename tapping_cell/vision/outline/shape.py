@@ -20,7 +20,7 @@ _SAME = 0.03
 The manufacturing tolerance is a tenth of this value; the rest allows for a hidden part."""
 ANGLES = 720
 """Number of angles at which radii of a rim are compared."""
-_LEAST_DOT = 0.002
+_MIN_DOT = 0.002
 """Minimum radius (m) of a dot, and its minimum distance from the rim: three pixels each."""
 
 
@@ -86,16 +86,16 @@ class ObjectOutline:
         self._check_dot(self.dot, turns)
 
     def _check_dot(self, dot: Dot, turns: tuple[float, ...]) -> None:
-        if dot.radius < _LEAST_DOT:
+        if dot.radius < _MIN_DOT:
             raise OutlineError(
                 f"the dot's radius is {dot.radius * 1e3:.1f} mm, but must be at least "
-                f"{_LEAST_DOT * 1e3:.0f} mm to be seen"
+                f"{_MIN_DOT * 1e3:.0f} mm to be seen"
             )
         distance = float(self.distance(np.array([dot.offset]))[0][0])
-        if distance > -(dot.radius + _LEAST_DOT):
+        if distance > -(dot.radius + _MIN_DOT):
             raise OutlineError(
                 f"the dot comes within {max(0.0, -distance - dot.radius) * 1e3:.1f} mm of the rim; "
-                f"keep at least {_LEAST_DOT * 1e3:.0f} mm between them"
+                f"keep at least {_MIN_DOT * 1e3:.0f} mm between them"
             )
         if len(turns) == 1:
             return

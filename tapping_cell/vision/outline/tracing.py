@@ -35,7 +35,7 @@ _AROUND = 0.04
 """Maximum distance (m) of an object beyond the reference markers' centres."""
 _FREE_RIM = 1.4
 """Size of the area of a reference marker including its white border, in sides of the marker."""
-_LEAST_CONTRAST = 8.0
+_MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between an object and the table."""
 _SHADOW = 0.4
 """Minimum fraction of the object's contrast for a pixel to belong to it instead of a soft
@@ -46,7 +46,7 @@ interpolated."""
 _APART = 0.05
 """Area of another region, relative to the object's area, above which that region is a second
 object."""
-_LEAST_REACH = 0.006
+_MIN_REACH = 0.006
 """Minimum radius (m) of an object; smaller regions are dirt."""
 _ACROSS = np.arange(-6.0, 6.01, 0.25)
 """Sample positions across the rim, in pixels of the rectified image."""
@@ -60,7 +60,7 @@ outline's mean radius."""
 _BESIDE_CORNER = 0.12
 """Fraction at each end of a side that is not used in its line fit, because corners appear
 rounded."""
-_MOST_CORNERS = 12
+_MAX_CORNERS = 12
 
 
 class NotTraced(ValueError):
@@ -268,7 +268,7 @@ def _object(
     Regions darker and brighter than the table are searched. The largest is the object; a region of
     opposite sign is its shadow or its print.
     """
-    least = math.pi * (_LEAST_REACH / plane.step) ** 2
+    least = math.pi * (_MIN_REACH / plane.step) ** 2
     found = [
         (cv2.contourArea(outline), outline, brighter)
         for brighter in (False, True)
@@ -277,8 +277,8 @@ def _object(
     ]
     if not found:
         raise NotTraced(
-            f"no area of at least {2e3 * _LEAST_REACH:.0f} mm differs from the table by "
-            f"{_LEAST_CONTRAST:.0f} grey levels: put the object on the table; if it is there, put "
+            f"no area of at least {2e3 * _MIN_REACH:.0f} mm differs from the table by "
+            f"{_MIN_CONTRAST:.0f} grey levels: put the object on the table; if it is there, put "
             "a plain sheet of contrasting brightness under it"
         )
     area, outline, brighter = max(found, key=lambda one: one[0])
@@ -299,10 +299,10 @@ def _object(
 
 def _things(excess: NDArray[np.float32], least: float) -> list[NDArray[np.int32]]:
     """Outlines of regions brighter than the table and larger than ``least`` pixels."""
-    strong = excess[excess > _LEAST_CONTRAST]
+    strong = excess[excess > _MIN_CONTRAST]
     if strong.size < least:
         return []
-    threshold = max(_LEAST_CONTRAST, _SHADOW * float(np.median(strong)))
+    threshold = max(_MIN_CONTRAST, _SHADOW * float(np.median(strong)))
     mask = np.asarray(255 * (cv2.GaussianBlur(excess, (0, 0), 1.5) > threshold), dtype=np.uint8)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), dtype=np.uint8)
@@ -381,7 +381,7 @@ def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
     if round_by > _ROUND * radius:
         raise NotTraced(
             f"the outline is neither a disk (off by {1e3 * round_by:.1f} mm) nor a convex polygon "
-            f"of at most {_MOST_CORNERS} corners; give its corners by hand"
+            f"of at most {_MAX_CORNERS} corners; give its corners by hand"
         )
     return radius, None, middle, round_by
 
@@ -400,7 +400,7 @@ def _corners(rim: Array, radius: float) -> Array | None:
     """Corners of the convex polygon along the rim, each the intersection of two fitted sides."""
     line = rim.astype(np.float32)[:, None, :]
     rough = cv2.approxPolyDP(line, _CORNER * radius, True)[:, 0].astype(float)
-    if not 3 <= len(rough) <= _MOST_CORNERS:
+    if not 3 <= len(rough) <= _MAX_CORNERS:
         return None
     start = [int(np.argmin(np.hypot(*(rim - corner).T))) for corner in rough]
     middles, normals = [], []

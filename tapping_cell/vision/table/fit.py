@@ -17,7 +17,7 @@ _BENT = 0.03
 _FAR = 4.0
 """Maximum error of an inlier for a pose from two markers, as a multiple of
 ``TableSettings.displaced``."""
-_MOST_PAIRS = 66
+_MAX_PAIRS = 66
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +224,7 @@ def consensus(
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1)
     pixels = camera.project(np.concatenate([rays, np.ones((count, 4, 1))], axis=-1))
     best, agreed = None, np.zeros(count, dtype=bool)
-    for pair in islice(combinations(range(count), 2), _MOST_PAIRS):
+    for pair in islice(combinations(range(count), 2), _MAX_PAIRS):
         pose = initial_pose(camera, points[list(pair)], pixels[list(pair)])
         if pose is None:
             continue

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tapping_cell.calibration.mounts import WANTED, TapScatter, fit_mount
+from tapping_cell.calibration.mounts import MAX_DEVIATION, TapScatter, fit_mount
 from tapping_cell.cli import main
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
@@ -75,7 +75,7 @@ def test_twelve_taps_know_a_line_to_a_third_of_a_millimetre() -> None:
         # The mean place of the objects is up to 3 cm from the one in the middle.
         assert fit.line_offset == pytest.approx(expected, abs=0.03 * abs(fit.angle) + 1e-4)
         assert abs(wrap_angle(fit.mount.theta - true.theta)) < 5.0 * fit.angle_deviation
-    assert np.sqrt(np.mean(np.square(errors))) < WANTED
+    assert np.sqrt(np.mean(np.square(errors))) < MAX_DEVIATION
     # The stated uncertainty is within a factor of two of the actual error.
     assert 0.5 < np.sqrt(np.mean(np.square(errors))) / np.mean(claimed) < 2.0
 
@@ -101,7 +101,7 @@ def test_the_verb_writes_the_measured_mounts(tmp_path: Path) -> None:
     )
     found = load_cell(made).fixed_tappers
     measured = found.tappers[1]
-    assert abs(line_error(Pose(*measured.position, measured.direction), true)) < 2 * WANTED
+    assert abs(line_error(Pose(*measured.position, measured.direction), true)) < 2 * MAX_DEVIATION
     assert found.tappers[0] == CELL.fixed_tappers.tappers[0]
     assert found.calibration is not None
     assert found.calibration.observations + found.calibration.left_out == 16
@@ -162,7 +162,7 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
     command = ["calibrate", "mounts", *map(str, folders), "--cell", str(FILE)]
     assert main([*command, "--output", str(made)]) == 0
     measured = load_cell(made).fixed_tappers.tappers[2]
-    assert abs(line_error(Pose(*measured.position, measured.direction), true)) < 2 * WANTED
+    assert abs(line_error(Pose(*measured.position, measured.direction), true)) < 2 * MAX_DEVIATION
 
     unfinished = tmp_path / "unfinished"
     unfinished.mkdir()

@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from tapping_cell.cli.graph import Ended, NodeDied
-from tapping_cell.cli.supervision import DELAY_S, MOST_RESTARTS, WINDOW_S, Supervisor
+from tapping_cell.cli.supervision import DELAY_S, MAX_RESTARTS, WINDOW_S, Supervisor
 
 
 class FakeGraph:
@@ -42,7 +42,7 @@ def test_a_node_that_is_killed_is_named_and_started_again(name: str) -> None:
 def test_a_node_that_ends_again_and_again(name: str, ends: bool) -> None:
     graph, now = FakeGraph(), 0.0
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
-    for _ in range(MOST_RESTARTS):
+    for _ in range(MAX_RESTARTS):
         graph.end(name)
         supervisor.check(now)
         now += DELAY_S

@@ -25,8 +25,8 @@ from tapping_cell.messages import (
 )
 from tapping_cell.se2 import Pose
 
-PATIENCE_S = 20.0
-ASKING = replace(FAST, ask=True, confirm_deadline=PATIENCE_S)
+TIMEOUT_S = 20.0
+ASKING = replace(FAST, ask=True, confirm_deadline=TIMEOUT_S)
 
 
 class Asked(Actors):
@@ -173,7 +173,7 @@ def test_nobody_answers(asked: Asked) -> None:
     began = asked.now()
     end = asked.end()
     assert end.error_code == ErrorCode.TAP_NOT_CONFIRMED and "20 s" in end.error_msg
-    assert asked.now() - began == pytest.approx(PATIENCE_S, abs=1.0)
+    assert asked.now() - began == pytest.approx(TIMEOUT_S, abs=1.0)
     assert asked.taps() == []
 
 

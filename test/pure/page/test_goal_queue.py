@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tapping_cell.nodes.page.goal_queue import (
-    MOST_NAMES,
-    MOST_WAITING,
+    MAX_NAMES,
+    MAX_WAITING,
     GoalQueue,
     NamedGoals,
     QueueFull,
@@ -75,12 +75,12 @@ def test_a_goal_that_failed_holds_the_queue_and_says_why() -> None:
 
 def test_what_does_not_fit_is_refused_in_words() -> None:
     queue, names = GoalQueue(), NamedGoals()
-    for number in range(MOST_WAITING):
+    for number in range(MAX_WAITING):
         queue.add(RequestedGoal(Pose(0.0, 0.0, 0.0)))
         names.keep(f"place {number}", Pose(0.0, 0.0, 0.0))
     with pytest.raises(QueueFull, match="50 goals are already waiting"):
         queue.add(RequestedGoal(Pose(0.0, 0.0, 0.0)))
-    assert MOST_NAMES == MOST_WAITING
+    assert MAX_NAMES == MAX_WAITING
     with pytest.raises(QueueFull, match="50 goals already have names"):
         names.keep("one more", Pose(0.0, 0.0, 0.0))
     names.keep("place 0", Pose(1.0, 0.0, 0.0))

@@ -16,7 +16,7 @@ from tapping_cell.nodes.page.guard import Guard, is_loopback, urls
 from tapping_cell.nodes.page.requests import (
     KINDS,
     LONGEST_NAME,
-    MOST_OBJECTS,
+    MAX_OBJECTS,
     Arrange,
     BadRequest,
     Command,
@@ -142,7 +142,7 @@ def test_a_goal_is_in_millimetres_and_degrees() -> None:
         ('{"do": "arrange", "goals": [7]}', "one goal or more"),
         ('{"do": "arrange", "goals": {}}', "goals is not a list of at most 20"),
         (json.dumps({"do": "arrange", "goals": [GOAL, GOAL]}), "each for a different object"),
-        (json.dumps({"do": "arrange", "goals": [GOAL] * (MOST_OBJECTS + 1)}), "at most 20"),
+        (json.dumps({"do": "arrange", "goals": [GOAL] * (MAX_OBJECTS + 1)}), "at most 20"),
         ('{"do": "preset", "preset": "grid", "objects": [7]}', "object is 7; 1 to 40"),
         ('{"do": "fly"}', "'do' is \"fly\", but must be one of hello"),
         ("[1]", "not a JSON object"),

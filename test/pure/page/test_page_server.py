@@ -31,7 +31,7 @@ from tapping_cell.nodes.page.guard import Guard
 from tapping_cell.nodes.page.requests import Command, Request
 from tapping_cell.nodes.page.runs import Runs
 
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 STOP_PORT = 8011
 
 
@@ -69,7 +69,7 @@ class Site:
     def get(self, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
         request = urllib.request.Request(f"http://{self.host}/{path}", headers=headers)
         try:
-            with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
+            with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
                 return answer.status, dict(answer.headers), answer.read()
         except urllib.error.HTTPError as error:
             return error.code, dict(error.headers), error.read()
@@ -92,12 +92,12 @@ class Site:
 
 async def read(connection: WebSocketClientConnection) -> Any:
     """Return the next message; None if the server has closed the connection."""
-    message = await asyncio.wait_for(asyncio.ensure_future(connection.read_message()), PATIENCE_S)
+    message = await asyncio.wait_for(asyncio.ensure_future(connection.read_message()), TIMEOUT_S)
     return json.loads(message) if isinstance(message, str) else message
 
 
 async def until(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < end, "waited in vain"
         await asyncio.sleep(0.01)
@@ -209,7 +209,7 @@ def test_without_the_token_nothing_is_shown_and_nothing_is_done(
 
 @with_token
 def test_the_first_word_must_be_hello_and_soon(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "HELLO_PATIENCE_S", 0.2)
+    monkeypatch.setattr(server, "HELLO_TIMEOUT_S", 0.2)
 
     async def scenario() -> None:
         async with site.page() as page:
@@ -275,7 +275,7 @@ def test_a_message_that_is_too_long_or_one_too_many_ends_the_connection(site: Si
 def test_every_page_sees_the_same_state_and_the_room_is_bounded(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "MOST_PAGES", 2)
+    monkeypatch.setattr(server, "MAX_PAGES", 2)
 
     async def scenario() -> None:
         async with site.page({}) as first, site.page({}) as second:
@@ -318,7 +318,7 @@ def test_a_page_gets_the_next_picture_when_it_has_drawn_the_last_and_then_the_la
 def test_a_page_that_does_not_read_is_dropped_and_the_others_go_on(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "WRITE_PATIENCE_S", 0.3)
+    monkeypatch.setattr(server, "WRITE_TIMEOUT_S", 0.3)
 
     def deaf() -> socket.socket:
         """Open a page that connects, requests nothing and reads nothing."""
@@ -479,16 +479,16 @@ def test_a_page_that_asks_too_often_is_refused_but_not_its_stop(site: Site) -> N
     async def scenario() -> None:
         async with site.page({}) as page:
             await read(page)
-            for _ in range(3 * server.MOST_COMMANDS):
+            for _ in range(3 * server.MAX_COMMANDS):
                 await page.write_message('{"do": "home"}')
-            answers = [await read(page) for _ in range(3 * server.MOST_COMMANDS)]
+            answers = [await read(page) for _ in range(3 * server.MAX_COMMANDS)]
             refused = [answer for answer in answers if not answer["ok"]]
             assert refused and all("commands per second" in each["text"] for each in refused)
             await page.write_message('{"do": "stop"}')
             assert (await read(page))["ok"]
 
     asyncio.run(scenario())
-    assert len(site.backend.requests) <= 2 * server.MOST_COMMANDS + 1
+    assert len(site.backend.requests) <= 2 * server.MAX_COMMANDS + 1
 
 
 def test_a_port_that_is_taken_is_an_error_at_once(site: Site) -> None:

@@ -145,7 +145,7 @@ def test_a_body_that_is_too_long_is_not_read() -> None:
 def test_connections_that_stay_open_leave_room_for_a_stop() -> None:
     async def scenario(site: Site) -> None:
         held = []
-        for _ in range(stop_server.MOST_CONNECTIONS + 20):
+        for _ in range(stop_server.MAX_CONNECTIONS + 20):
             line = socket.create_connection(("127.0.0.1", site.port))
             line.sendall(b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n")
             held.append(line)
@@ -154,7 +154,7 @@ def test_connections_that_stay_open_leave_room_for_a_stop() -> None:
         held[0].settimeout(30.0)
         assert held[0].recv(1) == b"", "the oldest connection is closed"
         held_open = len(site.server._streams) + len(site.server._admitted)
-        assert held_open <= stop_server.MOST_CONNECTIONS
+        assert held_open <= stop_server.MAX_CONNECTIONS
         for line in held:
             line.close()
 
@@ -178,7 +178,7 @@ def test_a_flood_of_connections_does_not_close_that_of_a_page() -> None:
 
         assert json.loads(await ask(body)) == {"held": False}
         flood = []
-        for _ in range(2 * stop_server.MOST_CONNECTIONS):
+        for _ in range(2 * stop_server.MAX_CONNECTIONS):
             line = socket.create_connection(("127.0.0.1", site.port))
             line.sendall(request % 15)
             flood.append(line)

@@ -75,9 +75,9 @@ def test_the_map_among_others_is_that_of_a_space_with_these_keep_outs(kind: Kind
     slow = FreeSpace(kind.free.space.among(areas))
     # ``quick`` uses the exact capsule of the bar, and ``slow`` uses points on it. ``quick`` never
     # allows more places than ``slow``, and at most 2 % fewer.
-    assert not np.any(quick.workable & ~slow.workable)
-    assert np.sum(slow.workable & ~quick.workable) <= 0.02 * np.sum(slow.workable)
-    assert np.array_equal(kind.free.among([]).workable, kind.free.workable)
+    assert not np.any(quick.tappable & ~slow.tappable)
+    assert np.sum(slow.tappable & ~quick.tappable) <= 0.02 * np.sum(slow.tappable)
+    assert np.array_equal(kind.free.among([]).tappable, kind.free.tappable)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -95,7 +95,7 @@ def test_the_map_among_polygons_is_exactly_that_of_a_space_with_these_keep_outs(
         )
     quick = kind.free.among(areas)
     slow = FreeSpace(kind.free.space.among(areas))
-    assert np.array_equal(quick.workable, slow.workable)
+    assert np.array_equal(quick.tappable, slow.tappable)
 
 
 def test_an_obstacle_that_appears_is_avoided_and_one_on_a_goal_refuses(kind: Kind) -> None:

@@ -112,7 +112,7 @@ def test_a_keep_out_beside_the_path_stops_a_long_tap_only(tap):
     assert bool(space.slide_is_safe((0, 0, 0), [0.04, 0, 0]))
 
 
-def test_places_that_cannot_be_tapped_back_are_not_workable(tap):
+def test_places_that_cannot_be_tapped_back_are_not_tappable(tap):
     """An arm that can only strike towards +x can never move an object back."""
 
     def reach(poses):
@@ -120,7 +120,7 @@ def test_places_that_cannot_be_tapped_back_are_not_workable(tap):
 
     space = StrikeSpace(tap, Workspace(), reach)
     free = FreeSpace(space)
-    assert not free.workable.any()
+    assert not free.tappable.any()
     planner = make_planner("exact", PlannerSettings.for_tap(tap))
     refusal = PositioningSession((0.0, 0.0, 0.0), planner, space, free).decide((-0.1, 0, 0))
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.GOAL_OUT_OF_REACH
@@ -138,10 +138,10 @@ def test_paths_lead_around_a_wall(tap):
     assert not free.to_goal(np.array([0.2, -0.1])).reachable([-0.2, -0.1])
 
 
-def test_the_outline_of_the_workable_region_has_it_on_one_side_only(tap):
+def test_the_outline_of_the_tappable_region_has_it_on_one_side_only(tap):
     free = FreeSpace(StrikeSpace(tap, Workspace(keep_outs=(CircleArea(0.05, 0.02, 0.03),))))
     edges = free.outline()
-    cells = {tuple(cell) for cell in np.round(free.centres[free.workable], 6)}
+    cells = {tuple(cell) for cell in np.round(free.centres[free.tappable], 6)}
     middle = edges.mean(axis=1)
     half = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=-1, keepdims=True) / 2
     across = np.flip(edges[:, 1] - edges[:, 0], axis=-1) / 2
