@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +53,6 @@ _EDGE = 8
 """Number of directions repeated beyond both ends for the cubic interpolation."""
 _STEP = 0.15
 _STEPS_TO_REST = 60
-_DECREASE = 3.6
-"""Decrease of the size in one step from a launch beyond the table to the table."""
 _SLOW = 1e-6
 _BLOCK = 16384
 """Number of slides looked up in one operation, chosen to fit the cache."""
@@ -92,13 +89,10 @@ class PolygonTable:
         """Displacements (n, 3) and durations (n,) of launches beyond the table."""
         square = (twist * twist).sum(axis=1)
         major = np.sqrt(square)
-        # The body rotates in proportion to the decrease of the size, so equal decreases rotate it
-        # equally.
-        steps = math.ceil(float(square.max() - LARGEST_SIZE) / _DECREASE)
-        share = np.linspace(0.0, 1.0, steps + 1)[:, None]
-        knots: Array = np.empty((steps + 1, len(twist)))
-        knots[:] = -0.5 * np.log(1.0 + share * (LARGEST_SIZE / square - 1.0))
-        unit, state = self._advance(twist.T / major, square, knots)
+        length = 0.5 * np.log(square / LARGEST_SIZE)
+        # For larger sizes, the body rotates more in each step.
+        steps = math.ceil(float((length * square).max()) / (LARGEST_SIZE * _STEP))
+        unit, state = self._advance(twist.T / major, square, length / steps, steps)
         before, turned = square * state[:3], square * state[2]
         cos, sin = np.cos(turned), np.sin(turned)
         # Stay slightly below the limit of the table, so that rounding does not exceed it.
@@ -185,9 +179,7 @@ class PolygonTable:
         unit = np.stack([np.cos(phi) * np.cos(alpha), np.cos(phi) * np.sin(alpha), np.sin(phi)])
         steps = _STEPS_TO_REST if known is None else max(1, math.ceil(length / _STEP))
         step = _STEP if known is None else length / steps
-        knots: Array = np.empty(steps + 1)
-        knots[:] = step * np.arange(steps + 1)
-        end, moved = self._advance(unit, size, knots)
+        end, moved = self._advance(unit, size, step, steps)
         if known is not None:
             cos, sin = np.cos(size * moved[2]), np.sin(size * moved[2])
             vx, vy = cos * end[0] + sin * end[1], cos * end[1] - sin * end[0]
@@ -209,22 +201,24 @@ class PolygonTable:
         )
         return np.asarray(made - self._disk_factors(phi))
 
-    def _advance(self, unit: Array, size: float | Array, knots: Array) -> tuple[Array, Array]:
-        """Integrate the slide over the logarithm of N, in steps between the ``knots``.
+    def _advance(
+        self, unit: Array, size: float | Array, step: float | Array, steps: int
+    ) -> tuple[Array, Array]:
+        """Integrate the slide over steps of the logarithm of N.
 
         Returns the unit launch (3, n) afterwards, in the axes of the start, and displacement over
-        N^2 and time over N, (4, n). The size is a scalar or (n,); the knots are (k,) or (k, n).
+        N^2 and time over N, (4, n). Sizes and steps are scalars or (n,).
         """
 
-        def slope(length: Array, unit: Array, state: Array) -> tuple[Array, Array]:
+        def slope(length: float | Array, unit: Array, state: Array) -> tuple[Array, Array]:
             force, loss = self._slide.rates(unit, size * state[2])
             left = np.exp(-length)
             time = left / loss
             return unit - force / loss, np.stack([*(unit * (left * time)), time])
 
         state: Array = np.zeros((4, unit.shape[1]))
-        for at, end in pairwise(np.asarray(row) for row in knots):
-            step = end - at
+        for index in range(steps):
+            at = index * step
             a, p = slope(at, unit, state)
             b, q = slope(at + step / 2, unit + step / 2 * a, state + step / 2 * p)
             c, r = slope(at + step / 2, unit + step / 2 * b, state + step / 2 * q)
