@@ -49,6 +49,8 @@ class PolygonSlide:
 
     _inverse_tolerance = 5e-11
     """Relative error of a displacement at which the inverse makes its last step."""
+    _inverse_limit = 5e-11
+    """Relative error that is accepted if the inverse does not converge."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide
@@ -95,7 +97,7 @@ class PolygonSlide:
             return np.stack([_turned(moved, -angle[rows])[0], moved[:, 2]], axis=1)
 
         scale = self._scale(x.ravel(), theta.ravel())[:, 1:]
-        nearby = invert(forward, target, scale, self._inverse_tolerance)
+        nearby = invert(forward, target, scale, self._inverse_tolerance, self._inverse_limit)
         twist = twists(nearby, np.arange(angle.size))
         speed, _ = _turned(twist, -angle)
         return Launch(_scalar(speed.reshape(x.shape)), _scalar(twist[:, 2].reshape(x.shape)))
@@ -112,6 +114,7 @@ class PolygonSlide:
             displacement,
             scale,
             self._inverse_tolerance,
+            self._inverse_limit,
         )
         return self._disk.twist_for(nearby)
 
@@ -280,14 +283,16 @@ def invert(
     target: Array,
     scale: Array,
     tolerance: float,
+    limit: float,
 ) -> Array:
     """Solve forward(z, rows) = target[rows], (n, k), near the identity: Broyden's method.
 
-    ``scale`` (n, k) normalises the columns; rows that are within ``tolerance`` make one more step,
-    which reduces their error further, and are omitted. Broyden's method
-    may cycle at a kink of ``forward``, as between the cells of a table; such rows are solved by a
-    fixed-point iteration, which is slow but reliable. Raises :class:`MechanicsError` if a
-    row does not converge.
+    ``scale`` (n, k) normalises the columns. Rows that are within ``tolerance`` make one more step,
+    which reduces their error further, and are omitted. Broyden's method may cycle at a kink of
+    ``forward``, as between the cells of a table; such rows are solved by a fixed-point iteration,
+    which is slow but reliable. If ``forward`` jumps at the solution, as where the number of its
+    integration steps changes, rows that are within ``limit`` are accepted. Raises
+    :class:`MechanicsError` if a row does not converge.
     """
     goal = target / scale
     z = goal.copy()
@@ -319,6 +324,8 @@ def invert(
         if np.abs(residual).max() <= tolerance:
             return z * scale
         z[rows] -= residual
+    if np.abs(residual).max() <= limit:
+        return z * scale
     raise MechanicsError(
         f"the launch of the polygon was not found: the displacement is off by "
         f"{float(np.abs(residual).max()):.3g} of itself after {_SIMPLE_STEPS} steps, "

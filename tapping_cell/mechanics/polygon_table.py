@@ -283,6 +283,9 @@ class TabulatedPolygonSlide(PolygonSlide):
 
     _inverse_tolerance = 1e-7
     """The last step reduces the error to 1e-8, far below the error of the table."""
+    _inverse_limit = 1e-3
+    """The error of the table. Beyond the table, slides jump by up to 1e-4 of their size where the
+    number of integration steps changes."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tapping_cell.mechanics import Disk, Polygon, Sliding
+from tapping_cell.mechanics import Disk, MechanicsError, Polygon, Sliding
+from tapping_cell.mechanics.polygon_sliding import invert
 from tapping_cell.mechanics.polygon_table import LARGEST_SIZE, symmetry
 
 SQUARE = Polygon([(0, 0), (0.08, 0), (0.08, 0.08), (0, 0.08)], 0.2, 0.01)
@@ -56,6 +57,18 @@ def test_the_inverse_undoes_it_and_nothing_moves_without_a_launch() -> None:
     twist = launches(TRIANGLE, 200, 2.0)[4:]
     assert table.twist_for(table.displace(twist)) == pytest.approx(twist, rel=1e-7, abs=1e-9)
     assert np.all(table.displace(np.zeros((2, 3))) == 0.0)
+
+
+def test_a_jump_of_the_slide_does_not_end_the_inverse() -> None:
+    """Beyond the table the number of integration steps jumps, and the slide with it."""
+
+    def jumping(z: np.ndarray, _: np.ndarray) -> np.ndarray:
+        return z * (1.0 + 1e-4 * (z > 0.5))
+
+    target, scale = np.full((3, 1), 0.50002), np.ones((3, 1))
+    assert invert(jumping, target, scale, 1e-7, 1e-3) == pytest.approx(target, rel=2e-4)
+    with pytest.raises(MechanicsError, match="was not found"):
+        invert(jumping, target, scale, 1e-7, 1e-7)
 
 
 @pytest.mark.parametrize("body", [SQUARE, PLANK, TRIANGLE], ids=["square", "plank", "triangle"])
