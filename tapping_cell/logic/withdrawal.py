@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.arm_shape import Bars
 from tapping_cell.hardware.motion import (
     MotionSettings,
     Waypoint,
@@ -46,9 +47,6 @@ GRID_M = 0.02
 """Distance between the places at which an unseen object is assumed to be."""
 HEADINGS = np.arange(8) * (2.0 * math.pi / 8)
 """Possible headings of the next tap, rad."""
-
-Bars = tuple[Array, Array, Array]
-"""Bars of the arm at N poses: starts and ends (N, K, 3) and radii (K,), m in ``table``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,15 +168,15 @@ def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -
     places = np.column_stack([before + along[:, None] * way, np.full(PLACES, cell.object.height)])
     bars = _bars(cell, geometry, joints)
     free = np.all(_sees(cell, scene.camera, bars, places), axis=1)
-    start, end, radius = bars
-    free[free] = _sees_markers(cell, scene.camera, (start[free], end[free], radius))
+    of_free = Bars(bars.start[free], bars.end[free], bars.radius)
+    free[free] = _sees_markers(cell, scene.camera, of_free)
     return np.asarray(free)
 
 
 def _sees(cell: Cell, camera: tuple[float, float, float], bars: Bars, places: Array) -> Array:
     """Return, (N, M) bool, whether the bars of N poses hide no part of the object at the places
     (M, 3)."""
-    clearance = view_clearance(camera, *bars, places)
+    clearance = view_clearance(camera, bars.start, bars.end, bars.radius, places)
     return np.asarray(clearance > cell.object.body().bounding_radius)
 
 
@@ -187,7 +185,7 @@ def _sees_markers(cell: Cell, camera: tuple[float, float, float], bars: Bars) ->
     markers = cell.references.markers
     of_markers = np.array([[marker.x, marker.y, 0.0] for marker in markers])
     half_diagonals = np.array([marker.size / math.sqrt(2.0) for marker in markers])
-    clearance = view_clearance(camera, *bars, of_markers)
+    clearance = view_clearance(camera, bars.start, bars.end, bars.radius, of_markers)
     hidden = np.sum(clearance <= half_diagonals, axis=1)
     return np.asarray(hidden <= min(MARKERS_HIDDEN, len(markers) // 2))
 
@@ -195,7 +193,7 @@ def _sees_markers(cell: Cell, camera: tuple[float, float, float], bars: Bars) ->
 def _bars(cell: Cell, geometry: ScaraGeometry, joints: Array) -> Bars:
     """Return the arm's bars with margin in ``table`` for joints (N, 4)."""
     bars = bars_in_table(cell, geometry, joints)
-    return bars.start, bars.end, bars.radius + VIEW_MARGIN_M
+    return replace(bars, radius=bars.radius + VIEW_MARGIN_M)
 
 
 def _to_next(

@@ -47,7 +47,7 @@ class UnknownSearch:
         }
         table = cell.file.table
         self._found = UnknownObjects(table.length, table.width, cell.references)
-        self._seen: dict[str, tuple[float, Standing]] = {}
+        self._seen: dict[str, tuple[float, ObjectState]] = {}
         self._searched_at = -math.inf
         self._clear = False
         self._joints: Mapping[str, float] = {}
@@ -86,9 +86,7 @@ class UnknownSearch:
         period = AWAITED_PERIOD_S if awaited else PERIOD_S
         for state in states:
             if state.visible:
-                outline, height = self._shapes[state.object_id]
-                placed = transform_points(from_message(state.pose.pose), outline)
-                self._seen[state.object_id] = stamp, Standing(placed, height)
+                self._seen[state.object_id] = stamp, state
         still = all(state.at_rest or not state.visible for state in states)
         # Before its first measurement, an object of the cell would be taken for an unknown object.
         measured = all(state.header.stamp.sec for state in states)
@@ -99,7 +97,8 @@ class UnknownSearch:
         known = arm is not None or not self._is_scara
         if view is None or not (self._clear and still and measured and due and known):
             return
-        standing = [one for seen_at, one in self._seen.values() if stamp - seen_at <= MEMORY_S]
+        recent = [state for seen_at, state in self._seen.values() if stamp - seen_at <= MEMORY_S]
+        standing = [self._standing(state) for state in recent]
         self._found.search(image, view, standing, arm)
         self._searched_at = stamp
 
@@ -118,6 +117,10 @@ class UnknownSearch:
 
     def _on_joints(self, message: JointState) -> None:
         self._joints = dict(zip(message.name, message.position, strict=False))
+
+    def _standing(self, state: ObjectState) -> Standing:
+        outline, height = self._shapes[state.object_id]
+        return Standing(transform_points(from_message(state.pose.pose), outline), height)
 
     def _arm(self) -> ArmBars | None:
         """Return the arm's bars in ``table``, or None if its joints or its shape are not known."""
