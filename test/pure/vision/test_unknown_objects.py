@@ -201,6 +201,62 @@ def test_printed_lines_are_not_objects_but_a_wide_print_is() -> None:
     assert len(finder.outlines) == 1
 
 
+def table_places(view: View, image: np.ndarray) -> np.ndarray:
+    """Points (H, W, 2) of the table's plane in m that the pixels of an image show."""
+    rows, columns = image.shape
+    few = np.meshgrid(np.linspace(0, columns - 1, 80), np.linspace(0, rows - 1, 60))
+    corners = view.on_plane(np.stack(few, axis=-1)).astype(np.float32)
+    v, u = np.mgrid[:rows, :columns].astype(np.float32)
+    return np.asarray(
+        cv2.remap(corners, u * 79 / (columns - 1), v * 59 / (rows - 1), cv2.INTER_LINEAR)
+    )
+
+
+def grain(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Reflectance of wood, relative to its mean: planks of 90 mm with grain along them."""
+    streaks = cv2.GaussianBlur(random.standard_normal((900, 900)).astype(np.float32), (0, 0), 40, 3)
+    x, y = np.moveaxis(places.astype(np.float32) / 0.001 + 450.0, -1, 0)
+    planks = 1.0 + 0.1 * random.standard_normal(20)
+    return np.asarray(
+        planks[np.clip((y / 90.0).astype(int), 0, 19)]
+        * (1.0 + 0.05 / streaks.std() * cv2.remap(streaks, x, y, cv2.INTER_LINEAR))
+    )
+
+
+def tiles(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Reflectance of a chequered table with squares of 40 mm, relative to the brighter ones."""
+    squares = np.floor(places / 0.04).sum(axis=-1)
+    return np.where(squares % 2 > 0, 0.8, 1.0)
+
+
+def breadboard(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Reflectance of an optical breadboard with holes of 6 mm every 25 mm, relative to its top."""
+    return np.where(np.linalg.norm((places + 0.0125) % 0.025 - 0.0125, axis=-1) < 0.003, 0.3, 1.0)
+
+
+@pytest.mark.parametrize(("texture", "hides"), [(grain, False), (tiles, True), (breadboard, False)])
+def test_the_texture_of_a_table_is_no_object_but_an_object_on_it_is(texture, hides) -> None:
+    """The contrast of the tiles is so high that the limit hides the object."""
+    random = np.random.default_rng(1)
+    scene, (footprint,) = scene_with([("disk", 0.03, 0.02, True)])
+    finder, place = UnknownObjects(LENGTH, WIDTH, CELL.table), np.array([0.1, 0.0, 0.0])
+    corners = CELL.table.corners()
+    middles = corners.mean(axis=1, keepdims=True)
+    for pose, expected in ((FAR_AWAY, 0), (place, 1)):
+        image = scene.render([FAR_AWAY, pose])
+        plain = np.zeros_like(image)
+        silhouette = transform_points(pose, footprint)
+        top = scene.view.on_plane(scene.view.project(silhouette, 0.02))
+        bare = [*(middles + 1.45 * (corners - middles))]
+        if expected:
+            bare += [silhouette, top]
+        for area in bare:
+            cv2.fillConvexPoly(plain, np.rint(scene.view.project(area)).astype(np.int32), (1,))
+        factor = np.where(plain, 1.0, texture(table_places(scene.view, image), random))
+        finder.search(np.clip(image * factor, 0, 255).astype(np.uint8), scene.view, [])
+        assert len(finder.outlines) == (0 if hides else expected)
+
+
 def test_the_shadow_beside_a_measured_object_is_not_an_object() -> None:
     settings = SceneSettings(noise=2.0, shadow=(0.007, 0.006), shadow_depth=0.5)
     scene = SceneRenderer(
