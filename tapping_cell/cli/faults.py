@@ -5,15 +5,17 @@ seeded faults on the lines (bytes lost, late, doubled, flipped, split, merged; s
 vanish and return; boards that restart), and compares the drivers' reports with the true actions of
 the devices.
 
-    python -m tapping_cell faults --goals 1000 --seed 1 # the whole cell in simulated time python -m
-    tapping_cell faults --goals 500 --only 'freeze, freeze at a shot' python -m tapping_cell faults
-    --goals 1000 --fixed-tappers # the positioning cell python -m tapping_cell faults --replay
-    1000003 # repeat one run and print its trace python -m tapping_cell faults --mutants # check
-    that each missing guard is detected python -m tapping_cell faults --taps 10000 --seed 1 #
-    drivers and boards only python -m tapping_cell faults --taps 500 --dialect marlin --json python
-    -m tapping_cell faults --every-byte python -m tapping_cell faults --pty --taps 20 # real
-    terminals, in real time python -m tapping_cell faults --soak 2 # hours of taps, to detect memory
-    growth python -m tapping_cell faults --crashes # kill the nodes at every phase of a tap
+    python -m tapping_cell faults --goals 1000 --seed 1   # the whole cell in simulated time
+    python -m tapping_cell faults --goals 500 --only 'freeze, freeze at a shot'
+    python -m tapping_cell faults --goals 1000 --fixed-tappers   # the positioning cell
+    python -m tapping_cell faults --replay 1000003        # repeat one run and print its trace
+    python -m tapping_cell faults --mutants               # check that each missing guard is found
+    python -m tapping_cell faults --taps 10000 --seed 1   # drivers and boards only
+    python -m tapping_cell faults --taps 500 --dialect marlin --json
+    python -m tapping_cell faults --every-byte
+    python -m tapping_cell faults --pty --taps 20         # real terminals, in real time
+    python -m tapping_cell faults --soak 2                # hours of taps, to detect memory growth
+    python -m tapping_cell faults --crashes               # kill the nodes at every phase of a tap
 
 The exit code is 0 only if nothing was fired twice or unsafely, nothing hung and every report was
 true.

@@ -26,6 +26,7 @@ def test_every_example_in_a_verbs_help_parses(verb: str) -> None:
     for line in lines:
         words = shlex.split(line.rstrip("\\").split(" > ")[0], comments=True)[3:]
         assert words[0] == verb, line
+        assert line.count("python -m") == 1, f"examples merged into one line: {line}"
         if not line.endswith("\\"):
             parser.parse_args(words[1:])
 
