@@ -12,6 +12,9 @@ from collections.abc import Iterable
 
 from tapping_cell.messages import ErrorCode
 
+BRIEFLY_OPEN = "guard open briefly"
+"""Fault "guard" that ends before the tapper's node has certainly read the open guard. A board that
+has discharged because of it then reports no reason."""
 AT_ONCE_S = 10.0
 """Maximum time from the end of a fault to the end of a goal that the fault ends immediately. This
 time includes a planner that is frozen for 5 s and a late message."""
@@ -50,6 +53,7 @@ LASTING_S = {
     "object creeps": 2.0,
     "emergency stop": 5.0,
     "guard": 4.0,
+    BRIEFLY_OPEN: 0.3,
 }
 """Maximum time for which the faults of a kind act, with the restart of a process, the expiry of a
 foreign command, and the wait for the byte at which a line fails; 0 for all others."""
@@ -121,7 +125,7 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAPPER_RESET: TAPPER_LINE | TAPPER_POWER,
     # A board discharges automatically if it receives nothing for 0.5 s or if its guard was opened
     # briefly.
-    ErrorCode.TAPPER_FAULT: TAPPER_LINE | TAPPER_POWER | FREEZES | {"guard"},
+    ErrorCode.TAPPER_FAULT: TAPPER_LINE | TAPPER_POWER | FREEZES | {BRIEFLY_OPEN},
     ErrorCode.TAPPER_INTERLOCK_OPEN: frozenset({"guard"}),
     ErrorCode.TAPPER_SILENT: FREEZES | ENDS | LINKS,
     ErrorCode.TAPPER_SPENT: FOREIGN | ENDS | {"clock step"},

@@ -23,6 +23,7 @@ from tapping_cell.messages import (
 from tapping_cell.messages import Pose as Pose3
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault, random_fault
+from tapping_cell.verification.causes import BRIEFLY_OPEN, LASTING_S
 from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.host import PlannedFreeze
 
@@ -678,6 +679,8 @@ def _interlock(rng: np.random.Generator, trial: FaultTarget) -> Made:
     def strike(t: FaultTarget) -> None:
         t.physical.set_interlock(False)
         t.scheduler.after(lasting, lambda: t.physical.set_interlock(True))
+        if lasting <= LASTING_S[BRIEFLY_OPEN]:
+            t.note_kind(BRIEFLY_OPEN)
 
     return strike, f"guard open for {lasting:.2f} s"
 

@@ -89,6 +89,9 @@ class InvariantChecker:
     """Time since which the planner's process has not existed."""
     promises: dict[int, float] = field(default_factory=dict)
     """End of the arm's promise to stand still, by tap id."""
+    promised_to: dict[int, int] = field(default_factory=dict)
+    """Key of the request for this promise, by tap id; only a request with it can end the promise
+    early."""
     last_check: tuple[float, object | None] = (-math.inf, "never asked")
     """Time of the last check before FIRE by the tapper's machine, and its reason to refuse."""
     motor_weak_until: float = -math.inf
@@ -367,11 +370,11 @@ class InvariantChecker:
                 )
             self._check_striker()
             for tap_id, end in self.promises.items():
-                if now < end - ROUNDING_S and tap_id not in self.outcomes:
+                if now < end - ROUNDING_S:
                     self.violate(
                         "broken promise",
                         f"the arm began to move {end - now:.3f} s before the end of its promise for"
-                        f" tap {tap_id}, whose outcome is not known",
+                        f" tap {tap_id}",
                     )
             if not self.motion_allowed:
                 self.violate(
@@ -443,8 +446,11 @@ class InvariantChecker:
             return
         if isinstance(response, HoldStill.Response) and response.granted:
             end = self.scheduler.now + request.duration
-            if end <= self.promises.get(request.tap_id, -math.inf) or request.duration <= 0:
-                return  # the end of a promise
+            before = self.promises.get(request.tap_id, -math.inf)
+            if end <= before or request.duration <= 0:
+                if request.key and request.key == self.promised_to.get(request.tap_id):
+                    self.promises[request.tap_id] = min(end, before)
+                return
             if self._arm != (ArmState.IN_POSITION, request.tap_id):
                 self.violate(
                     "empty promise",
@@ -452,6 +458,7 @@ class InvariantChecker:
                     f" state {self._arm[0]} for tap {self._arm[1]}",
                 )
             self.promises[request.tap_id] = end
+            self.promised_to[request.tap_id] = request.key
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer of a machine to a query of its running job."""

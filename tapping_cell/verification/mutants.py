@@ -269,7 +269,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("kill", "restart", "repeated command"),
     ),
     Mutant(
-        "blames the arm for an open guard",
+        "reports an open guard as a fault of the tapper",
         "tapping_cell.hardware.tapper",
         "                FaultReason.INTERLOCK,\n",
         "                FaultReason.REJECTED,\n",
@@ -281,7 +281,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "not_before = self._free_at(now)",
         "not_before = 0.0",
         "S1",
-        kinds=("foreign withdrawal", "cancel", "received by one"),
+        kinds=("freeze at a shot", "received by one"),
     ),
     Mutant(
         "lets any requester end the arm's promise",

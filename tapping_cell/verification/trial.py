@@ -62,6 +62,7 @@ from tapping_cell.verification.faults import (
     Fault,
     Mix,
     Moment,
+    draw_duration,
     draw_faults,
     moment_name,
 )
@@ -121,7 +122,7 @@ NOTICED_S = 0.7
 """Maximum time from the end of that limit to a release, for delayed messages and the board's firing
 window."""
 GOAL_TIME_LIMIT_S = 120.0
-SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (4.0, 25.0)
+SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit."""
 SHARE_OF_ONE_FRAME = 0.25
 """Fraction of the runs whose planner decides on a single frame of the object at rest."""
@@ -228,7 +229,7 @@ class Trial:
         self.short_time_limit = bool(self.rng.random() < SHARE_OF_SHORT_LIMITS)
         """Whether goals have a short time limit, which ends some of them without any fault."""
         self.settings = PlannerSettings(
-            goal_time_limit=float(self.rng.uniform(*SHORT_LIMIT_S))
+            goal_time_limit=draw_duration(self.rng, *SHORT_LIMIT_S)
             if self.short_time_limit
             else GOAL_TIME_LIMIT_S,
             frames_needed=1 if self.rng.random() < SHARE_OF_ONE_FRAME else 5,
