@@ -16,7 +16,7 @@ class PatientPlanner:
         self.settings = settings
 
     def choose(self, distance, rotation):
-        """Return the tap: distance in m along the line to the goal (negative: away), rotation in rad.
+        """Return the tap: distance along the line to the goal (m; negative: away), rotation (rad).
 
         ``distance`` (...) in m and ``rotation`` (...) in rad are the remaining errors.
         """
