@@ -6,17 +6,17 @@ from tapping_cell.planning import Taps
 
 
 class PatientPlanner:
-    """If one tap cannot rotate enough, first tap away from the goal with a rotation, then tap to
-    it."""
+    """If one tap cannot rotate the object enough, first tap it away from the goal while rotating
+    it, then tap it to the goal."""
 
     name = "patient"
 
     def __init__(self, settings):
-        """Store the settings: cone, smallest tap, scatter, tolerance."""
+        """Store the ``PlannerSettings``: cone, smallest tap, scatter, tolerance."""
         self.settings = settings
 
     def choose(self, distance, rotation):
-        """Return the tap along the line to the goal in m (negative: away) and its rotation in rad.
+        """Return the tap: distance along the line to the goal (m; negative: away), rotation (rad).
 
         ``distance`` (...) in m and ``rotation`` (...) in rad are the remaining errors.
         """
