@@ -35,7 +35,7 @@ _SUBSETS = 30
 
 
 class CalibrationRefused(ValueError):
-    """Raised for data that do not determine the result; the message says what to record instead."""
+    """Raised if the data do not determine the result; the message says what to record instead."""
 
 
 class Lens(NamedTuple):
@@ -303,11 +303,11 @@ def _choose(
     size: tuple[int, int],
     lenses: Sequence[Lens],
 ) -> tuple[Lens, dict[str, float]]:
-    """Choose the simplest lens model that no other model surpasses in cross-validation.
+    """Choose a lens model by cross-validation.
 
-    A more complex model must reduce the squared error by a quarter, or by at least a fiftieth and
-    two standard errors of the difference over the views. It must also be invertible over the whole
-    image.
+    A more complex model is chosen only if it reduces the mean squared error by 25 %, or by at least
+    2 % and at least two standard errors of the difference. It must also be invertible over the
+    whole image.
     """
     order = np.random.default_rng(1).permutation(len(views))
     folds = [order[start::_FOLDS] for start in range(_FOLDS)]
@@ -329,7 +329,7 @@ def _choose(
     if not squares:
         raise CalibrationRefused(
             "no lens model fits these views: show the target tilted to all sides and in "
-            "every part of the image, and check the target's numbers of squares"
+            "every part of the image, and check the number of squares given for the target"
         )
     best = next(iter(squares))
     for lens in list(squares)[1:]:
@@ -350,7 +350,7 @@ def _invertible(fit: _Fit, size: tuple[int, int], lens: Lens) -> bool:
     rays = model.rays(pixels)
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     back = np.abs(model.project(points) - pixels).max()
-    # The image radius must still increase with the angle at the border.
+    # At the border, the distance from the image centre must still increase with the ray's angle.
     further = model.project(np.concatenate([1.02 * rays, np.ones((len(rays), 1))], axis=1))
     centre = np.array([model.cx, model.cy])
     grows = ((further - pixels) * (pixels - centre)).sum(axis=1) > 0

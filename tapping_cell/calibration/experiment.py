@@ -34,7 +34,8 @@ class StrikerSection:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFile:
-    """Header of the records. Its standard deviations apply to rows and samples that give none."""
+    """Header of the records. Its standard deviations apply to rows and track samples without their
+    own."""
 
     format: int = quantity("version of the format", "", 1, 1)
     made: str = text("date and time, ISO 8601")

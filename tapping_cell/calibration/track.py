@@ -1,4 +1,5 @@
-"""Model-free analysis of a track of poses: times and line of motion, and disturbances."""
+"""Analysis of a track of poses without a model: start, end and line of the slide, and
+disturbances."""
 
 from __future__ import annotations
 
@@ -32,9 +33,10 @@ class Slide:
     """A track as a slide along a line: arrays (n,) relative to the start, and initial estimates.
 
     ``time`` is in s, ``along`` in m and ``rotation`` in rad. ``distance_std`` and ``rotation_std``
-    (n,) are those of one sample. ``impact`` (s) and ``deceleration`` (m/s^2) are estimated from the
-    track alone. ``moving`` is the number of samples in the slide. ``heading`` is the direction of
-    travel in the object frame at half the rotation. ``exposure`` (s) is that of one sample.
+    (n,) are the standard deviations of each sample. ``impact`` (s) and ``deceleration`` (m/s^2) are
+    estimated from the track alone. ``moving`` is the number of samples in the slide. ``heading`` is
+    the direction of travel in the object frame when half the rotation is done. ``exposure`` (s) is
+    the exposure time of one sample.
     """
 
     time: Array
