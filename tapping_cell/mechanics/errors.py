@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class MechanicsError(ValueError):
-    """A body, a parameter or a displacement that the mechanics cannot process."""
+    """Base class: the mechanics cannot process a body, a parameter or a displacement."""
 
 
 class InvalidBodyError(MechanicsError):

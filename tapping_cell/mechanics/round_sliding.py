@@ -14,12 +14,13 @@ from tapping_cell.mechanics.slide_table import SlideTable
 Array = NDArray[np.float64]
 
 _PROFILE_STEP = 0.04
-# Logarithm of the fraction of the duration below which the motion is lost in rounding errors.
+# ln of the remaining fraction of the duration below which the motion is less than rounding errors.
 _PROFILE_END = -20.0
 
 
 class RoundSlide:
-    """Slides from a table. ``deceleration`` is mu g in m/s^2, ``radius`` is the support's in m."""
+    """Slides from a table. ``deceleration`` is mu g in m/s^2; ``radius`` is that of the support in
+    m."""
 
     def __init__(self, table: SlideTable, deceleration: float, radius: float) -> None:
         """Store the table and the units."""
@@ -105,9 +106,10 @@ def _slow_down(
 ) -> tuple[Array, Array]:
     """Speed and rim speed, each (launches, times), of launches (n,) at reduced times (k,).
 
-    The ratio of spin to speed is a function of the remaining fraction of the duration. It follows
-    from an autonomous differential equation in its logarithm, integrated by the classic Runge-Kutta
-    method. The magnitude then follows from the remaining time.
+    Reduced times are multiplied by mu g. The ratio of spin to speed depends on the remaining
+    fraction of the duration, according to an autonomous differential equation of their logarithms,
+    which the classic Runge-Kutta method integrates. The magnitude then follows from the remaining
+    time.
     """
     total = table.rest_many(speed, rim_speed)[2]
     left = np.maximum(total[:, None] - time, 0.0)
@@ -119,7 +121,7 @@ def _slow_down(
         np.log(np.where(both, s_size, 1.0) / np.where(both, v_size, 1.0)),
         np.log(np.maximum(share, math.exp(_PROFILE_END))),
     )
-    # Directions of unit size, scaled so that the remaining time until rest is correct.
+    # Speed and rim speed whose maximum is 1, then scaled to the remaining time.
     v_unit = np.exp(np.minimum(-log_ratio, 0.0))
     s_unit = np.exp(np.minimum(log_ratio, 0.0))
     v_unit = np.where(both[:, None], v_unit, (v_size > 0)[:, None] * 1.0)
@@ -159,5 +161,5 @@ def _ratio_at(table: SlideTable, start: Array, log_left: Array) -> Array:
 
 def _not_finite(name: str, first: float, second: float) -> InvalidParameterError:
     return InvalidParameterError(
-        f"{name} are {first!r} and {second!r}; both must be finite numbers, small enough to square."
+        f"{name} are {first!r} and {second!r}; both must be finite numbers with finite squares."
     )
