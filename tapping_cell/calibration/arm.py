@@ -45,7 +45,7 @@ _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
 """Maximum standard deviation of a fitted value; a less certain value is taken from the cell file
 instead."""
 _CORRELATED = 0.97
-"""Correlation above which two values are reported as known mainly in combination."""
+"""Correlation above which a note says that two values are known mainly in combination."""
 _OUTLIER = 4.5
 """Number of robust standard deviations above which a row is an outlier. The standard deviations
 used for this are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
@@ -60,8 +60,8 @@ _IN_WORDS = {
     "base_y": "y of the base",
     "base_yaw": "yaw of the base",
     "elbow_zero": "zero offset of the elbow",
-    "mount_x": "offset of the marker or tip ahead of the quill",
-    "mount_y": "offset of the marker or tip to the side of the quill",
+    "mount_x": "forward offset of the marker or tip from the quill",
+    "mount_y": "sideways offset of the marker or tip from the quill",
     "mount_angle": "angle of the marker on the tool",
     "upper_arm": "length of the upper arm",
     "forearm": "length of the forearm",
@@ -235,7 +235,7 @@ def _begin(
             best, least = found, error
     if best is None or abs(best[1]) < 1e-6:
         raise CalibrationRefused(
-            "the poses do not determine the position of the base: spread them more"
+            "the poses do not determine the position of the base: spread the poses more"
         )
     errors = np.abs(columns @ best - seen)
     agree = errors <= max(6.0 * least, 0.01)
@@ -426,7 +426,7 @@ def _notes(
             + (
                 "turn the tool relative to the forearm from pose to pose"
                 if name.startswith("mount")
-                else "bend the elbow by more different angles, to both sides if it can"
+                else "bend the elbow by more different angles, to both sides if the arm can"
             )
         )
     spread = np.sqrt(np.diag(covariance))

@@ -23,7 +23,7 @@ from tapping_cell.vision.camera import Array, CameraError, CameraModel
 MIN_VIEWS = 6
 """Minimum number of views for a calibration; about 20 are recommended."""
 _MIN_TURN = np.radians(10.0)
-"""Minimum of the largest angle between the target planes of two views."""
+"""Minimum angle between the target planes of the two views that differ most."""
 _WORST_FOCAL = 0.01
 """Maximum relative standard deviation of a focal length."""
 _OUTLIER_RATIO, _OUTLIER_PIXELS = 3.0, 0.4
@@ -60,7 +60,7 @@ class UsedView:
     """A view used for the calibration.
 
     ``residuals`` (N, 2) are measured minus predicted corners in pixels, ``rms`` is the root mean
-    square of their lengths, and ``tilt`` is the angle from target to image plane in rad.
+    square of their lengths, and ``tilt`` is the angle between target plane and image plane in rad.
     """
 
     view: TargetView
@@ -450,8 +450,8 @@ def _warnings(
     if rms > _HIGH_RMS:
         warnings.append(
             f"corners are {rms:.2f} pixels (rms) from their reprojections; a flat target in "
-            "sharp photographs gives 0.1 to 0.3. Check that the target is flat and its sizes "
-            "are right"
+            "sharp photographs gives 0.1 to 0.3. Check that the target is flat and that its sizes "
+            "were given correctly"
         )
     uncovered = uncovered_regions(counts)
     if uncovered:
@@ -460,7 +460,7 @@ def _warnings(
             "model is only extrapolated; take views with the target there"
         )
     if len(used) < 12:
-        warnings.append(f"{len(used)} views are few: 20 make the standard deviations reliable")
+        warnings.append(f"only {len(used)} views: 20 would make the standard deviations reliable")
     if worst > 0.003:
         warnings.append(
             f"the focal length is uncertain by {100 * worst:.2f} %: tilt the target more and fill"

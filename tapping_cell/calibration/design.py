@@ -44,7 +44,7 @@ NEAR_MIDDLE = 0.030
 FAN = math.radians(137.507764)
 """Golden angle: steps of this angle give evenly spread directions for any number of trials."""
 ATTEMPTS = 2
-"""Maximum ratio of attempts to wanted trials, after which a run is given up."""
+"""Number of attempts per requested trial after which a run is given up."""
 MISSED = 0.1
 """Fraction of the expected displacement below which a tap counts as missed."""
 

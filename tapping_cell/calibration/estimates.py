@@ -197,7 +197,7 @@ def floor_estimates(
 ) -> Iterator[Estimate]:
     """Yield estimates of the floors of the scatter that the taps determine.
 
-    A floor that is not significant is 0, without an interval.
+    A floor that is not significant is given as 0, without an interval.
     """
     for name, parts, unit in (("position_floor", place, "m"), ("angle_floor", angle, "rad")):
         if parts is not None:

@@ -48,7 +48,7 @@ class ExperimentFile:
         "object file that the planner used; without it, fit needs --object", default=None
     )
     camera_rate_hz: float | None = quantity(
-        "frame rate for rows that state none; default: from the times of the tracks",
+        "frame rate of trials whose row gives none; default: from the times of their tracks",
         "Hz",
         1.0,
         1e5,

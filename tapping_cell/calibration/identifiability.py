@@ -1,10 +1,11 @@
 """Analysis of which parameters the trials determine, and which further taps would determine more.
 
-The Fisher information of the launches (squared derivatives by the parameters, divided by the
-variance of a tap) covers all parameters, including those that the fit keeps fixed. A parameter is
-not determined if, with all others free, its relative standard deviation is too large. Eigenvectors
-with small eigenvalues are combinations of parameters that are not determined. The information of
-candidate experiments is added to that of the trials, and the best candidate is recommended.
+The Fisher information of the launches (squared derivatives with respect to the parameters, divided
+by the variance of a tap) covers all parameters, including those that the fit keeps fixed. A
+parameter is not determined if, with all others free, its relative standard deviation is too large.
+Eigenvectors with small eigenvalues are combinations of parameters that are not determined. The
+information of candidate experiments is added to that of the trials, and the best candidate is
+recommended.
 """
 
 from __future__ import annotations
@@ -124,9 +125,9 @@ def _confounded(information: Array, speed_known: float) -> list[str]:
             sentences.append(f"The trials determine only a combination of {listed}.")
     if not math.isfinite(speed_known):
         sentences.append(
-            "The striker's speed was not measured, so the restitution assumes exactly the "
-            "commanded speed. Friction, torque factor, contact friction and predictions for "
-            "the same tapper do not depend on this assumption."
+            "The striker's speed was not measured; the restitution is correct only if the speed "
+            "was exactly as commanded. Friction, torque factor, contact friction and predictions "
+            "for the same tapper do not depend on this assumption."
         )
     return sentences
 

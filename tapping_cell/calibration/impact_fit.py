@@ -31,7 +31,8 @@ _LOW = dict(zip(NAMES, (0.0, math.log(0.005), *(math.log(0.05),) * 3), strict=Tr
 _HIGH = dict(zip(NAMES, (math.log(2.0), math.log(2.0), *(math.log(20.0),) * 3), strict=True))
 _PASSES = 4
 _STICKS = 2.0  # contact friction at which every contact sticks
-_SIGNIFICANT = 2.0  # minimum decrease of the criterion that justifies another parameter
+# minimum decrease of the Bayesian information criterion that justifies another free parameter
+_SIGNIFICANT = 2.0
 _MIN_SLIDING = 3  # minimum number of trials with a sliding contact to fit its friction
 _FLOOR = (0.003, 0.01, 0.001)  # minimum scatter of speed, spin (relative) and direction (rad)
 _FIRST = (0.05, 0.15, 0.02)
@@ -216,8 +217,8 @@ def _outside(name: str, value: float) -> float:
 def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
     """Fit by weighted least squares, re-estimating the scatter after each pass.
 
-    The weights are fixed during a pass. If they followed the parameters, large predicted values
-    would reduce their own weight.
+    The weights are fixed during a pass. If the weights followed the parameters, large predicted
+    values would reduce their own weight.
     """
     low = np.array([_LOW[name] for name in free])
     high = np.array([_HIGH[name] for name in free])
@@ -301,8 +302,8 @@ def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[s
     needed = float(np.max(np.abs(hits.tangential_impulse / hits.normal_impulse)))
     kept = min(base.values["contact_friction"], 1.01 * needed)
     notes.append(
-        f"{sentence}, but the file's value, {known:.3g}, explains them worse; {kept:.3g} is used, "
-        "which is not a measurement"
+        f"{sentence}, but the file's value, {known:.3g}, explains the launches worse; {kept:.3g} "
+        "is used, which is not a measured value"
     )
     return model.with_known(contact_friction=kept)
 
@@ -323,7 +324,8 @@ def _candidates(model: ImpactModel, base: _Fit, slid: int) -> tuple[str, ...]:
 def weighted_slopes(
     model: ImpactModel, values: Mapping[str, float], names: Sequence[str], deviation: Array
 ) -> Array:
-    """Compute derivatives of the residuals by the parameters, (n, 3, p); 0 if not measured."""
+    """Compute derivatives of the residuals with respect to the parameters, (n, 3, p); 0 if not
+    measured."""
     known = np.isfinite(model.seen())
     columns = []
     for name in names:

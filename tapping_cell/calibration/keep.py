@@ -90,7 +90,7 @@ def refuse_better(output: Output, new: Provenance) -> None:
     ]
     if worse:
         raise KeptFile(
-            f"{output.path}: the file of {old.made} is better and was kept: "
+            f"{output.path}: the existing file, made {old.made}, is better and was kept: "
             f"{', '.join(worse)}. Give another --output, or --force --accept-worse to replace "
             "it anyway"
         )

@@ -34,10 +34,10 @@ _FLOOR = {"distance": 0.005, "rotation": 0.01}
 _MIN_TURN = 0.2
 """Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful."""
 _CAUSES = {
-    "setting": "from run to run, that is, with the striker's speed and the incidence",
-    "place": "with the contact point on the object: is the centre of mass or of friction off "
+    "setting": "from run to run, that is, with the striker's speed and the incidence.",
+    "place": "with the contact point on the object. Is the centre of mass or of friction off "
     "the object's middle?",
-    "direction": "with the direction on the table: is the table level, and is the table's "
+    "direction": "with the direction on the table. Is the table level, and is the table's "
     "friction the same in all directions?",
 }
 
@@ -57,8 +57,8 @@ class Misfit:
     def sentence(self) -> str:
         """Describe the deviation for the user."""
         return (
-            f"The model does not fit: the {self.quantity} deviates by {100 * self.size:.0f} % "
-            f"{_CAUSES[self.cause]} (p-value {self.probability:.1g})."
+            f"The model does not fit (p-value {self.probability:.1g}): the {self.quantity} varies "
+            f"by {100 * self.size:.0f} % {_CAUSES[self.cause]}"
         )
 
 
@@ -105,7 +105,7 @@ class Taps:
 
 
 def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
-    """Return the significant deviations from the model, by increasing p-value."""
+    """Return the significant deviations from the model, in order of increasing p-value."""
     found: list[Misfit | None] = []
     runs = np.array(taps.runs)
     sides = np.array(

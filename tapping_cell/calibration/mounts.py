@@ -46,7 +46,8 @@ WIDEST = np.array([0.003, math.radians(2.0), 0.5])
 and protractor."""
 
 MAX_DEVIATION = 0.0003
-"""Maximum standard deviation of the line at the object, m, for planning."""
+"""Standard deviation of the line's offset at the object, m, up to which a fit is accurate enough
+for planning."""
 
 
 @dataclass(frozen=True, slots=True)

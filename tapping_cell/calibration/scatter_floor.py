@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 MIN_TRIALS = 8
 MIN_RATIO = 2.5
-"""Minimum ratio of large to small sizes (90 % and 10 % of the taps) that determines a floor."""
+"""Minimum ratio of large to small sizes (90 % and 10 % quantiles) that determines a floor."""
 SIGNIFICANCE = 0.01
 _TINY = 1e-12
 

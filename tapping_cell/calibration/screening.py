@@ -292,8 +292,8 @@ def _from_track(
     if slide.moving < _TRACK_POINTS:
         return _Rejection(
             "short slide",
-            f"only {slide.moving} samples of the track are in the slide; tap harder, or use a "
-            "faster camera",
+            f"only {slide.moving} samples of the track show the object sliding; tap harder, or use "
+            "a faster camera",
         )
     friction = slide.deceleration / gravity
     if slide.moving > _TRACK_POINTS and not _FRICTION[0] < friction < _FRICTION[1]:

@@ -4,7 +4,8 @@ The equations and tables are those of ``mechanics.sliding``, arranged for fits, 
 samples of each of many slides while the parameters change. Slides are self-similar, and the ratio
 of spin and speed follows one curve on either side of its terminal value. Therefore one table of
 these curves over the remaining time is sufficient for all launches. There is a table for each
-torque factor of a grid. Between them values are interpolated, which also gives the derivative.
+torque factor of a grid. Between the torque factors of the grid, values are interpolated, which also
+gives the derivative.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class State(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Derivatives of distance and rotation by ln(torque factor)."""
+    """Derivatives of distance and rotation with respect to ln(torque factor)."""
 
     distance: Array
     rotation: Array
@@ -186,7 +187,7 @@ class SlideCurves:
     ) -> tuple[Array, Array, tuple[Array, Array]]:
         """Compute speeds and spins (n,) that cause these displacements, and their derivatives.
 
-        The derivatives are by ln(torque factor).
+        The derivatives are with respect to ln(torque factor).
         """
         pull = friction * self._gravity
         below, above, part = self._around(log_torque_factor)

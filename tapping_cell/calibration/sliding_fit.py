@@ -224,7 +224,7 @@ def _unblurred(problem: _Problem, motions: Sequence[Motion], at: Estimate) -> _P
 
 
 def _weighted(problem: _Problem, at: Estimate) -> _Problem:
-    """Scale the standard deviations to the residuals of the fit."""
+    """Scale the assumed standard deviations so that they agree with the residuals of the fit."""
     misses = _misses(problem, at)
     samples, given = problem.samples, problem.given
     sampled = np.isfinite(samples.time)
@@ -347,7 +347,8 @@ def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquation
 
 
 def _turned_by_centre(problem: _Problem, at: Estimate, since: Array, friction: Array) -> Array:
-    """Compute derivatives (N, 2) of the rotations by the centre of pressure over the radius.
+    """Compute derivatives (N, 2) of the rotations with respect to the centre of pressure over the
+    radius.
 
     Friction at the centre c accelerates the rotation, d omega / dt = - kappa gamma (mu g / R)
     (c x v) / v. This rotation decays like all spin, d omega / dt = - p omega (mu g / v), with p =

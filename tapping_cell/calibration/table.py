@@ -318,8 +318,8 @@ class _Problem:
         return np.bincount(self.marker[self.used], minlength=self.markers)
 
     def _system(self, poses: Sequence[CameraPose], markers: Array) -> tuple[Array, Array, Array]:
-        """Compute normalised residuals (O, 8) and their derivatives by the camera pose (O, 8, 6)
-        and by the marker pose (O, 8, 3)."""
+        """Compute normalised residuals (O, 8) and their derivatives with respect to the camera pose
+        (O, 8, 6) and the marker pose (O, 8, 3)."""
         rotation = np.array([pose.rotation for pose in poses])[self.image]
         shift = np.array([pose.translation for pose in poses])[self.image]
         places = markers[self.marker]

@@ -242,7 +242,8 @@ def _groups(energies: Array) -> NDArray[np.intp]:
 
 
 def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]) -> float:
-    """Return the energy, in J, from which on all energy levels move the object reliably.
+    """Return the lowest energy, in J, at and above which all energy levels move the object
+    reliably.
 
     A tap that does not move the object was too weak only if taps of similar energy move the object
     little. If they move it far, the tap missed and is ignored here.

@@ -206,7 +206,7 @@ class Polygon(Body):
 
         For a square and launches with R omega up to v, the disk's slide deviates by up to 1 % in
         distance and 4 % in rotation, and sideways by up to 1.5 % of the distance (tested). For
-        elongated shapes the disk is no good approximation.
+        elongated shapes the disk is a poor approximation.
         """
         return Disk(self.support_radius, self.mass, self.height)
 

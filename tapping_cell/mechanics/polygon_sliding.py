@@ -105,11 +105,11 @@ class PolygonSlide:
         return Launch(_scalar(speed.reshape(x.shape)), _scalar(twist[:, 2].reshape(x.shape)))
 
     def displace(self, twist: Array) -> Array:
-        """Displacements (n, 3) of launches (n, 3)."""
+        """Compute the displacements (n, 3) caused by launches (n, 3)."""
         return self._slide(twist)[0]
 
     def twist_for(self, displacement: Array) -> Array:
-        """Launches (n, 3) of displacements (n, 3)."""
+        """Compute the launches (n, 3) that cause displacements (n, 3)."""
         scale = self._scale(np.hypot(displacement[:, 0], displacement[:, 1]), displacement[:, 2])
         nearby = invert(
             lambda z, _: self.displace(self._disk.twist_for(z)),

@@ -119,7 +119,7 @@ class PolygonTable:
         return moved, major * factors[3]
 
     def _factors(self, phi: Array, alpha: Array, size: Array) -> Array:
-        """A, L, B and D, (4, n), by linear interpolation."""
+        """Look up A, L, B and D, (4, n), by linear interpolation."""
         levels, ratios, directions = self._shape
         turn = alpha * (self._fold * (directions - 1) / (2 * math.pi))
         turn -= (directions - 1) * np.floor(turn / (directions - 1))
@@ -143,7 +143,7 @@ class PolygonTable:
         return np.asarray(found.T + self._disk_factors(phi))
 
     def _disk_factors(self, phi: Array) -> Array:
-        """A, L, B and D of the equivalent disk, (4, n)."""
+        """Compute A, L, B and D of the equivalent disk, (4, n)."""
         cos, sin = np.maximum(np.cos(phi), _TINY), np.sin(phi)
         sin = np.where(np.abs(sin) < _TINY, _TINY, sin)
         distance, rotation, duration = self._disk.rest(cos, sin)
@@ -230,7 +230,7 @@ class PolygonTable:
         return unit, state
 
     def _cubic(self, phi: Array, alpha: Array, known: Array) -> Array:
-        """A, L, B and D, (4, n), interpolated in the values of one size (4, ratios, directions)."""
+        """Interpolate A, L, B and D, (4, n), in the values of one size (4, ratios, directions)."""
         count = known.shape[2]
         turn = alpha * (self._fold * count / (2 * math.pi))
         turn -= count * np.floor(turn / count)

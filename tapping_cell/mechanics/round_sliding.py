@@ -71,14 +71,15 @@ class RoundSlide:
         return Launch(speeds.reshape(x_all.shape), rims.reshape(x_all.shape))
 
     def displace(self, twist: Array) -> Array:
-        """Displacements (..., 3) of launches (..., 3): along the launch, with a rotation."""
+        """Compute the displacements (..., 3) caused by launches (..., 3): along the launch, with a
+        rotation."""
         speed = np.hypot(twist[..., 0], twist[..., 1])
         distance, rotation, _ = self.rest(speed, twist[..., 2])
         scale = distance / np.where(speed > 0, speed, 1.0)
         return np.stack([scale * twist[..., 0], scale * twist[..., 1], rotation], axis=-1)
 
     def twist_for(self, displacement: Array) -> Array:
-        """Launches (..., 3) of displacements (..., 3)."""
+        """Compute the launches (..., 3) that cause displacements (..., 3)."""
         distance = np.hypot(displacement[..., 0], displacement[..., 1])
         speed, spin = self.launch(distance, displacement[..., 2])
         scale = speed / np.where(distance > 0, distance, 1.0)
@@ -121,7 +122,8 @@ def _slow_down(
         np.log(np.where(both, s_size, 1.0) / np.where(both, v_size, 1.0)),
         np.log(np.maximum(share, math.exp(_PROFILE_END))),
     )
-    # Speed and rim speed whose maximum is 1, then scaled to the remaining time.
+    # Speed and rim speed with this ratio and a maximum of 1; they are then scaled to the remaining
+    # time.
     v_unit = np.exp(np.minimum(-log_ratio, 0.0))
     s_unit = np.exp(np.minimum(log_ratio, 0.0))
     v_unit = np.where(both[:, None], v_unit, (v_size > 0)[:, None] * 1.0)

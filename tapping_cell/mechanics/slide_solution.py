@@ -16,15 +16,15 @@ where X, Theta and D obey the linear equations psi y' = a y - 1 with (translatin
     a_D     = F                                   Lambda T
 
 Lambda is the torque factor times m R^2 / I. The motion converges to the only attracting zero of psi
-(the terminal ratio). Only the wanted solution is bounded there. In the interval around that zero,
+(the terminal ratio). Only the physical solution is bounded there. In the interval around that zero,
 the equations are therefore solved by collocation without an initial value. From there the Radau IIA
 method of order five, which is stable in this direction, continues the solution to pure sliding and
 to pure spinning.
 
-At the ends, y behaves like tau to powers slightly above one, and a ring's friction has a logarithm
-at tau = 1. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). Near both ends,
-p varies like the square root of the distance of tau from the end; computing p from tau takes two
-square roots.
+Near tau = 0, y contains powers of tau slightly above one; near tau = 1, a ring's friction contains
+a logarithm. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). Near both
+ends, p varies like the square root of the distance of tau from the end; computing p from tau takes
+two square roots.
 """
 
 from __future__ import annotations

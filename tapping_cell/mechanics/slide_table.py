@@ -372,8 +372,8 @@ def _cubic_and_slope(
 
 
 def _hermite(values: Array, slopes: Array) -> Array:
-    """Cubic coefficients, one row per piece, from values and p-slopes at (halves, PIECES + 1)
-    knots."""
+    """Cubic coefficients, one row per piece, from values and slopes (with respect to p) at (halves,
+    PIECES + 1) knots."""
     y0, y1 = values[:, :-1], values[:, 1:]
     s0, s1 = slopes[:, :-1] / PIECES, slopes[:, 1:] / PIECES
     rows = np.stack([y0, s0, 3 * (y1 - y0) - 2 * s0 - s1, 2 * (y0 - y1) + s0 + s1], axis=-1)

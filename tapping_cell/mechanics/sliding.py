@@ -1,4 +1,4 @@
-"""Compute how far a launched body slides and rotates, and the launch for a wanted displacement.
+"""Compute how far a launched body slides and rotates, and the launch for a given displacement.
 
 The equations, with R the radius of the support, gamma = m R^2 / I, mu the friction with the table
 and kappa the torque factor of Huang and Mason (section 3.1.2):

@@ -1,6 +1,6 @@
 """A whole tap (impact and slide): its outcome (``Tap.outcome``) and its inverse (``Tap.plan``).
 
-The body is launched along the impulse, so the wanted launch determines the impulse's line of
+The body is launched along the impulse, so the desired launch determines the impulse's line of
 action. Its direction is that of the velocity, and its distance from the centre of mass is (I omega)
 / (m v). The contact point is where that line enters the body, and the angle of the line from the
 contact normal must be within the friction cone. The striker's axis is the one for which Routh's
@@ -197,10 +197,11 @@ class Tap:
     def plan(self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN) -> TapPlan:
         """Plan the tap for ``displacement`` (..., 3), (dx, dy, dtheta) in table axes, m and rad.
 
-        ``object_pose`` (..., 3) is the object's pose in the table frame; both broadcast.
-        :meth:`outcome` of the plan equals the displacement up to rounding errors. Raises
-        :class:`UnreachableDisplacementError` for a displacement outside the cone or shorter than
-        the smallest distance, and :class:`InvalidParameterError` for values that are not finite.
+        ``object_pose`` (..., 3) is the object's pose in the table frame; it broadcasts with the
+        displacement. :meth:`outcome` of the plan equals the displacement up to rounding errors.
+        Raises :class:`UnreachableDisplacementError` for a displacement outside the cone or shorter
+        than the smallest distance, and :class:`InvalidParameterError` for values that are not
+        finite.
         """
         wanted = _poses("displacement", displacement)
         self._refuse(wanted)

@@ -3,11 +3,11 @@
 Each filter of the bank starts from a prior of a different width (static multiple models: Magill,
 IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects; with the wide priors,
 a very different object needs only one more measurement. A measurement may be an outlier (a bumped
-object, a striker that missed). Each filter weights it by the probability that it is valid
-(probabilistic data association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may also
-change permanently. An additional filter, the candidate, assumes that they changed at the last
-measurement. If the next measurement agrees with the candidate, it outweighs the other filters and
-replaces them.
+object, a striker that missed). Each filter weights measurements by the probability that they are
+valid (probabilistic data association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may
+also change permanently. An additional filter, the candidate, assumes that the true values changed
+at the last measurement. If the next measurement agrees with the candidate, it outweighs the other
+filters and replaces them.
 """
 
 from __future__ import annotations

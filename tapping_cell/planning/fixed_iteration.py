@@ -3,14 +3,14 @@
 Source: Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3 (stochastic
 shortest path).
 
-A tap is a tapper and a length. Lengths tried are a geometric progression, the length that ends
-nearest to the goal and the length that corrects the rotation. A policy improvement compares, in
-every state, the taps by the mean of W (see ``fixed_policy``) over the scatter. W is taken from the
-nearest point of a table that also has points halfway between the grid points. The state after a tap
-is therefore an index, which is computed only once per grid. Between improvements, sweeps with a
-sparse transition matrix, based on linear interpolation, evaluate the policy. A coarse grid is
-solved first and initialises the fine grid, which compares only the taps that are promising on the
-coarse grid.
+A tap is defined by a tapper and a length. The lengths tried are a geometric progression, the length
+that ends nearest to the goal and the length that corrects the rotation. A policy improvement
+compares, in every state, the taps by the mean of W (see ``fixed_policy``) over the scatter. W is
+taken from the nearest point of a table that also has points halfway between the grid points. The
+state after a tap is therefore an index, which is computed only once per grid. Between improvements,
+sweeps with a sparse transition matrix, based on linear interpolation, evaluate the policy. A coarse
+grid is solved first and initialises the fine grid, which compares only the taps that are promising
+on the coarse grid.
 """
 
 from __future__ import annotations

@@ -208,8 +208,9 @@ class PathLengths:
 def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
     """Largest gap between directions of possible taps for objects at ``centres`` (..., 2), rad.
 
-    This is the largest gap for any of three rotations of taps: to the left, none and to the right.
-    Only the arm's reach and the clearance of the tool are checked, not the slide of the object.
+    The gap is computed for taps that rotate the object to the left, to the right and not at all;
+    the largest of the three is returned. Only the arm's reach and the clearance of the tool are
+    checked, not the slide of the object.
     """
     p = np.asarray(centres, dtype=float)
     gap = np.zeros(p.shape[:-1])

@@ -51,9 +51,9 @@ class Prescription:
     """Parameters of a prescribed tap.
 
     striker_speed: m/s. incidence: rad, from the contact normal (into the object) to the striker's
-    axis, positive counter-clockwise. direction: wanted direction of the object's travel in `table`,
-    rad; None means towards the middle of the table. slack: largest deviation of the travel from
-    this direction, rad; the possible contact with the smallest deviation is used.
+    axis, positive counter-clockwise. direction: desired direction of the object's travel in
+    `table`, rad; None means towards the middle of the table. slack: largest deviation of the travel
+    from this direction, rad; the possible contact with the smallest deviation is used.
 
     Raises:
         PlanningError: a number is not finite or out of range.
@@ -273,7 +273,7 @@ class PrescribedSession:
         moved: Array,
         slide: Array,
     ) -> Refusal:
-        """Return why the contact nearest to the wanted direction cannot be tapped."""
+        """Return why the contact that best fits the desired direction cannot be tapped."""
         heading = math.degrees(float(wrap_angle(wanted)))
         place = place_text(pose)
         hit = [index for index in order if not problems["contact"][index]]

@@ -1,4 +1,4 @@
-"""Interface through which a cell with an arm tells the planner the durations of taps."""
+"""Interface through which a cell with an arm provides the durations of taps to the planner."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def preset_goals(
         PlanningError: unknown preset, or fewer than two objects.
     """
     if preset not in PRESETS:
-        raise PlanningError(f"the preset is {preset!r}; known are {', '.join(PRESETS)}")
+        raise PlanningError(f"the preset is {preset!r}; it must be one of {', '.join(PRESETS)}")
     if len(poses) < 2:
         raise PlanningError(f"a preset needs at least two objects, not {len(poses)}")
     names = list(poses)

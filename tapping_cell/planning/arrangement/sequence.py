@@ -222,8 +222,8 @@ class SequencePlanner:
         return None
 
     def _opens(self, scene: Scene, body: Body, place: Pose, blocked: Body) -> bool:
-        """Return whether moving ``body`` to ``place`` opens the blocked object's goal or helps
-        to."""
+        """Return whether moving ``body`` to ``place`` opens the blocked object's goal or helps to
+        open it."""
         assert blocked.goal is not None
         poses = {**scene.poses, body.name: place}
         areas = areas_of(scene.bodies, poses, [blocked.name])

@@ -141,7 +141,8 @@ class ArrangementSession:
         self._stalled: frozenset[tuple[str, Purpose]] = frozenset()
         self._buffers: dict[str, tuple[Pose, ...]] = {}
         self._confirmed: dict[str, Pose] = {}
-        self._waits_for: dict[str, str] = {}  # by object that made way: the object it waits for
+        # maps each object that made way to the object for which it waits
+        self._waits_for: dict[str, str] = {}
         self._best = math.inf  # smallest estimate of the remaining taps of the current move
         self._taps_without_progress = 0  # consecutive taps of the current move without progress
         self._session: PositioningSession | None = None

@@ -1,4 +1,5 @@
-"""Vectorised choice of taps on polygons; a tap that is possible with no contact is replaced."""
+"""Vectorised choice of taps on polygons; taps that are impossible with every contact are
+replaced."""
 
 from __future__ import annotations
 
