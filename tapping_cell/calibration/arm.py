@@ -1,15 +1,15 @@
 """Calibration of the arm's base pose and joint offsets from measured poses of a marker on the tool,
 or from touched points.
 
-Points of the table are written as complex numbers. With the base position b, the base rotation c =
-exp(i yaw) and a point m in the tool frame, the predicted position is
+Points in the table plane are written as complex numbers. With the base position b, the base
+rotation c = exp(i yaw) and a point m in the tool frame, the predicted position is
 
     p = b + c (L1 exp(i q1) + L2 exp(i (q1 + q2)) + m exp(i (q1 + q2 + q4)))
 
 and the predicted angle is yaw + q1 + q2 + q4 plus the marker's angle on the tool. Here q2 is the
-controller's value plus the offset of the elbow. The offset of the shoulder has the same effect as
-the base's yaw, and the offset of the tool joint has the same effect as the marker's angle on the
-tool. No record of poses can separate them.
+controller's value plus the offset of the elbow. The shoulder's offset cannot be distinguished from
+the base's yaw, nor the tool joint's offset from the marker's angle on the tool, whatever poses are
+recorded.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ RECORD_COLUMNS = (
 )
 """Columns of the record file; each row is one pose."""
 _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
-"""Maximum standard deviations; a less certain value is not fitted but taken from the cell file."""
+"""Maximum standard deviation of a fitted value; a less certain value is taken from the cell file
+instead."""
 _CORRELATED = 0.97
-"""Correlation above which two values are reported as known mainly in combination."""
+"""Correlation above which a note says that two values are known mainly in combination."""
 _OUTLIER = 4.5
 """Number of robust standard deviations above which a row is an outlier. The standard deviations
 used for this are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
@@ -59,8 +60,8 @@ _IN_WORDS = {
     "base_y": "y of the base",
     "base_yaw": "yaw of the base",
     "elbow_zero": "zero offset of the elbow",
-    "mount_x": "offset of the marker or tip ahead of the quill",
-    "mount_y": "offset of the marker or tip to the side of the quill",
+    "mount_x": "forward offset of the marker or tip from the quill",
+    "mount_y": "sideways offset of the marker or tip from the quill",
     "mount_angle": "angle of the marker on the tool",
     "upper_arm": "length of the upper arm",
     "forearm": "length of the forearm",
@@ -170,7 +171,8 @@ def _unit(name: str) -> str:
 
 
 def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
-    """Choose the poorly determined value that is most likely accurate in the cell file."""
+    """Choose which poorly determined value to keep as in the cell file: the one most likely
+    accurate there."""
     order = ("forearm", "upper_arm", "elbow_zero", "mount_x", "mount_y", "mount_angle")
     known = [name for name in order if name in free and not loose[name] <= 1.0]
     return known[0] if known else max(loose, key=lambda name: loose[name])
@@ -197,9 +199,8 @@ def predicted(joints: Array, values: dict[str, float]) -> tuple[Complex, Array]:
 def _begin(
     record: ArmRecord, geometry: ScaraGeometry
 ) -> tuple[dict[str, float], NDArray[np.bool_]]:
-    """Compute initial values by linear least squares on the best of many subsets, and the inliers.
-
-    With the file's link lengths and offsets, the model is linear in b, c and c m.
+    """Compute initial values and the inliers, by linear least squares on random subsets of the
+    rows.
     """
     offset = geometry.joint_offset
     values = {name: 0.0 for name in NAMES} | {
@@ -215,7 +216,7 @@ def _begin(
     columns = np.stack([np.ones_like(reach), reach, heading], axis=1)
     singular = np.linalg.svd(columns, compute_uv=False)
     if singular[-1] < 1e-3 * singular[0]:
-        # The tool always has the same angle to the forearm, so keep the file's mount.
+        # The tool has the same angle to the forearm in all rows, so keep the cell file's mount.
         columns = columns[:, :2]
         columns[:, 1] += complex(geometry.tip_forward, geometry.tip_side) * heading
     random = np.random.default_rng(0)
@@ -226,14 +227,15 @@ def _begin(
             found = np.linalg.lstsq(columns[rows], seen[rows], rcond=1e-9)[0]
         except np.linalg.LinAlgError:
             continue
-        # A rotation has length one; a subset with another length is nearly singular or wrong.
+        # ``found[1]`` is a rotation and should have magnitude one; otherwise the subset is nearly
+        # singular or contains outliers.
         misfit = abs(abs(found[1]) - 1.0)
         error = float(np.median(np.abs(columns @ found - seen))) * (1.0 + 10.0 * misfit)
         if error < least:
             best, least = found, error
     if best is None or abs(best[1]) < 1e-6:
         raise CalibrationRefused(
-            "the poses do not determine the position of the base: spread them more"
+            "the poses do not determine the position of the base: spread the poses more"
         )
     errors = np.abs(columns @ best - seen)
     agree = errors <= max(6.0 * least, 0.01)
@@ -310,7 +312,7 @@ def _robust(
     if turns is not None:
         squares += float((turns[used] ** 2).sum() / sigma[1] ** 2)
         number += int(used.sum())
-    # Noise below the minimum values is due to chance, so it must not reduce the covariance.
+    # Residuals below the assumed noise are due to chance, so they must not reduce the covariance.
     factor = max(1.0, squares / max(number - len(free), 1))
     return values, factor * _inverse(jacobian.T @ jacobian), sigma, used
 
@@ -424,7 +426,7 @@ def _notes(
             + (
                 "turn the tool relative to the forearm from pose to pose"
                 if name.startswith("mount")
-                else "bend the elbow by more different angles, to both sides if it can"
+                else "bend the elbow by more different angles, to both sides if the arm can"
             )
         )
     spread = np.sqrt(np.diag(covariance))

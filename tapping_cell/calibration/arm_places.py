@@ -10,9 +10,10 @@ from tapping_cell.hardware.scara import Branch, Joints, ScaraGeometry
 from tapping_cell.se2 import Pose
 
 TURN = math.radians(120.0)
-"""Maximum angle between the tool and the line from the shoulder, on either side."""
+"""Maximum angle, to either side, between the tool and the line from the shoulder to the tip."""
 _INSIDE = 0.01
-"""Clearance to the joint limits, in rad, so that an uncalibrated zero cannot stop a move."""
+"""Distance to keep from the joint limits, in rad, so that an error of a joint's zero cannot stop a
+move."""
 _TRIED = 50
 """Number of candidate positions per requested pose; an arm reaches most of its table."""
 
@@ -26,9 +27,9 @@ def arm_places(
 ) -> list[Joints]:
     """Return at most ``count`` joint positions with the tip at ``height`` m above the table.
 
-    Tip positions, tool angles and elbow sides are evenly distributed over a rectangle about the
-    table's origin with half lengths ``half`` (x, y in m). ``base`` is the arm's base pose in
-    ``table``. The result is deterministic.
+    Tip positions are evenly distributed over a rectangle about the table's origin with half lengths
+    ``half`` (x, y in m); tool angles and elbow sides vary evenly too. ``base`` is the arm's base
+    pose in ``table``. The result is deterministic.
     """
     into_base = base.inverse()
     found: list[Joints] = []

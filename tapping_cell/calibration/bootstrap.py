@@ -1,4 +1,4 @@
-"""Bootstrap confidence intervals over trials, for estimates that solve a sum of scores.
+"""Bootstrap confidence intervals for estimates at which the scores of all trials sum to zero.
 
 An estimate t solves sum_i s_i(t) = 0 over the trials. Near the fitted estimate t_0, s_i(t) = s_i +
 H_i (t - t_0), with the score s_i and the information H_i of the fit. One Newton step gives the
@@ -22,13 +22,15 @@ Array = NDArray[np.float64]
 
 REPLICATES = 2000
 LEVEL = 0.95
-# clip, in standard errors: a resample may lack the trials that determine a parameter
+# Deviations are clipped at this many standard errors, because a resample may lack the trials that
+# determine a parameter.
 _MAX_STD = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Offsets of the interval's ends from the estimate, and the standard error; each (p,)."""
+    """Lower and upper end of the interval relative to the estimate, and standard error; each
+    (p,)."""
 
     low: Array
     high: Array

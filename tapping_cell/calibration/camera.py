@@ -23,7 +23,7 @@ from tapping_cell.vision.camera import Array, CameraError, CameraModel
 MIN_VIEWS = 6
 """Minimum number of views for a calibration; about 20 are recommended."""
 _MIN_TURN = np.radians(10.0)
-"""Minimum of the largest angle between the target planes of two views."""
+"""Minimum angle between the target planes of the two views that differ most."""
 _WORST_FOCAL = 0.01
 """Maximum relative standard deviation of a focal length."""
 _OUTLIER_RATIO, _OUTLIER_PIXELS = 3.0, 0.4
@@ -35,7 +35,7 @@ _SUBSETS = 30
 
 
 class CalibrationRefused(ValueError):
-    """Raised for data that do not determine the result; the message says what to record instead."""
+    """Raised if the data do not determine the result; the message says what to record instead."""
 
 
 class Lens(NamedTuple):
@@ -60,7 +60,7 @@ class UsedView:
     """A view used for the calibration.
 
     ``residuals`` (N, 2) are measured minus predicted corners in pixels, ``rms`` is the root mean
-    square of their lengths, and ``tilt`` is the angle from target to image plane in rad.
+    square of their lengths, and ``tilt`` is the angle between target plane and image plane in rad.
     """
 
     view: TargetView
@@ -303,11 +303,11 @@ def _choose(
     size: tuple[int, int],
     lenses: Sequence[Lens],
 ) -> tuple[Lens, dict[str, float]]:
-    """Choose the simplest lens model that no other model surpasses in cross-validation.
+    """Choose a lens model by cross-validation.
 
-    A more complex model must reduce the squared error by a quarter, or by at least a fiftieth and
-    two standard errors of the difference over the views. It must also be invertible over the whole
-    image.
+    A more complex model is chosen only if it reduces the mean squared error by 25 %, or by at least
+    2 % and at least two standard errors of the difference. It must also be invertible over the
+    whole image.
     """
     order = np.random.default_rng(1).permutation(len(views))
     folds = [order[start::_FOLDS] for start in range(_FOLDS)]
@@ -329,7 +329,7 @@ def _choose(
     if not squares:
         raise CalibrationRefused(
             "no lens model fits these views: show the target tilted to all sides and in "
-            "every part of the image, and check the target's numbers of squares"
+            "every part of the image, and check the number of squares given for the target"
         )
     best = next(iter(squares))
     for lens in list(squares)[1:]:
@@ -350,7 +350,7 @@ def _invertible(fit: _Fit, size: tuple[int, int], lens: Lens) -> bool:
     rays = model.rays(pixels)
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     back = np.abs(model.project(points) - pixels).max()
-    # The image radius must still increase with the angle at the border.
+    # At the border, the distance from the image centre must still increase with the ray's angle.
     further = model.project(np.concatenate([1.02 * rays, np.ones((len(rays), 1))], axis=1))
     centre = np.array([model.cx, model.cy])
     grows = ((further - pixels) * (pixels - centre)).sum(axis=1) > 0
@@ -450,8 +450,8 @@ def _warnings(
     if rms > _HIGH_RMS:
         warnings.append(
             f"corners are {rms:.2f} pixels (rms) from their reprojections; a flat target in "
-            "sharp photographs gives 0.1 to 0.3. Check that the target is flat and its sizes "
-            "are right"
+            "sharp photographs gives 0.1 to 0.3. Check that the target is flat and that its sizes "
+            "were given correctly"
         )
     uncovered = uncovered_regions(counts)
     if uncovered:
@@ -460,7 +460,7 @@ def _warnings(
             "model is only extrapolated; take views with the target there"
         )
     if len(used) < 12:
-        warnings.append(f"{len(used)} views are few: 20 make the standard deviations reliable")
+        warnings.append(f"only {len(used)} views: 20 would make the standard deviations reliable")
     if worst > 0.003:
         warnings.append(
             f"the focal length is uncertain by {100 * worst:.2f} %: tilt the target more and fill"

@@ -1,11 +1,11 @@
 """Strict reading of measurements from CSV files; every error names file and row.
 
-The first line that is not a comment (``#``) names the columns. A column's unit is SI or the suffix
-of its name: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees. Cells are
-separated by commas, semicolons or tabs. With semicolons or tabs, numbers may have decimal commas. A
-row in which a cell is not a number or is out of range is rejected and listed in ``faults``. If many
-rows are out of range, the file is rejected, and the message suggests another unit. Other columns
-are ignored. Row numbers are those of a text editor: the first line is row 1.
+The first line that is not a comment (``#``) names the columns. A column is in SI units unless its
+name ends in another unit: ``x`` and ``x_m`` are in m, ``x_mm`` in mm, ``shoulder_deg`` in degrees.
+Cells are separated by commas, semicolons or tabs. With semicolons or tabs, numbers may have decimal
+commas. A row in which a cell is not a number or is out of range is rejected and listed in
+``faults``. If many rows are out of range, the file is rejected, and the message suggests another
+unit. Other columns are ignored. Row numbers are those of a text editor: the first line is row 1.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class RecordError(ValueError):
 class Column:
     """A column of numbers with its SI ``unit`` (a key of ``UNITS``) and its closed range.
 
-    ``least_largest`` is the lowest plausible value of the largest magnitude in the column. A column
-    below it is assumed to have the wrong unit (metres in a column of millimetres).
+    ``least_largest`` is a magnitude that at least one value of the column should reach. Otherwise
+    the column probably has the wrong unit (metres in a column of millimetres).
     """
 
     name: str

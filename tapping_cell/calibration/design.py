@@ -1,12 +1,12 @@
 """The designed single-tap experiment: its taps, their directions and their outcomes.
 
 A run repeats taps with one striker speed and one incidence (section 3.1 of the paper has four runs
-of ten trials). At small incidences the contact sticks, which determines the impact constants. At
-large incidences it slides throughout, which determines the contact friction. Two speeds separate
-speed-dependent effects from others. The start pose varies on purpose: from the middle of the table
-the object is tapped outwards in varying directions, and from elsewhere back to the middle. The
-effect of the table's tilt therefore cancels in each pair of trials, and an operator does not have
-to return the object.
+of ten trials). Taps with a small incidence, whose contact sticks, determine the impact constants.
+Taps with a large incidence, whose contact slides throughout, determine the contact friction. Two
+speeds separate speed-dependent effects from others. The start pose varies on purpose: an object in
+the middle of the table is tapped outwards, in a different direction each time, and an object
+elsewhere is tapped back to the middle. The effect of the table's tilt therefore cancels in each
+pair of trials, and an operator does not have to return the object.
 """
 
 from __future__ import annotations
@@ -33,17 +33,18 @@ DESIGN_FILE = "design.yaml"
 SPEEDS = (0.75, 1.1)
 """Striker speeds in m/s; the paper's disk then travels 30 to 100 mm in 6 to 12 frames at 30 Hz."""
 INCIDENCES = (math.radians(20.0), math.radians(-45.0))
-"""Incidences at which the contact sticks and slides, respectively, for contact frictions near 0.2.
-Their signs differ, so that the object's rotations and a constant error of the arm's angle cancel.
+"""One incidence at which the contact sticks and one at which it slides, for contact frictions near
+0.2. Their signs differ, so that the object's rotations and a constant error of the arm's angle
+cancel.
 """
 TRIALS = 10
 
 NEAR_MIDDLE = 0.030
-"""Distance from the table's middle, m, within which a trial is directed outwards."""
+"""Distance from the table's middle, m, within which an object is tapped outwards."""
 FAN = math.radians(137.507764)
 """Golden angle: steps of this angle give evenly spread directions for any number of trials."""
 ATTEMPTS = 2
-"""Maximum number of attempts per wanted trial, after which a run is given up."""
+"""Number of attempts per requested trial after which a run is given up."""
 MISSED = 0.1
 """Fraction of the expected displacement below which a tap counts as missed."""
 
@@ -189,7 +190,7 @@ def read_design(folder: Path) -> Design:
     file = folder / DESIGN_FILE
     if not file.is_file():
         raise RecordError(
-            f"{folder} contains no {DESIGN_FILE}; give the folder of an experiment of single-tap"
+            f"{folder} contains no {DESIGN_FILE}; give the folder of a single-tap experiment"
         )
     try:
         return load(Design, file)

@@ -34,7 +34,8 @@ class StrikerSection:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFile:
-    """Header of the records. Its standard deviations apply to rows and samples that give none."""
+    """Header of the records. Its standard deviations apply to rows and track samples without their
+    own."""
 
     format: int = quantity("version of the format", "", 1, 1)
     made: str = text("date and time, ISO 8601")
@@ -47,7 +48,7 @@ class ExperimentFile:
         "object file that the planner used; without it, fit needs --object", default=None
     )
     camera_rate_hz: float | None = quantity(
-        "frame rate for rows that state none; default: from the times of the tracks",
+        "frame rate of trials whose row gives none; default: from the times of their tracks",
         "Hz",
         1.0,
         1e5,

@@ -1,10 +1,11 @@
 """Analysis of which parameters the trials determine, and which further taps would determine more.
 
-The Fisher information of the launches (squared derivatives by the parameters, divided by the
-variance of a tap) covers all parameters, including those that the fit keeps fixed. A parameter is
-not determined if its relative standard deviation is too large with all others free. Eigenvectors
-with small eigenvalues are the combinations that are not determined. The information of candidate
-experiments is added to that of the trials, and the best candidate is recommended.
+The Fisher information of the launches (squared derivatives with respect to the parameters, divided
+by the variance of a tap) covers all parameters, including those that the fit keeps fixed. A
+parameter is not determined if, with all others free, its relative standard deviation is too large.
+Eigenvectors with small eigenvalues are combinations of parameters that are not determined. The
+information of candidate experiments is added to that of the trials, and the best candidate is
+recommended.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ _WORDS = {
     GAIN: "gain of the striker's speed",
 }
 _UNKNOWN = 0.5  # relative standard deviation above which a parameter is not determined
-_SHARE = 0.3  # smallest component that counts, relative to an eigenvector's largest component
+_SHARE = 0.3  # components below this fraction of an eigenvector's largest are ignored
 _LARGE = 1e6
 _TAPS = 10
 _REBOUND_STD = 0.02  # relative standard deviation of a measured striker speed after the impact
@@ -40,8 +41,8 @@ _INCIDENCES = tuple(math.radians(angle) for angle in (0, 10, 20, 30, 40, 50, 60)
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """Relative standard deviations of the parameters: ``alone`` with the others known, ``together``
-    with all free (inf if not determined); ``sentences`` are the findings as text."""
+    """Relative standard deviations of the parameters, inf if not determined: ``alone`` with the
+    other parameters known, ``together`` with all free. ``sentences`` are the findings as text."""
 
     alone: Mapping[str, float]
     together: Mapping[str, float]
@@ -124,9 +125,9 @@ def _confounded(information: Array, speed_known: float) -> list[str]:
             sentences.append(f"The trials determine only a combination of {listed}.")
     if not math.isfinite(speed_known):
         sentences.append(
-            "The striker's speed was not measured, so the restitution assumes exactly the "
-            "commanded speed. Friction, torque factor, contact friction and predictions for "
-            "the same tapper do not depend on this assumption."
+            "The striker's speed was not measured; the restitution is correct only if the speed "
+            "was exactly as commanded. Friction, torque factor, contact friction and predictions "
+            "for the same tapper do not depend on this assumption."
         )
     return sentences
 
@@ -176,7 +177,7 @@ def _candidates(
 
 
 def _alike(strikes: Strikes, speed: float, incidence: float) -> Strikes:
-    """Create candidate taps to both sides, with the median measurement accuracy of the trials."""
+    """Create candidate taps with incidences of both signs and the trials' median accuracy."""
 
     def many(column: Array) -> Array:
         return np.full(_TAPS, float(np.nanmedian(column)))
@@ -200,7 +201,7 @@ def _alike(strikes: Strikes, speed: float, incidence: float) -> Strikes:
 
 
 def _rebound(model: ImpactModel, values: Mapping[str, float]) -> Array:
-    """Compute the information in measured striker speeds before and after the impact."""
+    """Compute the Fisher information of striker speeds measured before and after the impact."""
     columns = []
     strikes = model.strikes
     for name in NAMES:

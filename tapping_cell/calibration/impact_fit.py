@@ -30,8 +30,9 @@ NAMES = ("restitution", "contact_friction", "scale_b1", "scale_b2", "scale_b3")
 _LOW = dict(zip(NAMES, (0.0, math.log(0.005), *(math.log(0.05),) * 3), strict=True))
 _HIGH = dict(zip(NAMES, (math.log(2.0), math.log(2.0), *(math.log(20.0),) * 3), strict=True))
 _PASSES = 4
-_STICKS = 2.0  # a contact friction at which every contact sticks
-_SIGNIFICANT = 2.0  # minimum decrease of the criterion that justifies another parameter
+_STICKS = 2.0  # contact friction at which every contact sticks
+# minimum decrease of the Bayesian information criterion that justifies another free parameter
+_SIGNIFICANT = 2.0
 _MIN_SLIDING = 3  # minimum number of trials with a sliding contact to fit its friction
 _FLOOR = (0.003, 0.01, 0.001)  # minimum scatter of speed, spin (relative) and direction (rad)
 _FIRST = (0.05, 0.15, 0.02)
@@ -179,7 +180,7 @@ class ImpactModel:
         return np.asarray(np.hypot(size * np.asarray(scatter), self.measured_std()))
 
     def with_known(self, **values: float) -> ImpactModel:
-        """Return a copy with other values of the parameters that are not fitted."""
+        """Return a copy in which the given parameters, which are not fitted, have other values."""
         return ImpactModel(self.strikes, self._body, self._striker, self.known | values)
 
     def with_strikes(self, strikes: Strikes) -> ImpactModel:
@@ -189,8 +190,8 @@ class ImpactModel:
     def rebound(self, values: Mapping[str, float]) -> Array:
         """Compute the striker's speed (n,) along the contact normal after the impact, m/s.
 
-        As in the paper, restitution is a ratio of relative speeds: the striker's speed is that of
-        the body's contact point minus e times the approach speed.
+        As in the paper, restitution is a ratio of relative speeds: the striker's speed is the speed
+        of the body's contact point minus e times the approach speed.
         """
         s = self.strikes
         result = self.impact(values).strike(s.speed, s.incidence, s.contact)
@@ -216,8 +217,8 @@ def _outside(name: str, value: float) -> float:
 def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
     """Fit by weighted least squares, re-estimating the scatter after each pass.
 
-    The weights are fixed during a pass. If they followed the parameters, large predicted values
-    would reduce their own weight.
+    The weights are fixed during a pass. If the weights followed the parameters, large predicted
+    values would reduce their own weight.
     """
     low = np.array([_LOW[name] for name in free])
     high = np.array([_HIGH[name] for name in free])
@@ -261,7 +262,7 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
 def _scatter(
     model: ImpactModel, off: Array, launch: Array, used: int
 ) -> tuple[float, float, float]:
-    """Estimate the scatter of a tap: the variance of the residuals minus the variance of the
+    """Estimate the scatter of a tap, whose variance is that of the residuals minus that of the
     measurement."""
     measured = model.measured_std()
     size = np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
@@ -269,7 +270,7 @@ def _scatter(
     for k, floor in enumerate(_FLOOR):
         usable = np.isfinite(off[:, k])
         if k == 1:
-            # A spin near zero gives no relative scatter.
+            # The relative scatter of a spin near zero is meaningless.
             usable &= size[:, 1] * 0.1 > measured[:, 1]
         if usable.sum() < 3:
             values.append(_FIRST[k])
@@ -301,8 +302,8 @@ def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[s
     needed = float(np.max(np.abs(hits.tangential_impulse / hits.normal_impulse)))
     kept = min(base.values["contact_friction"], 1.01 * needed)
     notes.append(
-        f"{sentence}, but the file's value, {known:.3g}, explains them worse; {kept:.3g} is used, "
-        "which is not a measurement"
+        f"{sentence}, but the file's value, {known:.3g}, explains the launches worse; {kept:.3g} "
+        "is used, which is not a measured value"
     )
     return model.with_known(contact_friction=kept)
 
@@ -323,7 +324,8 @@ def _candidates(model: ImpactModel, base: _Fit, slid: int) -> tuple[str, ...]:
 def weighted_slopes(
     model: ImpactModel, values: Mapping[str, float], names: Sequence[str], deviation: Array
 ) -> Array:
-    """Compute derivatives of the residuals by the parameters, (n, 3, p); 0 if not measured."""
+    """Compute derivatives of the residuals with respect to the parameters, (n, 3, p); 0 if not
+    measured."""
     known = np.isfinite(model.seen())
     columns = []
     for name in names:
@@ -358,10 +360,11 @@ def _result(model: ImpactModel, fit: _Fit, notes: tuple[str, ...]) -> ImpactFit:
 
 
 def contact_frame(body: Body, contact_angle: Array) -> tuple[Array, Array]:
-    """Compute (c_n, c_t) of contacts (n, 2) and the directions (n,) of their normals, body frame.
+    """Compute the contact points (c_n, c_t), (n, 2), and the directions (n,) of the contact normals
+    in the body frame.
 
-    For a NaN contact angle, the contact at angle 0 is returned (exact for round bodies), with a NaN
-    direction.
+    For a NaN contact angle, the contact at angle 0 (exact for round bodies) and the direction NaN
+    are returned.
     """
     angle = np.nan_to_num(contact_angle)
     point, outward = body.boundary(angle), body.normal(angle)

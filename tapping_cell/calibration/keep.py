@@ -23,8 +23,8 @@ from tapping_cell.configuration.provenance import Provenance, read_provenance
 from tapping_cell.configuration.schema import ConfigurationError
 
 _SLACK = 1.01
-"""Maximum ratio of the new to the old value at which the new file does not count as worse. It is
-above 1 because files hold six digits and fits vary."""
+"""Ratio of the new to the old value above which the new file counts as worse. It is above 1 because
+values in files are rounded and repeated fits differ slightly."""
 
 
 class KeptFile(ValueError):
@@ -90,7 +90,7 @@ def refuse_better(output: Output, new: Provenance) -> None:
     ]
     if worse:
         raise KeptFile(
-            f"{output.path}: the file of {old.made} is better and was kept: "
+            f"{output.path}: the existing file, made {old.made}, is better and was kept: "
             f"{', '.join(worse)}. Give another --output, or --force --accept-worse to replace "
             "it anyway"
         )
@@ -99,7 +99,8 @@ def refuse_better(output: Output, new: Provenance) -> None:
 def write_kept(output: Output, text: str, new: Provenance, read: Callable[[Path], object]) -> None:
     """Write ``text``, which includes the calibration record ``new``, by the rules of this module.
 
-    ``read`` is the nodes' reader of such files. It reads a draft in the folder of the output.
+    ``read`` is the function with which the nodes read such files; it must accept a draft of the
+    file.
 
     Raises:
         KeptFile: an existing file is kept.

@@ -1,10 +1,10 @@
 """Fit of friction, torque factor and scatter of an object to the taps of ordinary goals.
 
-A tap planned with the mechanics of an object file launches the object with a known twist. The
-measured displacement then determines friction and torque factor. Both are fitted to all taps
-jointly by robust least squares. Restitution and contact friction are kept from the file. The fitted
-friction compensates for their errors: it is the value with which the taps of this cell are
-predicted accurately.
+A tap planned with the mechanics of an object file launches the object with a known velocity and
+spin. The measured displacement then determines friction and torque factor. Both are fitted to all
+taps jointly by robust least squares. Restitution and contact friction are kept from the file. The
+fitted friction compensates for their errors, so that it may differ from the true friction but
+predicts the taps of this cell accurately.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ def _parts(predicted: Array, errors: Sequence[Array]) -> tuple[Parts | None, Par
 def _about(
     name: str, value: float, spread: float, wide: float, old: float, *, fitted: bool = True
 ) -> Estimate:
-    """Create an estimate from the standard deviation ``spread`` of its logarithm."""
+    """Create the estimate of a value whose logarithm has the standard deviation ``spread``."""
     if not fitted:
         return Estimate(name, old, math.nan, math.nan, math.nan, old, fitted=False)
     low, high = value * math.exp(-wide * spread), value * math.exp(wide * spread)

@@ -30,14 +30,14 @@ _SIGNIFICANT = 0.001
 """Significance level of one test; six tests are made for each fit."""
 _MIN_TRIALS = 8
 _FLOOR = {"distance": 0.005, "rotation": 0.01}
-"""Relative deviations that are negligible for every tap, even if they are significant."""
+"""Relative deviations that are negligible even if they are statistically significant."""
 _MIN_TURN = 0.2
 """Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful."""
 _CAUSES = {
-    "setting": "from run to run, that is with the striker's speed and the incidence",
-    "place": "with the contact point on the object: is the centre of mass or of friction off "
+    "setting": "from run to run, that is, with the striker's speed and the incidence.",
+    "place": "with the contact point on the object. Is the centre of mass or of friction off "
     "the object's middle?",
-    "direction": "with the direction on the table: is the table level, and is the table's "
+    "direction": "with the direction on the table. Is the table level, and is the table's "
     "friction the same in all directions?",
 }
 
@@ -57,16 +57,16 @@ class Misfit:
     def sentence(self) -> str:
         """Describe the deviation for the user."""
         return (
-            f"The model does not fit: the {self.quantity} deviates by {100 * self.size:.0f} % "
-            f"{_CAUSES[self.cause]} (p-value {self.probability:.1g})."
+            f"The model does not fit (p-value {self.probability:.1g}): the {self.quantity} varies "
+            f"by {100 * self.size:.0f} % {_CAUSES[self.cause]}"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class ModelError:
-    """Relative prediction error of a new tap. ``scatter`` of a tap at one setting and ``error`` of
-    the model between settings are standard deviations. ``half_width`` is that of the interval
-    that contains 95 % of new taps."""
+    """Relative prediction error of a new tap. ``scatter`` is the standard deviation of taps at one
+    setting, ``error`` that of the model's error between settings, and ``half_width`` half the width
+    of the interval that contains 95 % of new taps."""
 
     quantity: str
     scatter: float
@@ -105,7 +105,7 @@ class Taps:
 
 
 def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
-    """Return the significant deviations from the model, by increasing p-value."""
+    """Return the significant deviations from the model, in order of increasing p-value."""
     found: list[Misfit | None] = []
     runs = np.array(taps.runs)
     sides = np.array(
@@ -115,9 +115,10 @@ def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
         known = np.isfinite(off)
         if known.sum() < _MIN_TRIALS or np.unique(runs[known]).size < 2:
             continue
-        # The fit of p parameters (two here) removes p degrees of freedom from the run means.
+        # Fitting p parameters (two here) removes p degrees of freedom from the run means.
         found.append(_by_setting(quantity, off[known], runs[known]))
-        # A bias to one side increases rotations to that side and reduces those to the other.
+        # A bias towards one sense of rotation increases rotations in this sense and reduces the
+        # others.
         sign = np.sign(taps.predicted.rotation) if quantity == "rotation" else 1.0
         for cause, angle, orders in (
             ("place", taps.contact, (1,)),
@@ -147,7 +148,7 @@ def model_errors(taps: Taps) -> tuple[ModelError, ...]:
         size = number / groups
         error = max(between - within, 0.0) / size
         variance = within * (1 + 2 / number) + error * (1 + 1 / groups)
-        # Satterthwaite's degrees of freedom, from the weights of the mean squares in the sum.
+        # Satterthwaite's approximation of the degrees of freedom of this sum of mean squares.
         parts = (error * (1 + 1 / groups)) ** 2 / max(groups - 1, 1)
         parts += (within * (1 + 2 / number)) ** 2 / (number - groups)
         freedom = variance**2 / parts if parts > 0 else number - groups
@@ -161,7 +162,8 @@ def model_errors(taps: Taps) -> tuple[ModelError, ...]:
 
 
 def _mean_squares(off: Array, groups: NDArray[np.str_]) -> tuple[float, float]:
-    """Compute the mean squares within groups, and of the group means about the model."""
+    """Compute the mean square within groups and the mean square of the group means about the
+    model."""
     names = np.unique(groups)
     within = sum(float(np.sum((off[groups == n] - off[groups == n].mean()) ** 2)) for n in names)
     between = sum(float(np.sum(groups == n) * off[groups == n].mean() ** 2) for n in names)

@@ -1,11 +1,12 @@
 """Calibration of the line and speed of each fixed tapper from single taps measured by the camera.
 
 A tap gives three numbers: the object's direction of travel, its rotation per distance and its
-distance. The first two depend on the offset and angle of the tapper's line, the third on the speed.
-Three unknowns per tapper (offset of the line to the left in m, angle of the line in rad, and
-logarithm of the speed factor) are fitted to all of its taps by least squares. The weights come from
-the tap's scatter and the camera's noise, and the soft-l1 loss reduces the effect of outliers. Taps
-at one position determine the line there; taps at several positions along it determine its angle.
+distance. The direction and the rotation depend on the offset and angle of the tapper's line, the
+distance on the speed. Three unknowns per tapper (offset of the line to the left in m, angle of the
+line in rad, and logarithm of the speed factor) are fitted to all of its taps by least squares. The
+weights come from the tap's scatter and the camera's noise, and the soft-l1 loss reduces the effect
+of outliers. Taps at one position determine the line there; taps at several positions along it
+determine its angle.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ WIDEST = np.array([0.003, math.radians(2.0), 0.5])
 and protractor."""
 
 MAX_DEVIATION = 0.0003
-"""Maximum standard deviation of the line at the object, m, for planning."""
+"""Standard deviation of the line's offset at the object, m, up to which a fit is accurate enough
+for planning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +74,9 @@ class MountFit:
 
     ``offset`` in m and ``angle`` in rad are corrections of the nominal mount. ``speed_factor`` is
     the ratio of true to commanded speed. ``line_offset`` in m is the offset of the line at the
-    object, ``line_deviation`` its standard deviation, and ``angle_deviation`` in rad that of the
-    angle. ``residual`` is the root
-    mean square of the weighted residuals (about 1 if the assumed scatter is correct).
+    object, and ``line_deviation`` is its standard deviation; ``angle_deviation`` in rad is the
+    standard deviation of the angle. ``residual`` is the root mean square of the weighted residuals
+    (about 1 if the assumed scatter is correct).
     """
 
     name: str

@@ -52,7 +52,8 @@ def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
 
 
 def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
-    """Create the record of the fit, with the figures for comparison with later fits."""
+    """Create the record of the fit, which includes the figures that are compared with later
+    fits."""
     off = fit.by_sliding.distance / fit.measured.distance - 1
     torque = fit.estimate("torque_factor")
     kept = [entry.name for entry in fit.estimates if not entry.fitted]

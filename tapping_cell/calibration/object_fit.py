@@ -181,7 +181,7 @@ def _check_range(slide: SlideFit) -> None:
 
 
 def _labels(used: Sequence[Used]) -> list[str]:
-    """Return the names of the runs, preceded by the number of the folder if there are several
+    """Return the name of each trial's run, preceded by the folder's number if there are several
     folders."""
     folders = list(dict.fromkeys(run_of(entry.trial)[0] for entry in used))
     several = len(folders) > 1
@@ -420,7 +420,7 @@ def _taps(
 def _inflation(misfits: Sequence[Misfit]) -> float:
     """Return the factor by which intervals widen if the runs do not fit the model (Birge 1932).
 
-    If the runs do not fit, the runs, not the taps, are the independent samples.
+    In this case the runs, not the single taps, count as independent samples.
     """
     ratios = [misfit.inflation for misfit in misfits if misfit.cause == "setting"]
     return math.sqrt(max([1.0, *ratios]))
@@ -432,7 +432,7 @@ def _prediction_sentence(errors: Sequence[ModelError]) -> list[str]:
     widths = " and ".join(
         f"{100 * entry.half_width:.0f} % of the predicted {entry.quantity}" for entry in errors
     )
-    return [f"Of new taps with settings within those of these runs, 95 % are within {widths}."]
+    return [f"Of new taps with settings in the range of these runs, 95 % are within {widths}."]
 
 
 def _slide_sentences(

@@ -1,9 +1,10 @@
-"""The paper's criterion (section 3.1.2): the sum over the runs of the squares of the average
-difference between the measured initial velocities and those calculated from the displacements.
+"""Fit of friction and torque factor by the paper's criterion (section 3.1.2), for comparison.
 
-Spins are positive in the direction of the rotation and multiplied by the support's radius, so that
-both differences are speeds. Averaging first cancels the noise of single trials but loses their
-weights. Therefore this fit is less accurate than that of ``object_fit`` and serves for comparison.
+In each run, the difference between the measured initial velocities and those calculated from the
+displacements is averaged over the trials. The criterion is the sum of the squares of these
+averages. Spins are positive in the direction of the rotation and multiplied by the support's
+radius, so that all differences are speeds. Averaging cancels the noise of single trials but ignores
+how accurate each trial is, so this fit is less accurate than that of ``object_fit``.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ Array = NDArray[np.float64]
 
 
 class PaperFit(NamedTuple):
-    """Friction and torque factor by the paper's criterion; ``rms`` of the differences in m/s."""
+    """Friction and torque factor by the paper's criterion; ``rms`` is that of the differences, in
+    m/s."""
 
     friction: float
     torque_factor: float

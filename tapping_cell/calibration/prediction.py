@@ -1,10 +1,11 @@
 """Prediction errors of the fitted models: the comparisons of sections 3.1.1 and 3.1.2 of the paper.
 
-There are four comparisons, each averaged over a run: displacements calculated from measured initial
-velocities and the inverse (sliding alone), initial velocities calculated from the striker's speed
-and the incidence (impact alone), and displacements calculated from these velocities (whole tap).
-The error is the ratio of calculated to measured mean of a run, minus 1. Rotations and spins are
-positive in the direction in which the object turned, so that taps to both sides do not cancel.
+There are four comparisons. For sliding alone, displacements are calculated from the measured
+initial velocities, and vice versa. For the impact alone, initial velocities are calculated from the
+striker's speed and the incidence. For the whole tap, displacements are calculated from these
+velocities. The error is the ratio of the calculated to the measured mean of a run, minus 1.
+Rotations and spins are positive in the direction in which the object turned, so that taps to both
+sides do not cancel.
 """
 
 from __future__ import annotations
@@ -62,8 +63,9 @@ def run_errors(
 ) -> tuple[RunErrors, ...]:
     """Compute the errors of every run, in the order of their first trials.
 
-    ``sliding`` contains velocities calculated from the displacements and displacements calculated
-    from the velocities. ``tapping`` contains both, calculated from the striker (NaN if unknown).
+    ``sliding`` contains velocities calculated from the measured displacements, and displacements
+    calculated from the measured velocities. ``tapping`` contains both as calculated from the
+    striker's speed and the incidence (NaN if unknown).
     """
     names = np.array(labels)
     found = []
@@ -89,7 +91,8 @@ def run_errors(
 
 
 def _off(calculated: Array, seen: Array, sign: Array) -> float:
-    """Return the ratio of the calculated to the measured mean, minus 1, ignoring NaN."""
+    """Return the ratio of the calculated to the measured mean, minus 1; pairs with NaN are
+    ignored."""
     both = np.isfinite(calculated) & np.isfinite(seen)
     if not both.any():
         return math.nan

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 MIN_TRIALS = 8
 MIN_RATIO = 2.5
-"""Minimum ratio of large to small sizes (90 % and 10 % of the taps) that determines a floor."""
+"""Minimum ratio of large to small sizes (90 % and 10 % quantiles) that determines a floor."""
 SIGNIFICANCE = 0.01
 _TINY = 1e-12
 
@@ -41,8 +41,8 @@ def scatter_parts(series: Sequence[tuple[Array, Array]]) -> Parts | None:
     """Estimate the shares and the common floor of one or more series.
 
     Args:
-        series: pairs of deviations and sizes of the taps (n,), in the same unit, with mean 0 apart
-            from the scatter.
+        series: deviations and sizes of the taps, a pair of arrays (n,) for each series, in the same
+            unit; the expected deviations are 0.
 
     Returns:
         The estimate, or None if there are too few taps, or if their sizes are too similar to

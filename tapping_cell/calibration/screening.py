@@ -26,9 +26,10 @@ MIN_TRIALS = 8
 _MIN_MOTION = 0.0002  # m
 _MIN_SPEED = 0.02  # m/s: corresponds to a displacement of 0.1 mm at a friction of 0.2
 _FRICTION = (0.005, 5.0)
-# 1 + gamma kappa / 4 for torque factors of up to 20, with tolerance for noise
+# range of spin over rotation, both relative to the translation: 1 + gamma kappa / 4 for torque
+# factors kappa of up to 20, with tolerance for noise
 _SPIN_GAIN = (0.3, 30.0)
-# launch speed over striker speed: 2 for an elastic impact of a heavy striker
+# range of launch speed over striker speed, which is 2 for an elastic impact of a heavy striker
 _STRIKER_GAIN = (0.01, 2.5)
 _RATE = (0.5, 2.0)
 _SPEED_SHARE, _SPIN_SHARE = 0.03, 0.08  # default relative standard deviations
@@ -196,15 +197,15 @@ def _from_velocities(
     if not _FRICTION[0] < friction < _FRICTION[1]:
         return _Rejection(
             "units",
-            f"initial_speed {speed:.4g} m/s over a displacement of {distance:.4g} m needs a "
+            f"initial_speed {speed:.4g} m/s with a displacement of {distance:.4g} m implies a "
             f"friction of {friction:.3g}; {_remedy(speed, distance, gravity)}",
         )
     striker = _or(trial.striker_speed_measured, trial.striker_speed)
     if not _STRIKER_GAIN[0] < _or(speed / striker, 1.0) < _STRIKER_GAIN[1]:
         return _Rejection(
             "units",
-            f"initial_speed is {speed:.4g} m/s after a striker of {striker:.4g} m/s; is one of "
-            "them in mm/s?",
+            f"initial_speed is {speed:.4g} m/s after a tap at a striker speed of {striker:.4g} "
+            "m/s; is one of them in mm/s?",
         )
     radius = body.support_radius
     fastest = speed * body.bounding_radius / body.radius_of_gyration**2
@@ -274,7 +275,7 @@ def _from_track(
     )
     if not isinstance(slide, Slide):
         return _Rejection(slide.reason, slide.sentence)
-    # Without a measured displacement or rotation, that between the ends of the track is used.
+    # Where displacement or rotation are not recorded, those between the ends of the track are used.
     displacement, rotation = (
         _or(trial.displacement, slide.displacement),
         _or(trial.rotation, slide.turned),
@@ -291,15 +292,15 @@ def _from_track(
     if slide.moving < _TRACK_POINTS:
         return _Rejection(
             "short slide",
-            f"only {slide.moving} samples of the track are in the slide; tap harder, or use a "
-            "faster camera",
+            f"only {slide.moving} samples of the track show the object sliding; tap harder, or use "
+            "a faster camera",
         )
     friction = slide.deceleration / gravity
     if slide.moving > _TRACK_POINTS and not _FRICTION[0] < friction < _FRICTION[1]:
         return _Rejection(
             "units",
-            f"the track slows down by {slide.deceleration:.3g} m/s^2, a friction of {friction:.3g};"
-            " are x_m and y_m in mm, or t_s in ms?",
+            f"the object decelerates by {slide.deceleration:.3g} m/s^2 in the track, which implies "
+            f"a friction of {friction:.3g}; are x_m and y_m in mm, or t_s in ms?",
         )
     return Motion(
         displacement=displacement,

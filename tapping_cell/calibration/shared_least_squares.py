@@ -52,7 +52,8 @@ Limit = Callable[[Estimate, Estimate], Estimate]
 
 
 def normal_equations(cost: float, hessian: Array, gradient: Array, local: int) -> NormalEquations:
-    """Split J^T J (n, p + s, p + s) and J^T r (n, p + s) after the ``local`` = p parameters."""
+    """Split J^T J (n, p + s, p + s) and J^T r (n, p + s) after the first p = ``local``
+    parameters."""
     return NormalEquations(
         cost,
         hessian[:, :local, :local],

@@ -1,10 +1,11 @@
 """Fast computation of slides over time for fits: states of many launches at many times.
 
-The equations and tables are those of ``mechanics.sliding``, but arranged for fits, which need few
-samples of many slides with changing parameters. Slides are self-similar, and the ratio of spin and
-speed follows one curve on either side of its terminal value. So one table of that curve over the
-remaining time is sufficient for all launches. Tables exist on a grid of torque factors. Between the
-grid points, values are interpolated, which also gives the derivative.
+The equations and tables are those of ``mechanics.sliding``, arranged for fits, which need a few
+samples of each of many slides while the parameters change. Slides are self-similar, and the ratio
+of spin and speed follows one curve on either side of its terminal value. Therefore one table of
+these curves over the remaining time is sufficient for all launches. There is a table for each
+torque factor of a grid. Between the torque factors of the grid, values are interpolated, which also
+gives the derivative.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ Array = NDArray[np.float64]
 TORQUE_FACTORS = (0.1, 15.0)
 """Range of torque factors that a fit considers."""
 FINE, COARSE = 0.02, 0.12
-"""Spacing of the tables in ln(torque factor). The interpolation errors are 3e-5 and 1e-3 of the
-rotation. A table takes a tenth of a second to compute, so a search starts with the coarse
-tables."""
+"""Spacing of the fine and the coarse tables in ln(torque factor). Their interpolation errors are
+3e-5 and 1e-3 of the rotation. A table takes a tenth of a second to compute, so a search starts with
+the coarse tables."""
 # ln of the largest ratio of spin and speed; beyond it, one of the two motions is negligible
 _FARTHEST = 14.0
 _NEAREST = -20.0  # ln of the smallest distance from the terminal ratio
@@ -44,15 +45,15 @@ class State(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Derivatives of distance and rotation by ln(torque factor)."""
+    """Derivatives of distance and rotation with respect to ln(torque factor)."""
 
     distance: Array
     rotation: Array
 
 
 class _Curve:
-    """Slides of one support at one Lambda, with lengths multiplied by mu g and spins as rim
-    speeds."""
+    """Slides of one support at one Lambda (torque factor times gamma). Lengths are multiplied by mu
+    g, and spins are rim speeds."""
 
     def __init__(self, support: str, torque_ratio: float) -> None:
         self.table = SlideTable(support, torque_ratio)
@@ -62,9 +63,8 @@ class _Curve:
         self._below = self._side(-1.0)
 
     def _side(self, sign: float) -> tuple[Array, Array]:
-        """Tabulate ln(R omega / v) on one side of the terminal ratio, and ln(remaining time).
-
-        Both are increasing; the ratio is relative to its terminal value.
+        """Tabulate ln(R omega / v) minus its terminal value, on one side of this value, and
+        ln(remaining time).
         """
         width = _FARTHEST - sign * self._terminal
         if width < 1e-6:
@@ -94,9 +94,9 @@ class _Curve:
         return np.asarray(result + self._terminal)
 
     def at(self, speed: Array, rim: Array, time: Array, rows: NDArray[np.intp]) -> State:
-        """Compute states at reduced times (N,) for launches (n,) that are not negative.
+        """Compute states at times (N,) for launches (n,) with speed and rim speed of 0 or more.
 
-        ``rows`` (N,) is the launch of each time.
+        Times are multiplied by mu g. ``rows`` (N,) is the launch of each time.
         """
         total = self.table.rest_many(speed, rim)
         left = np.maximum(total[2][rows] - time, 0.0)
@@ -137,7 +137,8 @@ class SlideCurves:
         return SlideCurves(self._support, self._radius, self._gamma, self._gravity, grid)
 
     def _around(self, log_torque_factor: float) -> tuple[_Curve, _Curve, float]:
-        """Return the tables below and above, and the position between them from 0 to 1."""
+        """Return the tables with the next smaller and larger torque factor, and the position
+        between them, 0 to 1."""
         low, high = (math.log(limit) for limit in (0.05, 20.0))
         place = min(max(log_torque_factor, low), high) / self._grid
         step = math.floor(place)
@@ -157,7 +158,7 @@ class SlideCurves:
     ) -> tuple[State, Slopes]:
         """Compute states (N,) of launches (speed and spin, (n,), m/s and rad/s) at times (N,) in s.
 
-        ``rows`` (N,) is the launch of each time, and ``friction`` (n,) belongs to the launches. An
+        ``rows`` (N,) is the launch of each time, and ``friction`` (n,) is given for each launch. An
         infinite time gives the end of the slide.
         """
         speed, spin = launch
@@ -186,7 +187,7 @@ class SlideCurves:
     ) -> tuple[Array, Array, tuple[Array, Array]]:
         """Compute speeds and spins (n,) that cause these displacements, and their derivatives.
 
-        The derivatives are by ln(torque factor).
+        The derivatives are with respect to ln(torque factor).
         """
         pull = friction * self._gravity
         below, above, part = self._around(log_torque_factor)

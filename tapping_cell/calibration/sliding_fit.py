@@ -3,8 +3,8 @@
 Every trial has local parameters: its launch (speed and spin) and, if it has a track, its time of
 impact, its start pose and a small deviation of its friction. Friction and torque factor are shared.
 The residuals compare measured quantities: samples of the track, or initial velocities and
-displacement. Therefore no velocity is computed from differences of noisy poses, a stop between two
-frames causes no error, and a small displacement is weighted by its noise.
+displacement. Therefore no velocity is computed from differences of noisy poses, a slide that ends
+between two frames causes no error, and a small displacement is weighted by its noise.
 
 The fit minimises the squared residuals divided by their variances (``shared_least_squares.py``).
 This module defines the residuals and their derivatives.
@@ -48,9 +48,9 @@ _LOCAL = 6
 _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
-_CENTRE_STD = 0.05  # prior of the centre of pressure; only worn or tilted objects exceed it
+_CENTRE_STD = 0.05  # prior (std) of the centre of pressure; only worn or tilted objects exceed it
 _STARTS = (0.6, 1.5, 3.5)
-_FREE = 0.3  # prior of a trial's friction if it is estimated from this trial alone
+_FREE = 0.3  # prior (std) of ln of a trial's friction if it is estimated from this trial alone
 _MIN_SCATTER = 1e-4
 _NEAR_ONE = 1e-3
 
@@ -80,11 +80,11 @@ class Motion:
 class SlideFit:
     """Result of the fit: values in SI, arrays with one entry for each trial.
 
-    ``score`` (n, 4) and ``information`` (n, 4, 4) are each trial's gradient and curvature of half
-    the sum of squares, for the bootstrap. They refer to ln friction, ln torque factor, and x and y
-    of the centre of pressure over the radius, with the local parameters eliminated.
-    ``pressure_centre`` is in m in the object frame. ``speed``, ``spin`` and ``own_friction``
-    (relative to ``friction``) are estimated from each trial alone.
+    ``score`` (n, 4) and ``information`` (n, 4, 4) are the gradient and the curvature of half the
+    sum of squares of each trial; the bootstrap uses them. They refer to ln friction, ln torque
+    factor, and x and y of the centre of pressure over the radius, with the local parameters
+    eliminated. ``pressure_centre`` is in m in the object frame. ``speed``, ``spin`` and
+    ``own_friction`` (relative to ``friction``) are estimated from each trial alone.
     """
 
     friction: float
@@ -224,7 +224,7 @@ def _unblurred(problem: _Problem, motions: Sequence[Motion], at: Estimate) -> _P
 
 
 def _weighted(problem: _Problem, at: Estimate) -> _Problem:
-    """Scale the standard deviations to the residuals of the fit."""
+    """Scale the assumed standard deviations so that they agree with the residuals of the fit."""
     misses = _misses(problem, at)
     samples, given = problem.samples, problem.given
     sampled = np.isfinite(samples.time)
@@ -258,8 +258,8 @@ def _spread(values: Array) -> float:
 
 
 def _between(values: Array, deviations: Array) -> float:
-    """Estimate robustly the standard deviation between trials in excess of that of the
-    measurement."""
+    """Estimate robustly the standard deviation between trials that the measurement noise does not
+    explain."""
     known = np.isfinite(deviations) & (deviations < 0.5 * _FREE)
     if known.sum() < 4:
         return 0.0
@@ -290,7 +290,8 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
     finite_since = np.where(moving, since, 0.0)
 
     def derivatives(value: Array, perturbed: Array, rate: Array, by_torque: Array) -> Array:
-        """Compute the derivatives (N, 10) that have the same form for distance and rotation."""
+        """Compute the derivatives (N, 10) of ``value``; the formulas hold for distance and rotation
+        alike."""
         derivative = np.zeros((rows.size, _LOCAL + _SHARED))
         by_spin = (perturbed - value) / bump[rows]
         # Twice the launch velocity gives four times the distance in twice the time (Euler's
@@ -346,7 +347,8 @@ def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquation
 
 
 def _turned_by_centre(problem: _Problem, at: Estimate, since: Array, friction: Array) -> Array:
-    """Compute derivatives (N, 2) of the rotations by the centre of pressure over the radius.
+    """Compute derivatives (N, 2) of the rotations with respect to the centre of pressure over the
+    radius.
 
     Friction at the centre c accelerates the rotation, d omega / dt = - kappa gamma (mu g / R)
     (c x v) / v. This rotation decays like all spin, d omega / dt = - p omega (mu g / v), with p =

@@ -93,7 +93,7 @@ def observe_markers(
     twice = {i for i in ids if ids.count(i) > 1}
     kept = [d for d in found if d.id not in twice and (known is None or d.id in known)]
     if not kept:
-        return f"no marker of {dictionary} is seen"
+        return f"no marker of {dictionary} is visible"
     quads = np.array([d.corners for d in kept])
     edges = refine(image, quads, marker_pattern(dictionary, kept[0].id).shape[0])
     good = edges.good
@@ -108,10 +108,10 @@ def observe_markers(
 def _noise(edges: MarkerEdges) -> Array:
     """Compute the standard deviation (M,) of a corner in pixels.
 
-    The end of a line through n points has 4 / n of the variance of one point. The ends of a side
-    are not measured, so a corner lies a tenth of the length beyond the points, which increases the
-    factor to 5.3 / n. Also, the sides are not perpendicular in the image. The factor used, 8 / n,
-    was measured on rendered markers.
+    The end of a line fitted to n points has 4 / n of the variance of one point. No points are
+    measured near the ends of a side, so a corner lies a tenth of the length beyond the points,
+    which increases the factor to 5.3 / n. In addition, the sides are not perpendicular in the
+    image. The factor used, 8 / n, was measured on rendered markers.
     """
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
     return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01))
@@ -210,8 +210,8 @@ def _turn(angle: float) -> Array:
 def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose, Array]:
     """Estimate from one image the camera's pose over the plane and the markers' poses (M, 3) on it.
 
-    Each marker gives two candidate planes. The plane on which all markers are closest to squares of
-    their size is chosen and refined by this criterion.
+    Each marker gives two candidate planes. The plane on which the projections of all markers are
+    closest to squares of their size is chosen and then refined by the same criterion.
     """
     side = np.array([sizes[int(i)] for i in view.ids])
     candidates = []
@@ -240,8 +240,8 @@ def _square_up(view: MarkerView, sizes: Mapping[int, float]) -> tuple[CameraPose
 
 
 def _squareness(pose: CameraPose, view: MarkerView, side: Array) -> tuple[Array, Array]:
-    """Fit squares to the corners on the plane; return the residuals (8 M,) relative to the sizes of
-    the squares, and the squares' poses (M, 3)."""
+    """Fit squares to the corners projected on the plane. Return the residuals (8 M,) relative to
+    the sizes of the squares, and the poses (M, 3) of the squares."""
     matrix = np.linalg.inv(pose.plane(0.0))
     homogeneous = view.rays @ matrix[:, :2].T + matrix[:, 2]
     points = homogeneous[..., :2] / homogeneous[..., 2:]
@@ -318,8 +318,8 @@ class _Problem:
         return np.bincount(self.marker[self.used], minlength=self.markers)
 
     def _system(self, poses: Sequence[CameraPose], markers: Array) -> tuple[Array, Array, Array]:
-        """Compute normalised residuals (O, 8) and their derivatives by the camera pose (O, 8, 6)
-        and by the marker pose (O, 8, 3)."""
+        """Compute normalised residuals (O, 8) and their derivatives with respect to the camera pose
+        (O, 8, 6) and the marker pose (O, 8, 3)."""
         rotation = np.array([pose.rotation for pose in poses])[self.image]
         shift = np.array([pose.translation for pose in poses])[self.image]
         places = markers[self.marker]

@@ -5,10 +5,10 @@ the striker's speed from the impact's ratio of launch to striker speed. The fitt
 
     ln v = a + ln(E) / 2 + g(ln E),
 
-which is the ideal drive (v ~ sqrt(E)) with a smooth deviation g. This deviation is a Gaussian
-process, averaged over amplitude and length scale by the marginal likelihood (Rasmussen and
+which is the ideal drive (v ~ sqrt(E)) with a smooth deviation g. The deviation g is a Gaussian
+process; its amplitudes and length scales are weighted by the marginal likelihood (Rasmussen and
 Williams, Gaussian Processes for Machine Learning, chapter 5). The level a is thus fitted without a
-prior, and the deviation g only as far as the data support it.
+prior, and g deviates from zero only as far as the data support it.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ USUAL_DEVIATION = 1e-4
 _NO_MOTION = 0.0003
 """Displacement in m below which the object did not move (three times the camera's error)."""
 _SHORT, _NEIGHBOURS = 0.003, 5
-"""A tap without motion counts as too weak if the median displacement of this many taps of similar
-energy is below this length in m; otherwise it counts as a miss."""
+"""A tap without motion counts as too weak if the median displacement of the ``_NEIGHBOURS`` taps of
+most similar energy is below ``_SHORT`` m; otherwise it counts as a miss."""
 _RELIABLE = 0.9
-"""Fraction of the taps of one energy that must move the object."""
+"""Fraction of the taps of one energy that must move the object for the energy to be reliable."""
 _OUTLIER = 4.5
 _FLOOR = 0.01
 """Minimum relative scatter assumed for outlier detection."""
@@ -58,8 +58,8 @@ _NOISES = 32
 """Number of candidate values for the scatter of a tap."""
 _STRETCHES = (0.7, 1.4)
 """Candidate length scales of the deviation, as fractions of the range of ln E. The amplitudes above
-are relative. Smaller amplitudes are excluded, because losses and thresholds affect every drive, and
-because assuming too small a deviation costs more accuracy than it gains."""
+are relative. Smaller amplitudes are not tried: losses and thresholds affect every drive, and
+assuming too small a deviation costs more accuracy than it gains."""
 _ALIKE = 0.02
 """Relative difference up to which energies count as the same energy level."""
 
@@ -92,8 +92,8 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """Statistics of the taps of one energy: number of taps, number that moved the object, mean
-    speed in m/s and relative scatter of the speed (None for fewer than three taps)."""
+    """Statistics of the taps of one energy in J: number of taps, number of taps that moved the
+    object, mean speed in m/s and relative scatter of the speed (None for fewer than three taps)."""
 
     energy: float
     taps: int
@@ -108,9 +108,9 @@ class TapperCalibration:
 
     ``energies`` in J and ``speeds`` in m/s are increasing; ``deviations`` are relative standard
     deviations of the speeds. ``scatter`` is the relative scatter of a tap's speed. ``least_energy``
-    in J and ``least_travel`` in m describe the smallest reliable tap. ``by_friction`` and
-    ``by_restitution`` are the relative changes of all speeds per relative change of the object
-    file's friction and per unit of its restitution.
+    in J and ``least_travel`` in m describe the smallest reliable tap. ``by_friction`` is the
+    relative change of all speeds per relative change of the object file's friction,
+    ``by_restitution`` that per unit of its restitution.
     """
 
     energies: tuple[float, ...]
@@ -162,7 +162,7 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
     left_out = [
         LeftOut(
             int(record.rows[k]),
-            f"the object moved {record.distances[k] * 1e3:.2f} mm: a miss, or too small a tap"
+            f"the object moved {record.distances[k] * 1e3:.2f} mm: a miss, or too weak a tap"
             if not moves[k]
             else f"energy {record.energies[k] * 1e3:.4g} mJ does not move the object reliably",
         )
@@ -184,7 +184,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     while True:
         curve = _Curve(x[usable], y[usable], seen[usable])
-        # The camera's noise dominates the shortest displacements and must not cause a rejection.
+        # The camera's noise dominates the shortest displacements; this must not cause their
+        # rejection.
         off = np.abs(y - curve.at(x)[0]) / np.hypot(1.0, seen / max(curve.noise, _FLOOR))
         spread = max(1.4826 * float(np.median(off[usable])), _FLOOR)
         strange = usable & (off > _OUTLIER * spread)
@@ -231,7 +232,7 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
 
 
 def _groups(energies: Array) -> NDArray[np.intp]:
-    """Return the number of each tap's energy level; taps of nearly equal energy have the same
+    """Return the index of each tap's energy level; taps of nearly equal energy have the same
     level."""
     order = np.argsort(energies, kind="stable")
     rises = np.diff(energies[order]) > _ALIKE * energies[order][:-1]
@@ -241,11 +242,11 @@ def _groups(energies: Array) -> NDArray[np.intp]:
 
 
 def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]) -> float:
-    """Return the smallest energy, in J, from which all energy levels move the object reliably.
+    """Return the lowest energy, in J, at and above which all energy levels move the object
+    reliably.
 
-    If a tap does not move the object but taps of similar energy move it far, the tap missed. A tap
-    without motion shows that the energy is too small only if taps of similar energy move the object
-    little.
+    A tap that does not move the object was too weak only if taps of similar energy move the object
+    little. If they move it far, the tap missed and is ignored here.
     """
     if not moves.any():
         raise CalibrationRefused(
@@ -269,9 +270,9 @@ def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]
 
 
 class _Departure(NamedTuple):
-    """A fitted Gaussian process for one amplitude and length scale (``stretch``): its posterior
-    probability ``share``, Cholesky factor of the covariance, weights of the taps, level a, noise.
-    """
+    """A Gaussian process fitted for one amplitude and length scale (``stretch``): its posterior
+    probability ``share``, Cholesky factor of the covariance, weights of the taps, level a,
+    noise."""
 
     share: float
     amplitude: float
@@ -285,12 +286,13 @@ class _Departure(NamedTuple):
 class _Curve:
     """The smooth curve of ln speed over ln energy, with mean and standard deviation.
 
-    Deviations of all amplitudes and length scales are averaged, weighted by their likelihood. So
-    the standard deviation includes the uncertainty about the shape of the curve.
+    The curves of all amplitudes and length scales are averaged, weighted by their likelihood, so
+    that the standard deviation includes the uncertainty of the curve's shape.
     """
 
     def __init__(self, x: Array, y: Array, seen: Array) -> None:
-        """Fit taps (N,) with ln energies, ln speeds and standard deviations due to the camera."""
+        """Fit taps (N,) to their ln energies ``x``, ln speeds ``y`` and camera noise ``seen`` of ln
+        speed."""
         self._x = x
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x
@@ -435,7 +437,7 @@ def _notes(
     for draw in scattered:
         warnings.append(
             f"taps of {draw.energy * 1e3:.4g} mJ scatter by {100 * (draw.scatter or 0):.0f} "
-            f"%, but all taps by {100 * curve.noise:.1f} %: do not use that energy"
+            f"%, but all taps together by {100 * curve.noise:.1f} %: do not use this energy"
         )
     if used < 20:
         warnings.append(f"{used} taps are few: 30 over the range are better")

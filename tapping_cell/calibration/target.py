@@ -23,7 +23,8 @@ _SEARCH_WIDTH = 1600
 """Width in pixels of the downscaled image for detection; corners are refined at full resolution."""
 _MIN_SHARE = 0.2
 _MIN_CORNERS = 8
-"""Minimum fraction and minimum number of the board's corners in a view."""
+"""Minimum share (``_MIN_SHARE``) and minimum number of the board's corners that a view must
+show."""
 _NEWER = "; a board drawn by OpenCV before 4.6 can only be detected with OpenCV 4.7 or newer"
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 
@@ -90,7 +91,8 @@ class Target:
 
     @property
     def clear(self) -> float:
-        """Radius around a corner that contains only the four squares, in sides of a square."""
+        """Radius about a corner within which only the corner's four squares are visible, as a
+        fraction of a square's side."""
         if self.kind == "chessboard":
             return 0.35
         return 0.5 * (1.0 - self.marker / self.square)
@@ -113,7 +115,7 @@ class TargetView:
     """The corners of one photograph: their numbers ``ids`` (N,) on the board and ``pixels`` (N, 2).
 
     ``blur`` is the standard deviation of the point spread function in pixels. ``side`` is the
-    median side of the squares in pixels, in the more foreshortened direction.
+    median side length of the squares in pixels, in the more foreshortened direction.
     """
 
     name: str
@@ -178,7 +180,7 @@ def _chessboard(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] 
 
 
 def _charuco(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | str:
-    """Detect the corners of a ChArUco board that adjacent markers identify."""
+    """Detect the corners of a ChArUco board; each is identified by its adjacent markers."""
     best: tuple[NDArray[np.intp], Array] = (np.zeros(0, dtype=np.intp), np.zeros((0, 2)))
     markers = 0
     # Boards with an even number of rows that were drawn by OpenCV before 4.6 begin with a marker.
@@ -242,7 +244,7 @@ def _blur(image: Image, target: Target, ids: NDArray[np.intp], pixels: Array) ->
     along = end - start
     length = np.linalg.norm(along, axis=1)
     normal = np.stack([-along[:, 1], along[:, 0]], axis=-1) / length[:, None]
-    # The white squares of a ChArUco board are clear only around their markers.
+    # Profiles must not reach the markers inside the white squares of a ChArUco board.
     reach = np.clip(target.clear * float(np.median(length)), 2.0, 12.0)
     step = 0.5
     offsets = np.arange(-reach, reach + step, step)

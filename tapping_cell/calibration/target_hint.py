@@ -26,7 +26,7 @@ def hint(image: Image, target: Target) -> str | None:
             continue
         if not isinstance(found, str):
             return (
-                f"a board of {other.columns} x {other.rows} squares is seen: --squares counts"
+                f"a board of {other.columns} x {other.rows} squares is visible: --squares counts"
                 f" squares, --corners inner corners; give --squares {other.columns}x{other.rows}"
                 + (
                     f" or --corners {other.inner[0]}x{other.inner[1]}"
@@ -38,7 +38,7 @@ def hint(image: Image, target: Target) -> str | None:
         seen = {name: _markers(image, name) for name in _FAMILIES}
         best = max(seen, key=lambda name: seen[name])
         if seen[best] >= 4:
-            return f"{seen[best]} markers of {best} are seen: give this --dictionary"
+            return f"{seen[best]} markers of {best} are visible: give --dictionary {best}"
     return None
 
 

@@ -1,4 +1,5 @@
-"""Model-free analysis of a track of poses: times and line of motion, and disturbances."""
+"""Analysis of a track of poses without a model: start, end and line of the slide, and
+disturbances."""
 
 from __future__ import annotations
 
@@ -32,9 +33,10 @@ class Slide:
     """A track as a slide along a line: arrays (n,) relative to the start, and initial estimates.
 
     ``time`` is in s, ``along`` in m and ``rotation`` in rad. ``distance_std`` and ``rotation_std``
-    (n,) are those of one sample. ``impact`` (s) and ``deceleration`` (m/s^2) are estimated from the
-    track alone. ``moving`` is the number of samples in the slide. ``heading`` is the direction of
-    travel in the object frame at half the rotation. ``exposure`` (s) is that of one sample.
+    (n,) are the standard deviations of each sample. ``impact`` (s) and ``deceleration`` (m/s^2) are
+    estimated from the track alone. ``moving`` is the number of samples in the slide. ``heading`` is
+    the direction of travel in the object frame halfway through the rotation. ``exposure`` (s) is
+    the exposure time of one sample.
     """
 
     time: Array
@@ -55,7 +57,7 @@ class Slide:
 def slide_of(
     trial: Trial, position_std: float, rotation_std: float, rate: float, exposure: float = 0.0
 ) -> Slide | TrackProblem:
-    """Extract the slide from a trial's track, or return the problem of the track.
+    """Extract the slide from a trial's track, or return the reason why the track is unusable.
 
     The standard deviations are the defaults for samples without their own. ``rate`` (Hz) and
     ``exposure`` (s) are those of the camera.

@@ -82,7 +82,7 @@ _COUNT = 100_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """Poses of the object over time: arrays (n,) in s, m, m, rad (unwrapped), m, rad.
+    """Poses of the object over time: arrays (n,), SI units, angles unwrapped.
 
     ``time`` is the middle of the exposure, with an arbitrary origin. The standard deviations are
     those of the position along one axis and of the angle, NaN if unknown.
@@ -101,9 +101,9 @@ class Trial:
     """One tap. SI; NaN if not measured. ``docs/calibration.md`` describes the fields.
 
     ``striker_speed`` is the commanded speed. ``incidence`` is the angle from the contact normal
-    (into the object) to the striker's axis. ``contact_angle`` is the direction of the contact point
-    from the centre of mass in the object frame, and ``direction`` is that of the travel in table
-    axes. ``file`` and ``row`` are the source of the record.
+    (into the object) to the striker's axis. ``contact_angle`` is the direction from the centre of
+    mass to the contact point in the object frame, and ``direction`` is the direction of travel in
+    table axes. ``file`` and ``row`` are the source of the record.
     """
 
     run: int

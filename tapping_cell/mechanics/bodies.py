@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 class Body:
     """Common properties of all bodies: ``mass``, ``height`` and values derived from the shape."""
 
-    # Type of the support, which selects the closed form of its friction (see ``support_friction``).
+    # Name of the support's type, which selects the friction formula (see ``support_friction``).
     support: ClassVar[str]
     mass: float
     height: float
@@ -59,7 +59,8 @@ class Body:
         raise NotImplementedError
 
     def normal(self, angle: ArrayLike) -> Array:
-        """Outward unit normals (..., 2) at the points of :meth:`boundary` for the same angles."""
+        """Outward unit normals (..., 2) at the boundary points of the same angles (see
+        :meth:`boundary`)."""
         raise NotImplementedError
 
 
@@ -203,9 +204,9 @@ class Polygon(Body):
     def equivalent_disk(self) -> Disk:
         """Return the disk of the same mass, height and radius of gyration.
 
-        Its slide differs from that of a square by up to 1 % of the distance, 4 % of the rotation
-        and, sideways, 1.5 % of the distance, for launches with R omega up to v (tested). It does
-        not approximate elongated shapes.
+        For a square and launches with R omega up to v, the disk's slide deviates by up to 1 % in
+        distance and 4 % in rotation, and sideways by up to 1.5 % of the distance (tested). For
+        elongated shapes the disk is a poor approximation.
         """
         return Disk(self.support_radius, self.mass, self.height)
 
@@ -260,13 +261,13 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     if turn.min() < -straight or turn.max() > math.pi - straight:
         i = int(turn.argmin() if turn.min() < -straight else turn.argmax())
         raise InvalidBodyError(
-            f"polygon turns by {math.degrees(turn[i]):.6g} degrees at one vertex; a convex "
-            "polygon turns by 0 to 180 degrees, always in the same sense."
+            f"polygon has a turn of {math.degrees(turn[i]):.6g} degrees at one vertex; a convex "
+            "polygon turns by 0 to 180 degrees at each vertex, always in the same sense."
         )
     winding = turn.sum() / (2 * math.pi)
     if abs(winding - 1) > 1e-6:
         raise InvalidBodyError(
-            f"polygon winds {winding:.3g} times round itself; its edges must not cross (1 turn)."
+            f"polygon winds {winding:.3g} times around its centre; its edges must not cross."
         )
     area = _area_moments(points)[0]
     if area <= 1e-12 * size**2:

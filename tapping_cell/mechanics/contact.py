@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 class Contact(NamedTuple):
     """The first contact.
 
-    ``travel`` of the ball until the contact is in m (negative if the ball starts inside the body).
-    ``point`` (..., 2) is on the body in m, and ``normal`` (..., 2) points into the body. If
-    ``missed``, the other fields are arbitrary finite numbers.
+    ``travel`` is the ball's travel until the contact in m, negative if the ball starts inside the
+    body. ``point`` (..., 2) is the contact point on the body in m, and ``normal`` (..., 2) points
+    into the body. If ``missed``, the other fields are arbitrary finite numbers.
     """
 
     missed: NDArray[np.bool_]
@@ -29,9 +29,9 @@ class Contact(NamedTuple):
 def first_contact(body: Body, tip_radius: float, start: Array, direction: Array) -> Contact:
     """Contact of a ball of ``tip_radius`` that moves from ``start`` along ``direction``.
 
-    Both are (..., 2) in the body's frame; the direction has unit length. If the ball starts inside
-    the body, the contact is where its line enters the body, so the travel is negative. A ball that
-    is already past the body misses.
+    ``start`` and ``direction`` are (..., 2) in the body's frame; ``direction`` has unit length. If
+    the ball starts inside the body, the contact is where its line enters the body, so the travel is
+    negative. A ball that is already past the body misses.
     """
     if isinstance(body, Polygon):
         return _polygon_contact(body, tip_radius, start, direction)
@@ -42,7 +42,8 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
 
 
 def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) -> Contact:
-    """Intersect with the offset outline: edges shifted by the ball's radius, and corner arcs."""
+    """Contact with a polygon, found as the first intersection of the ball centre's path with the
+    outline enlarged by the ball's radius (shifted edges and arcs at the corners)."""
     points, normals, lengths = body.points, body.edge_normals, body.edge_lengths
     from_vertex = start[..., None, :] - points
     closing = direction @ normals.T
@@ -63,7 +64,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     edge, corner = edge_travel.argmin(axis=-1), corner_travel.argmin(axis=-1)
     first_edge = np.take_along_axis(edge_travel, edge[..., None], axis=-1)[..., 0]
     first_corner = np.take_along_axis(corner_travel, corner[..., None], axis=-1)[..., 0]
-    # The arc of a corner begins at the end of an edge; at this point the edge is preferred.
+    # Where an edge meets the arc of a corner, the edge is preferred.
     by_edge = first_edge <= first_corner + 1e-12 * body.bounding_radius
     travel = np.where(by_edge, first_edge, first_corner)
     hits = np.isfinite(travel)
@@ -72,7 +73,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     radius = tip if tip > 0 else 1.0
     corner_normal = (points[corner] - centre) / radius
     normal = np.where(by_edge[..., None], -normals[edge], corner_normal)
-    # A ball that starts beyond the whole body does not hit the body.
+    # A ball that has already passed the whole body does not hit it.
     support = (np.einsum("...i,ji->...j", direction, points)).max(axis=-1) + tip
     hits &= np.einsum("...i,...i->...", start, direction) < support
     normal = np.where(hits[..., None], normal, -direction)
@@ -84,7 +85,7 @@ def _contact(hits: NDArray[np.bool_], travel: Array, point: Array, normal: Array
 
 
 def _enter_circle(start: Array, direction: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Travel until a point enters a circle around the origin; False if it never does."""
+    """Travel until a point enters a circle about the origin, and whether it enters the circle."""
     nearest = -(start * direction).sum(axis=-1)
     offset = start[..., 0] * direction[..., 1] - start[..., 1] * direction[..., 0]
     under = radius * radius - offset * offset

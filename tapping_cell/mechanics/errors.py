@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class MechanicsError(ValueError):
-    """A body, a parameter or a displacement that the mechanics cannot process."""
+    """Base class: the mechanics cannot process a body, a parameter or a displacement."""
 
 
 class InvalidBodyError(MechanicsError):
@@ -44,7 +44,7 @@ def fraction(name: str, value: float) -> float:
 
 
 def not_negative(name: str, value: float, unit: str = "") -> float:
-    """Return ``value`` as a float if it is finite and not below zero; raise otherwise."""
+    """Return ``value`` as a float if it is finite and 0 or more; raise an exception otherwise."""
     number = _number(name, value, InvalidParameterError)
     if not 0.0 <= number < math.inf:
         raise InvalidParameterError(f"{name} is {_with_unit(number, unit)}; it must be 0 or more.")

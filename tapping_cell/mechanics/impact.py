@@ -13,8 +13,8 @@ the striker is, along the normal (compression) and along the tangent (sliding),
 where a striker in linear bearings adds (a_t^2, a_n^2, -a_n a_t) / m_s and a free one adds (1, 1, 0)
 / m_s. Routh's method (Wang and Mason, J. Applied Mechanics 59, 1992) follows the impulse along the
 friction limit until sliding stops (S = 0). It then continues along S = 0 if friction can prevent
-sliding, and otherwise along the opposite limit. Compression ends at C = 0, and with Poisson's
-restitution e the total normal impulse is 1 + e times that of the compression.
+sliding, and otherwise along the opposite limit. Compression ends at C = 0. With Poisson's
+restitution e, the total normal impulse is 1 + e times the normal impulse of the compression.
 """
 
 from __future__ import annotations
@@ -42,8 +42,9 @@ Rows = NDArray[np.intp] | slice
 _ALL = slice(None)
 Constraint = Literal["linear_bearings", "free"]
 
-# Maximum angle between the striker's axis and the contact normal in plans. At grazing incidence the
-# striker slides during the whole impact, so every impulse within the friction cone can be planned.
+# Maximum planned angle between the striker's axis and the contact normal. At such a grazing
+# incidence the striker slides during the whole impact, so that every impulse within the friction
+# cone can be planned.
 LARGEST_INCIDENCE = math.radians(89.0)
 _ROOT_STEPS = 60
 _ROOT_TOLERANCE = 1e-15
@@ -93,12 +94,12 @@ class ImpactResult(NamedTuple):
 class Impact:
     """Impact of ``striker`` on ``body`` at rest.
 
-    ``restitution`` is Poisson's, 0 to 1, and ``friction`` is that of the contact. There are two
-    ways to calibrate the model for a real device (section 3.1.1 of the paper fits two constants):
-    ``scale`` multiplies the model's B1, B2 and B3, and ``constants`` replaces each by a fitted
-    value in 1/kg, unless that is None. Without calibration, energy never increases and mirrored
-    impacts have mirrored results; with calibration, neither is guaranteed. Raises
-    :class:`InvalidParameterError` for values out of range.
+    ``restitution`` is Poisson's coefficient, 0 to 1, and ``friction`` is the friction coefficient
+    of the contact. The model can be calibrated for a real device in two ways (section 3.1.1 of the
+    paper fits two constants): ``scale`` multiplies the model's B1, B2 and B3, and ``constants``
+    replaces those for which a fitted value in 1/kg is given instead of None. Without calibration,
+    energy never increases and mirrored impacts have mirrored results; with calibration, neither is
+    guaranteed. Raises :class:`InvalidParameterError` for values out of range.
     """
 
     body: Body
@@ -132,8 +133,8 @@ class Impact:
     def largest_impulse_angle(self, contact: ArrayLike) -> Array:
         """Maximum angle (rad) of the impulse to either side of the normal at ``contact``.
 
-        It is the arctangent of the contact friction, unless no incidence up to
-        ``LARGEST_INCIDENCE`` makes the contact slide throughout. ``contact`` as for :meth:`strike`.
+        This is the arctangent of the contact friction. It is less if the contact does not slide
+        throughout at any incidence up to ``LARGEST_INCIDENCE``. ``contact`` as for :meth:`strike`.
         """
         c = np.asarray(contact, dtype=float)
         angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
@@ -170,7 +171,7 @@ class Impact:
         if singular.any():
             raise InvalidParameterError(
                 f"impact scale {self.scale} and constants {self.constants} give B1 B2 <= B3^2 at "
-                "this contact; no body has such values. Fit them again."
+                "this contact, which is physically impossible. Fit them again."
             )
         return b1, b2, b3
 
@@ -228,14 +229,14 @@ class Impact:
         return bracket.found.reshape(bracket.shape)
 
     def _bracket(self, impulse_slope: ArrayLike, contact: ArrayLike) -> _Bracket:
-        """Bracket the incidence at which the impulse has the slope."""
+        """Find a range of incidences that contains the one at which the impulse has this slope."""
         slope = np.asarray(impulse_slope, dtype=float)
         c = np.asarray(contact, dtype=float)
         shape = np.broadcast_shapes(slope.shape, c.shape[:-1])
         slope = np.broadcast_to(slope, shape).ravel()
         c = np.broadcast_to(c, (*shape, 2)).reshape(-1, 2)
-        # At the limit of friction, the slope does not depend on the incidence, so the target is
-        # slightly inside the limit.
+        # If the contact slides throughout, the slope is the friction limit at every incidence. The
+        # target is therefore slightly inside the limit.
         limit = self.friction * (1 - 1e-11)
         target = np.clip(slope, -limit, limit)
         beyond = np.abs(slope) > self.friction * (1 + 1e-9)
@@ -246,8 +247,9 @@ class Impact:
 
         straight = np.zeros(slope.shape)
         e_straight = error(straight, _ALL)
-        # For a sticking contact, the slope depends on the tangent of the incidence. 1.5 times the
-        # linear estimate usually brackets the root; otherwise the largest incidence is used.
+        # For a sticking contact, the slope is linear in the tangent of the incidence. A bound of
+        # 1.5 times this linear estimate usually brackets the root; otherwise the largest incidence
+        # is used.
         b1, b2, _ = self.inverse_inertias(straight, c)
         other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
         e_other = error(other, _ALL)
@@ -255,9 +257,9 @@ class Impact:
         if open_ended.any():
             other = np.where(open_ended, np.copysign(LARGEST_INCIDENCE, -e_straight), other)
             e_other = np.where(open_ended, error(other, _ALL), e_other)
-        # For a contact far from the normal through a polygon's centre of mass, the slope of the
-        # impulse may decrease with the incidence. The root is then at an incidence of the other
-        # sign, so this sign is tried too.
+        # If the contact normal passes far from a polygon's centre of mass, the slope of the impulse
+        # may decrease with the incidence. The root then has the other sign, so this sign is tried
+        # too.
         wrong_side = e_other * e_straight > 0
         if wrong_side.any():
             other = np.where(wrong_side, np.copysign(LARGEST_INCIDENCE, e_straight), other)
@@ -301,7 +303,7 @@ class _Bracket(NamedTuple):
 
     ``low`` and ``high`` are incidences on opposite sides of the root, ``e_low`` and ``e_high`` the
     errors of the slope there, and ``found`` states whether there is a root between them. ``error``
-    is the function of incidence and rows.
+    computes the error of the slope from incidences and their row indices.
     """
 
     shape: tuple[int, ...]
@@ -316,7 +318,7 @@ class _Bracket(NamedTuple):
 def _bracketed_root(
     function: Callable[[Array, Rows], Array], low: Array, high: Array, f_low: Array, f_high: Array
 ) -> Array:
-    """Roots between ``low`` and ``high``, (n,), by Chandrupatla's method, elementwise (1997).
+    """Roots (n,) of a function between ``low`` and ``high``, by Chandrupatla's method (1997).
 
     ``function`` takes values and the rows to which they belong; rows that have converged are
     omitted.

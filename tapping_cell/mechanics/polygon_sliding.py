@@ -1,17 +1,18 @@
 """Sliding of a convex polygon on uniform pressure, by integration in time.
 
 A polygon's friction depends on the direction of travel in the body, and the body rotates as it
-slides, so a table in one variable, as for a round body, is not enough. Friction has a closed form.
-With the centre of rotation c, every point moves at right angles to r - c, and over a face of area A
+slides. A table in one variable, as for a round body, is therefore not enough. Friction has a closed
+form. With the instantaneous centre of rotation c, every point r moves at right angles to r - c, and
+over a face of area A
 
     mean of (r - c) / |r - c|  = (1 / A) sum over edges of n J,   J = int |r - c| ds,
     mean of |r - c|            = (1 / 3 A) sum of d J,            d = (edge - c) . n,
     2 J = s2 r2 - s1 r1 + d^2 ln((r1 + r2 + L) / (r1 + r2 - L)),
 
-by the divergence theorem, as in Goyal, Ruina and Papadopoulos (Wear 143, 1991). The motion is
-integrated over the logarithm of the velocity's magnitude, in which a slide is smooth until its end,
-by the classic Runge-Kutta method. The accuracy is 1e-4 relative to a brute-force grid of friction
-points (tested at 1e-3, the accuracy of the grid); the inverse is accurate to 1e-11.
+by the divergence theorem, as in Goyal, Ruina and Papadopoulos (Wear 143, 1991). The classic
+Runge-Kutta method integrates the motion over the logarithm of the velocity's magnitude, because a
+slide is smooth in this variable until its end. The accuracy is 1e-4 relative to a brute-force grid
+of friction points (tested at 1e-3, the accuracy of the grid); the inverse is accurate to 1e-11.
 """
 
 from __future__ import annotations
@@ -31,32 +32,33 @@ Array = NDArray[np.float64]
 _STEP = 0.08
 _STEPS = 80
 _CHUNK = 512
-# Ratio of speed to spin, in radii of gyration, above which quadrature replaces the closed form. The
-# rounding error of the closed form grows with the cube of this ratio and is 1e-11 at this value.
-# Above this value, the integrand is so smooth that a few points give full accuracy.
+# Ratio of speed to spin, in multiples of the radius of gyration, above which quadrature replaces
+# the closed form. The rounding error of the closed form grows with the cube of this ratio and is
+# 1e-11 at this value. Above this value, the integrand is so smooth that a few points give full
+# accuracy.
 _FAR = 50.0
 _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _SIMPLE_STEPS = 400
-# The tolerance is relative to each component, or to this fraction of the largest component if that
-# is larger.
+# The tolerance of a component is relative to the component itself or, if this is larger, to this
+# fraction of the largest component.
 _SMALLEST_SHARE = 1e-3
 
 
 class PolygonSlide:
-    """Slides of one polygon, in the frame at launch. ``deceleration`` is mu g in m/s^2."""
+    """Slides of one polygon, in the body's axes at the launch. ``deceleration`` is mu g in
+    m/s^2."""
 
     _inverse_tolerance = 5e-11
-    """Relative error of a displacement at which the inverse makes its last step."""
+    """Relative error of a displacement below which the inverse makes only one more step."""
     _inverse_limit = 5e-11
-    """Relative error that is accepted if the inverse does not converge."""
+    """Relative error of a displacement that is accepted if the inverse does not converge."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide
     ) -> None:
-        """Prepare the edges and the moments of the face; ``disk`` slides like the equivalent
-        disk."""
+        """Prepare the edges and the quadrature; ``disk`` is the slide of the equivalent disk."""
         self._disk = disk
         self._deceleration = deceleration
         self._torque_factor = torque_factor
@@ -103,11 +105,11 @@ class PolygonSlide:
         return Launch(_scalar(speed.reshape(x.shape)), _scalar(twist[:, 2].reshape(x.shape)))
 
     def displace(self, twist: Array) -> Array:
-        """Displacements (n, 3) of launches (n, 3)."""
+        """Compute the displacements (n, 3) caused by launches (n, 3)."""
         return self._slide(twist)[0]
 
     def twist_for(self, displacement: Array) -> Array:
-        """Launches (n, 3) of displacements (n, 3)."""
+        """Compute the launches (n, 3) that cause displacements (n, 3)."""
         scale = self._scale(np.hypot(displacement[:, 0], displacement[:, 1]), displacement[:, 2])
         nearby = invert(
             lambda z, _: self.displace(self._disk.twist_for(z)),
@@ -131,7 +133,7 @@ class PolygonSlide:
         )
 
     def _scale(self, distance: Array, rotation: Array) -> Array:
-        """Scales (n, 3) of the displacements' columns, for the inverse."""
+        """Return the scales (n, 3) by which the inverse divides the components of displacements."""
         x, s = np.abs(distance), np.abs(self._gyration * rotation)
         least = np.where((x > 0) | (s > 0), _SMALLEST_SHARE * np.maximum(x, s), 1.0)
         x, s = np.maximum(x, least), np.maximum(s, least)
@@ -174,10 +176,12 @@ class PolygonSlide:
         return velocity, moved
 
     def friction(self, vx: Array, vy: Array, spin: Array) -> tuple[Array, Array, Array]:
-        """Means over the face of the direction of motion (x, y) and of its moment (m).
+        """Compute the means, over the face, of the unit vector of motion (x, y) and of its moment
+        (m).
 
         The arguments are velocities (n,) of the centre of mass in the body's axes, not all zero.
-        The friction force is -mu m g times the first two means, the torque -mu m g times the third.
+        The friction force is -mu m g times the first two means; the torque is -mu m g times the
+        third.
         """
         speed = np.hypot(vx, vy)
         far = speed > _FAR * self._gyration * np.abs(spin)
@@ -202,12 +206,12 @@ class PolygonSlide:
         return mean_x, mean_y, moment
 
     def _far_friction(self, vx: Array, vy: Array, spin: Array) -> tuple[Array, Array, Array]:
-        """Friction by quadrature, with differences that remain accurate down to zero spin."""
+        """Friction by quadrature, with formulas that remain accurate down to zero spin."""
         speed = np.hypot(vx, vy)
         q = spin / speed
         ex, ey = vx / speed, vy / speed
         x, y = self._points
-        # Per unit of travel of the centre, a point moves 1 + q a along it and q b to its left.
+        # Per unit of the centre's travel, a point moves 1 + q a forwards and q b to the left.
         b = x * ex + y * ey
         a = x * ey - y * ex
         ahead, left = 1 + q * a, q * b
@@ -216,7 +220,7 @@ class PolygonSlide:
         left /= size
         ahead += size
         ahead *= size
-        square /= ahead  # 1 minus the component of the unit vector along the travel
+        square /= ahead  # 1 minus the forward component of the unit vector of motion
         loss, turn = -(self._weights @ square), self._weights @ left
         b *= left
         a *= square
@@ -227,8 +231,8 @@ class PolygonSlide:
     def rates(self, unit: Array, angle: Array) -> tuple[Array, Array]:
         """Friction (3, n) on a body, and its component along the velocity.
 
-        The velocity ``unit`` is (vx, vy, gyration * omega), of unit length and in the axes of the
-        launch. The body has rotated by ``angle`` since the launch.
+        ``unit`` is the velocity (vx, vy, gyration * omega), scaled to unit length, in the axes of
+        the launch. The body has rotated by ``angle`` since the launch.
         """
         cos, sin = np.cos(angle), np.sin(angle)
         mean_x, mean_y, moment = self.friction(
@@ -244,7 +248,8 @@ class PolygonSlide:
         return force, (force * unit).sum(axis=0)
 
     def _integrate(self, twist: Array) -> tuple[Array, list[tuple[Array, Array]]]:
-        """Final (dx, dy, dtheta, t) of shape (4, n), and (state, velocity) at every step."""
+        """Integrate launches to rest: final (dx, dy, dtheta, t), (4, n), and (state, velocity) at
+        each step."""
         scale = np.array([1.0, 1.0, self._gyration])[:, None]
         start = twist.T * scale
         size0 = np.sqrt((start**2).sum(axis=0))
@@ -285,14 +290,15 @@ def invert(
     tolerance: float,
     limit: float,
 ) -> Array:
-    """Solve forward(z, rows) = target[rows], (n, k), near the identity: Broyden's method.
+    """Solve forward(z, rows) = target[rows], (n, k), by Broyden's method; ``forward`` must be close
+    to the identity.
 
-    ``scale`` (n, k) normalises the columns. Rows that are within ``tolerance`` make one more step,
-    which reduces their error further, and are omitted. Broyden's method may cycle at a kink of
-    ``forward``, as between the cells of a table; such rows are solved by a fixed-point iteration,
-    which is slow but reliable. If ``forward`` jumps at the solution, as where the number of its
-    integration steps changes, rows that are within ``limit`` are accepted. Raises
-    :class:`MechanicsError` if a row does not converge.
+    ``scale`` (n, k) normalises the columns. A row within ``tolerance`` takes one last step, which
+    reduces its error further. Broyden's method may cycle at a kink of ``forward``, for example
+    between two cells of a table; such rows are solved by a fixed-point iteration, which is slow but
+    reliable. ``forward`` may jump at the solution, for example where its number of integration
+    steps changes; then rows within ``limit`` are accepted. Raises :class:`MechanicsError` if a row
+    does not converge.
     """
     goal = target / scale
     z = goal.copy()
@@ -301,7 +307,7 @@ def invert(
     inverse = np.broadcast_to(np.eye(goal.shape[1]), (*goal.shape, goal.shape[1])).copy()
     error = np.full(len(goal), np.inf)
     for _ in range(_INVERSE_STEPS):
-        # A row within the tolerance takes one more step, which reduces its error to rounding
+        # A row within the tolerance takes one last step, which reduces its error to rounding
         # errors.
         left = error > tolerance
         rows, residual, inverse = rows[left], residual[left], inverse[left]
@@ -327,9 +333,9 @@ def invert(
     if np.abs(residual).max() <= limit:
         return z * scale
     raise MechanicsError(
-        f"the launch of the polygon was not found: the displacement is off by "
-        f"{float(np.abs(residual).max()):.3g} of itself after {_SIMPLE_STEPS} steps, "
-        f"{tolerance:g} is allowed."
+        f"the launch of the polygon was not found: the relative error of the displacement is "
+        f"{float(np.abs(residual).max()):.3g} after {_SIMPLE_STEPS} steps (limit "
+        f"{tolerance:g})."
     )
 
 

@@ -1,19 +1,19 @@
-"""Sliding of a polygon from a table, at a million slides per second instead of thousands.
+"""Sliding of a polygon from a table: a million slides per second instead of thousands.
 
 In units of the radius of gyration rho and of the deceleration mu g, a slide depends on three
 numbers: the direction alpha of the launch in the body, the angle phi = atan(rho omega / v) of spin
 to speed, and the size s = N^2 / (mu g rho) with N^2 = v^2 + rho^2 omega^2. The size determines how
-much the body rotates while it slides. The table holds four functions of them, in the axes of the
-launch:
+much the body rotates while it slides. The table holds four functions of alpha, phi and s, in the
+axes of the launch:
 
     along = (N^2 / mu g) A,  left = (N^2 / mu g) L,
-    rotation = (omega N / mu g) B,  duration = (N / mu g) D,
+    rotation = (omega N / mu g) B,  duration = (N / mu g) D.
 
-each minus that of the equivalent disk, which contains the part that is not smooth. The table is
-filled from slow to fast launches. A launch of size s slides for a short distance, by the equations
-of motion, and is then a launch of a smaller size that is already in the table (a semi-Lagrangian
-scheme). The table is filled with cubic interpolation on a coarse grid and read with linear
-interpolation on a finer grid.
+Each is stored minus the same function of the equivalent disk, which contains the part that is not
+smooth. The table is filled from slow to fast launches. For a launch of size s, the equations of
+motion are integrated for a short distance. The state reached is a launch of a smaller size, which
+is already in the table (a semi-Lagrangian scheme). The table is filled with cubic interpolation on
+a coarse grid and read with linear interpolation on a finer grid.
 
 The table ends at ``LARGEST_SIZE``, which for the paper's objects is a slide of 100 to 200 mm. A
 faster launch is integrated by the equations of motion until it is within the table.
@@ -55,7 +55,7 @@ _STEP = 0.15
 _STEPS_TO_REST = 60
 _SLOW = 1e-6
 _BLOCK = 16384
-"""Number of slides looked up in one operation, chosen to fit the cache."""
+"""Number of slides looked up per batch, chosen so that a batch fits in the cache."""
 _TINY = 1e-12
 _FEW_TABLES = 8
 
@@ -90,12 +90,12 @@ class PolygonTable:
         square = (twist * twist).sum(axis=1)
         major = np.sqrt(square)
         length = 0.5 * np.log(square / LARGEST_SIZE)
-        # For larger sizes, the body rotates more in each step.
+        # The number of steps grows with the size, because the body rotates more in each step.
         steps = math.ceil(float((length * square).max()) / (LARGEST_SIZE * _STEP))
         unit, state = self._advance(twist.T / major, square, length / steps, steps)
         before, turned = square * state[:3], square * state[2]
         cos, sin = np.cos(turned), np.sin(turned)
-        # Stay slightly below the limit of the table, so that rounding does not exceed it.
+        # Stay slightly below the limit of the table, so that rounding errors do not exceed it.
         vx, vy, spin = (1.0 - _TINY) * math.sqrt(LARGEST_SIZE) * unit
         inside = np.stack([cos * vx + sin * vy, cos * vy - sin * vx, spin], axis=-1)
         (x, y, theta), duration = (part.T for part in self._lookup(inside))
@@ -119,7 +119,7 @@ class PolygonTable:
         return moved, major * factors[3]
 
     def _factors(self, phi: Array, alpha: Array, size: Array) -> Array:
-        """A, L, B and D, (4, n), by linear interpolation."""
+        """Look up A, L, B and D, (4, n), by linear interpolation."""
         levels, ratios, directions = self._shape
         turn = alpha * (self._fold * (directions - 1) / (2 * math.pi))
         turn -= (directions - 1) * np.floor(turn / (directions - 1))
@@ -143,7 +143,7 @@ class PolygonTable:
         return np.asarray(found.T + self._disk_factors(phi))
 
     def _disk_factors(self, phi: Array) -> Array:
-        """A, L, B and D of the equivalent disk, (4, n)."""
+        """Compute A, L, B and D of the equivalent disk, (4, n)."""
         cos, sin = np.maximum(np.cos(phi), _TINY), np.sin(phi)
         sin = np.where(np.abs(sin) < _TINY, _TINY, sin)
         distance, rotation, duration = self._disk.rest(cos, sin)
@@ -173,8 +173,8 @@ class PolygonTable:
     ) -> Array:
         """Compute the values of one size on the grid.
 
-        ``known`` holds the values at the size that remains after the logarithm of N has decreased
-        by ``length``; None to integrate to the end.
+        ``known`` holds the values of the smaller size that is reached when the logarithm of N has
+        decreased by ``length``; with None, the motion is integrated until the object rests.
         """
         unit = np.stack([np.cos(phi) * np.cos(alpha), np.cos(phi) * np.sin(alpha), np.sin(phi)])
         steps = _STEPS_TO_REST if known is None else max(1, math.ceil(length / _STEP))
@@ -206,8 +206,9 @@ class PolygonTable:
     ) -> tuple[Array, Array]:
         """Integrate the slide over steps of the logarithm of N.
 
-        Returns the unit launch (3, n) afterwards, in the axes of the start, and displacement over
-        N^2 and time over N, (4, n). Sizes and steps are scalars or (n,).
+        Returns the velocity (3, n) afterwards, scaled to unit length and in the axes of the start,
+        and the displacement divided by N^2 and the time divided by N, (4, n). Sizes and steps are
+        scalars or (n,).
         """
 
         def slope(length: float | Array, unit: Array, state: Array) -> tuple[Array, Array]:
@@ -229,7 +230,7 @@ class PolygonTable:
         return unit, state
 
     def _cubic(self, phi: Array, alpha: Array, known: Array) -> Array:
-        """A, L, B and D, (4, n), from one completed level (4, ratios, directions)."""
+        """Interpolate A, L, B and D, (4, n), in the values of one size (4, ratios, directions)."""
         count = known.shape[2]
         turn = alpha * (self._fold * count / (2 * math.pi))
         turn -= count * np.floor(turn / count)
@@ -254,7 +255,7 @@ class PolygonTable:
 
 
 def _around(table: Array) -> Array:
-    """Repeat some directions of a table beyond both ends."""
+    """Extend a table periodically: repeat some directions beyond both ends."""
     return np.concatenate([table[..., -_EDGE:], table, table[..., : _EDGE + 1]], axis=-1)
 
 
@@ -282,7 +283,8 @@ class TabulatedPolygonSlide(PolygonSlide):
     """Slides of one polygon from its table."""
 
     _inverse_tolerance = 1e-7
-    """The last step reduces the error to 1e-8, far below the error of the table."""
+    """Relative error below which the inverse makes one last step, which reduces the error to 1e-8,
+    far below the error of the table."""
     _inverse_limit = 1e-3
     """The error of the table. Beyond the table, slides jump by up to 1e-4 of their size where the
     number of integration steps changes."""
@@ -293,7 +295,7 @@ class TabulatedPolygonSlide(PolygonSlide):
         """Create the table, or take the cached one for this shape and torque factor."""
         super().__init__(polygon, deceleration, torque_factor, disk)
         rho = polygon.radius_of_gyration
-        # Rounded, so that the same shape at another scale or place uses the same table.
+        # Normalised and rounded, so that equal shapes of any scale or position use the same table.
         shape = tuple(map(tuple, np.round(polygon.points / rho, 10).tolist()))
         self._table = _kept(shape, round(torque_factor, 10))
         self._rho = rho

@@ -14,12 +14,13 @@ from tapping_cell.mechanics.slide_table import SlideTable
 Array = NDArray[np.float64]
 
 _PROFILE_STEP = 0.04
-# Logarithm of the fraction of the duration below which the motion is lost in rounding errors.
+# ln of the remaining fraction of the duration below which the motion is less than rounding errors.
 _PROFILE_END = -20.0
 
 
 class RoundSlide:
-    """Slides from a table. ``deceleration`` is mu g in m/s^2, ``radius`` is the support's in m."""
+    """Slides from a table. ``deceleration`` is mu g in m/s^2; ``radius`` is that of the support in
+    m."""
 
     def __init__(self, table: SlideTable, deceleration: float, radius: float) -> None:
         """Store the table and the units."""
@@ -70,14 +71,15 @@ class RoundSlide:
         return Launch(speeds.reshape(x_all.shape), rims.reshape(x_all.shape))
 
     def displace(self, twist: Array) -> Array:
-        """Displacements (..., 3) of launches (..., 3): along the launch, with a rotation."""
+        """Compute the displacements (..., 3) caused by launches (..., 3): along the launch, with a
+        rotation."""
         speed = np.hypot(twist[..., 0], twist[..., 1])
         distance, rotation, _ = self.rest(speed, twist[..., 2])
         scale = distance / np.where(speed > 0, speed, 1.0)
         return np.stack([scale * twist[..., 0], scale * twist[..., 1], rotation], axis=-1)
 
     def twist_for(self, displacement: Array) -> Array:
-        """Launches (..., 3) of displacements (..., 3)."""
+        """Compute the launches (..., 3) that cause displacements (..., 3)."""
         distance = np.hypot(displacement[..., 0], displacement[..., 1])
         speed, spin = self.launch(distance, displacement[..., 2])
         scale = speed / np.where(distance > 0, distance, 1.0)
@@ -105,9 +107,10 @@ def _slow_down(
 ) -> tuple[Array, Array]:
     """Speed and rim speed, each (launches, times), of launches (n,) at reduced times (k,).
 
-    The ratio of spin to speed is a function of the remaining fraction of the duration. It follows
-    from an autonomous differential equation in its logarithm, integrated by the classic Runge-Kutta
-    method. The magnitude then follows from the remaining time.
+    Reduced times are multiplied by mu g. The ratio of spin to speed depends on the remaining
+    fraction of the duration, according to an autonomous differential equation of their logarithms,
+    which the classic Runge-Kutta method integrates. The magnitude then follows from the remaining
+    time.
     """
     total = table.rest_many(speed, rim_speed)[2]
     left = np.maximum(total[:, None] - time, 0.0)
@@ -119,7 +122,8 @@ def _slow_down(
         np.log(np.where(both, s_size, 1.0) / np.where(both, v_size, 1.0)),
         np.log(np.maximum(share, math.exp(_PROFILE_END))),
     )
-    # Directions of unit size, scaled so that the remaining time until rest is correct.
+    # Speed and rim speed with this ratio and a maximum of 1; they are then scaled to the remaining
+    # time.
     v_unit = np.exp(np.minimum(-log_ratio, 0.0))
     s_unit = np.exp(np.minimum(log_ratio, 0.0))
     v_unit = np.where(both[:, None], v_unit, (v_size > 0)[:, None] * 1.0)
@@ -159,5 +163,5 @@ def _ratio_at(table: SlideTable, start: Array, log_left: Array) -> Array:
 
 def _not_finite(name: str, first: float, second: float) -> InvalidParameterError:
     return InvalidParameterError(
-        f"{name} are {first!r} and {second!r}; both must be finite numbers, small enough to square."
+        f"{name} are {first!r} and {second!r}; both must be finite numbers with finite squares."
     )

@@ -1,10 +1,10 @@
 """The Jacobian of a tap as printed in the paper, and the setup of the paper's experiments.
 
-Section 5.1 of Huang and Mason prints, for a tap of 10 mm and 3 degrees, the derivative of the
-object's displacement (x along the travel, y across, theta) by the striker's pose (i, j, beta), in
-mm and degrees. The signs correspond to i along the contact normal out of the object and to
-clockwise rotation. The y row assumes that the direction of travel rotates by the same angle as the
-striker.
+Section 5.1 of Huang and Mason gives the Jacobian of a tap of 10 mm and 3 degrees: the derivative of
+the object's displacement (x along the travel, y across it, theta) with respect to the striker's
+pose (i, j, beta), in mm and degrees. Its signs imply that i points along the contact normal out of
+the object and that rotations are clockwise. The y row assumes that the direction of travel rotates
+by the same angle as the striker.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ PAPER_JACOBIAN = np.array(
 PAPER_STRIKER_ERROR = (7.5, 7.5, 5.0)
 
 # The steel shaft in figure 1 of the paper appears to be 10 mm thick and 80 mm long. The Jacobian
-# does not depend on its mass.
+# does not depend on the shaft's mass.
 _STRIKER_MASS = 0.05
 # B1 and B3 relative to B2, fitted to the x and theta rows of PAPER_JACOBIAN. The rms residual is
-# 4.5 % of the scale of each row (0.135 and 0.0251). B2 is that of a free striker.
+# 4.5 % of the largest element of each row (0.135 and 0.0251). B2 is that of a free striker.
 _FITTED_B1 = 2.650
 _FITTED_B3 = -0.2686
 
@@ -40,8 +40,8 @@ _FITTED_B3 = -0.2686
 class Sensitivity(NamedTuple):
     """A Jacobian in mm and degrees, with the paper's signs.
 
-    ``printed`` (..., 3, 3) has the paper's y row, in which the travel rotates with the striker;
-    ``physical`` (..., 3, 3) has the y row of the impact model.
+    ``printed`` (..., 3, 3) has the paper's y row, in which the direction of travel rotates with the
+    striker; ``physical`` (..., 3, 3) has the y row of the impact model.
     """
 
     printed: Array
@@ -53,9 +53,9 @@ def paper_tap(mirrored: bool = False) -> Tap:
 
     Radius 48 mm, height 12 mm, 245.5 g, friction 0.17, torque factor 3.64, restitution 0.86. The
     contact friction of 0.20 is derived from the paper's statement that 10 degrees over 10 mm is
-    three times what one tap can rotate. The ball's radius and two impact constants are fitted to
-    the Jacobian. These constants hold for one direction of rotation, here the positive one;
-    ``mirrored`` selects the other.
+    three times the rotation that one tap can cause. The ball's radius and two impact constants are
+    fitted to the Jacobian. These constants hold for only one direction of rotation: the positive
+    one or, with ``mirrored``, the negative one.
     """
     disk = Disk(radius=0.048, mass=0.2455, height=0.012)
     striker = Striker(mass=_STRIKER_MASS, tip_radius=0.0054, constraint="free")
@@ -74,7 +74,7 @@ def paper_tap(mirrored: bool = False) -> Tap:
 
 
 def sensitivity(tap: Tap, displacement: ArrayLike) -> Sensitivity:
-    """Jacobians of displacements (..., 3), m and rad, in the form printed in the paper.
+    """Compute the Jacobians of taps for displacements (..., 3), m and rad, in the paper's form.
 
     Raises the same exceptions as :meth:`Tap.plan`.
     """

@@ -36,8 +36,8 @@ class Launch(NamedTuple):
 class Profile(NamedTuple):
     """A slide over time: arrays of shape (shape of the launches..., shape of the times...).
 
-    ``speed`` in m/s and ``spin`` in rad/s are the values at the times; ``distance`` in m and
-    ``rotation`` in rad are covered until then.
+    ``speed`` in m/s and ``spin`` in rad/s are the values at these times; ``distance`` in m and
+    ``rotation`` in rad are those covered until then.
     """
 
     times: Array
@@ -48,8 +48,9 @@ class Profile(NamedTuple):
 
 
 class SlideModel(Protocol):
-    """One body on one table, in SI units; :class:`~tapping_cell.mechanics.sliding.Sliding`
-    documents the methods. Twists and displacements are (n, 3) in the body's axes at the launch.
+    """Interface of a sliding model of one body on one table, in SI units. Twists and displacements
+    are (n, 3) in the body's axes at the launch. :class:`~tapping_cell.mechanics.sliding.Sliding`
+    documents the methods.
     """
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike) -> Rest:
@@ -62,7 +63,7 @@ class SlideModel(Protocol):
         """Compute the displacements of launches."""
 
     def twist_for(self, displacement: Array) -> Array:
-        """Compute the launches of displacements."""
+        """Compute the launches that cause these displacements."""
 
     def profile(self, speed: Array, spin: Array, direction: Array, times: Array) -> Profile:
         """Compute the motion of launches (n,) at times (k,); results (n, k)."""

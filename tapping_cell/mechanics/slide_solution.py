@@ -16,14 +16,15 @@ where X, Theta and D obey the linear equations psi y' = a y - 1 with (translatin
     a_D     = F                                   Lambda T
 
 Lambda is the torque factor times m R^2 / I. The motion converges to the only attracting zero of psi
-(the terminal ratio), and the wanted solution is the only one that is bounded there. The table
-therefore starts in the interval around that zero, by collocation without an initial value. It is
-continued outwards to pure sliding and to pure spinning by the Radau IIA method of order five, which
-is stable in that direction.
+(the terminal ratio). Only the physical solution is bounded there. In the interval around that zero,
+the equations are therefore solved by collocation without an initial value. From there the Radau IIA
+method of order five, which is stable in this direction, continues the solution to pure sliding and
+to pure spinning.
 
-At the ends, y behaves like tau to powers slightly above one, and a ring's friction has a logarithm
-at tau = 1. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). This function
-is graded like a square root at both ends, and its inverse needs two square roots.
+Near tau = 0, y contains powers of tau slightly above one; near tau = 1, a ring's friction contains
+a logarithm. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). Near both
+ends, p varies like the square root of the distance of tau from the end; computing p from tau takes
+two square roots.
 """
 
 from __future__ import annotations
@@ -57,16 +58,17 @@ _START_DEGREE = 4
 class SlideSolution:
     """X, Theta and D at the knots of p, in both regimes.
 
-    ``values`` and ``slopes`` (by p) have shape (3, 2, PIECES + 1): the function, the regime
-    (translating or spinning), and the knot. p increases in both regimes. ``ratio_rates``, shape (2,
-    PIECES + 1), is d ln(R omega / v) / d ln(time left). ``terminal_ratio`` is the limit of v / (R
-    omega) at the end of the slide.
+    ``values`` and ``slopes`` (derivatives with respect to p) have shape (3, 2, PIECES + 1):
+    function, regime (translating or spinning), knot; p increases in both regimes. ``ratio_rates``,
+    shape (2, PIECES + 1), is d ln(R omega / v) / d ln(time left). ``terminal_ratio`` is the limit
+    of v / (R omega) at the end of the slide.
     """
 
     def __init__(self, friction: Friction, torque_ratio: float) -> None:
         self._friction = friction
         self._torque_ratio = torque_ratio
-        # The path runs from pure sliding (p 0 to 1, translating) to pure spinning (p 1 to 0).
+        # The path runs from pure sliding (p = 0) through translating motions to p = 1, then through
+        # spinning motions back to p = 0, which is pure spinning.
         knots = np.linspace(0.0, 1.0, PIECES + 1)
         path_p = np.concatenate([knots, knots[-2::-1]])
         count = path_p.size - 1
@@ -90,7 +92,7 @@ class SlideSolution:
         self.terminal_ratio = self._terminal(path_p, flow, first)
 
     def _terms(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """Compute psi / tau, and the three factors a, at values of p."""
+        """Compute psi / tau and the three factors a (a_X, a_Theta, a_D) at values of p."""
         square = p * p + (1 - p) ** 2
         tau = p * p / square
         complement = (1 - p) ** 2 / square * (1 + tau)
@@ -114,8 +116,8 @@ class SlideSolution:
         return p * flow * square, 2 * (1 - p), factors
 
     def _start(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
-        """Solve the interval of the terminal ratio by collocation: the bounded solution needs no
-        initial value."""
+        """Solve the interval that contains the terminal ratio, by collocation; because the solution
+        must be bounded, it needs no initial value."""
         low, high = path_p[first], path_p[first + 1]
         width = high - low
         points, _ = np.polynomial.legendre.leggauss(_START_DEGREE + 1)

@@ -2,7 +2,7 @@
 
 It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite pieces over the graded
 variable p. A single slide is computed with Python floats; many slides are computed in blocks that
-fit the cache, with preallocated work arrays. The inverse looks up an estimate of p in a separate
+fit in the cache, with preallocated work arrays. The inverse looks up an estimate of p in a separate
 table and refines it by Newton steps on the forward table, so that ``launch`` inverts ``rest`` up to
 rounding.
 """
@@ -50,9 +50,9 @@ class SlideTable:
             _hermite(v, s) for v, s in zip(solution.values, solution.slopes, strict=True)
         )
         self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
-        # The inverse finds p from the ratio of the smaller travel (_minor) to the larger (_major),
-        # which increases with p. The larger travel is x if the slide is mostly translation, and
-        # otherwise theta.
+        # The inverse finds p from the ratio of the smaller travel (_minor) to the larger travel
+        # (_major). This ratio increases with p. The larger travel is x if the slide is mostly
+        # translation, and otherwise theta.
         translating = np.arange(2 * PIECES)[:, None] < PIECES
         self._minor = np.ascontiguousarray(np.where(translating, theta, x).T)
         self._major = np.ascontiguousarray(np.where(translating, x, theta).T)
@@ -128,10 +128,12 @@ class SlideTable:
         v, s = (major, minor) if translating else (minor, major)
         return math.copysign(v, travel), math.copysign(s, rim_travel)
 
-    # ---- many slides, in blocks that fit the cache
+    # ---- many slides, in blocks that fit in the cache
 
     def rest_many(self, speed: Array, rim_speed: Array) -> tuple[Array, Array, Array]:
-        """:meth:`rest` of two flat arrays of equal length. Raises if a value is not finite."""
+        """Vectorised :meth:`rest` for two flat arrays of equal length.
+        Raises :class:`InvalidParameterError` if a value is not finite.
+        """
         count = speed.size
         travel, rim_travel, time = np.empty(count), np.empty(count), np.empty(count)
         work = _Workspace(min(count, _CHUNK), floats=6)
@@ -150,7 +152,7 @@ class SlideTable:
             if not math.isfinite(float(np.dot(major, major))):
                 raise InvalidParameterError(
                     f"speed and spin reach {float(np.abs(major).max()):g} m/s; all must be finite "
-                    "numbers, small enough to square."
+                    "numbers with finite squares."
                 )
             _grade(major, minor, t, spare)
             _piece(t, mask, index, spare)
@@ -165,7 +167,9 @@ class SlideTable:
         return travel, rim_travel, time
 
     def launch_many(self, travel: Array, rim_travel: Array) -> tuple[Array, Array]:
-        """:meth:`launch` of two flat arrays of equal length. Raises if a value is not finite."""
+        """Vectorised :meth:`launch` for two flat arrays of equal length.
+        Raises :class:`InvalidParameterError` if a value is not finite.
+        """
         count = travel.size
         speed, rim_speed = np.empty(count), np.empty(count)
         work = _Workspace(min(count, _CHUNK), floats=13)
@@ -191,7 +195,8 @@ class SlideTable:
             )
         np.multiply(x, self._divide, out=spare)
         np.greater(r, spare, out=mask)
-        # Both regimes have equal measures at their boundary, so min / max is valid for both.
+        # With x scaled by ``_divide``, both travels are equal at the boundary of the regimes, so
+        # that min / max is valid in both.
         np.maximum(spare, r, out=large)
         np.minimum(spare, r, out=small)
         _grade(large, small, t, gathered)
@@ -223,8 +228,7 @@ class SlideTable:
             spare *= 2.0
             total *= total
             spare /= total
-            # The arrays x and r are no longer needed; x is reused for the slope of the smaller
-            # measure.
+            # The array x is no longer needed and is reused for the slope of the smaller travel.
             _cubic_and_slope(self._minor, index, t, small, x, gathered)
             spare *= small
             x *= tau
@@ -260,7 +264,7 @@ class SlideTable:
         return value
 
     def _inverse_guess(self) -> Array:
-        """Hermite pieces of p over the graded measure of the displacement, one half per regime."""
+        """Table of p over the graded ratio of the travels: Hermite pieces, one half per regime."""
         p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):
@@ -271,8 +275,8 @@ class SlideTable:
             fraction = np.minimum(grade_inverse(p) * small / (large * divide), 1.0)
             if not np.all(np.diff(fraction) > 0):
                 raise InvalidParameterError(
-                    f"torque factor times m R^2 / I is {self.torque_ratio:g}; so far from 1, "
-                    "the slide does not determine a unique launch."
+                    f"torque factor times m R^2 / I is {self.torque_ratio:g}; this is so far from "
+                    "1 that a displacement does not determine a unique launch."
                 )
             root: Array = np.sqrt(fraction)
             graded = root / (root + np.sqrt(1.0 - fraction))
@@ -305,7 +309,7 @@ class SlideTable:
 
 
 class _Workspace:
-    """Work arrays of one block, allocated per call so that calls may run in parallel threads."""
+    """Work arrays of one block, allocated in each call so that threads can call in parallel."""
 
     def __init__(self, size: int, floats: int) -> None:
         self.floats = [np.empty(size) for _ in range(floats)]
@@ -314,7 +318,7 @@ class _Workspace:
 
 
 class _Block:
-    """The part of a workspace that one block uses."""
+    """Views of a workspace, cut to the size of one block."""
 
     def __init__(self, floats: list[Array], index: NDArray[np.intp], mask: NDArray[np.bool_]):
         self.floats = floats
@@ -323,7 +327,7 @@ class _Block:
 
 
 def _grade(major: Array, minor: Array, t: Array, spare: Array) -> None:
-    """Compute t = PIECES * p of tau = minor / major; 0 if both are 0."""
+    """Compute t = PIECES * p for tau = minor / major; t is 0 if both are 0."""
     np.subtract(major, minor, out=spare)
     np.sqrt(spare, out=spare)
     np.sqrt(minor, out=t)
@@ -334,7 +338,8 @@ def _grade(major: Array, minor: Array, t: Array, spare: Array) -> None:
 
 
 def _piece(t: Array, mask: NDArray[np.bool_], index: NDArray[np.intp], spare: Array) -> None:
-    """Split t into the row of its piece (second half if mask) and the position in the piece."""
+    """Split t into the row of its piece (in the table's second half if ``mask``) and the position
+    in the piece."""
     np.copyto(index, t, casting="unsafe")
     np.minimum(index, PIECES - 1, out=index)
     t -= index
@@ -367,8 +372,8 @@ def _cubic_and_slope(
 
 
 def _hermite(values: Array, slopes: Array) -> Array:
-    """Cubic coefficients, one row per piece, from values and p-slopes at (halves, PIECES + 1)
-    knots."""
+    """Cubic coefficients, one row per piece, from values and slopes (with respect to p) at (halves,
+    PIECES + 1) knots."""
     y0, y1 = values[:, :-1], values[:, 1:]
     s0, s1 = slopes[:, :-1] / PIECES, slopes[:, 1:] / PIECES
     rows = np.stack([y0, s0, 3 * (y1 - y0) - 2 * s0 - s1, 2 * (y0 - y1) + s0 + s1], axis=-1)

@@ -1,12 +1,12 @@
-"""Compute how far a launched body slides and rotates, and the launch for a wanted displacement.
+"""Compute how far a launched body slides and rotates, and the launch for a given displacement.
 
 The equations, with R the radius of the support, gamma = m R^2 / I, mu the friction with the table
 and kappa the torque factor of Huang and Mason (section 3.1.2):
 
     dv/dt = -mu g F,   d omega/dt = -kappa gamma (mu g / R) T.
 
-``support_friction`` gives F and T, ``slide_solution`` and ``slide_table`` give the solution for a
-round support, and ``polygon_sliding`` gives that for a polygon. Everything is in SI units.
+``support_friction`` computes F and T, ``slide_solution`` and ``slide_table`` solve the equations
+for a round support, and ``polygon_sliding`` solves them for a polygon. Everything is in SI units.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ STANDARD_GRAVITY = 9.81
 class Sliding:
     """Sliding of one body on one table.
 
-    ``friction`` is the coefficient with the table, ``torque_factor`` is kappa (1 for the theory
-    without a correction), and ``gravity`` is in m/s^2. Raises :class:`InvalidParameterError` for a
-    value that is not finite and positive.
+    ``friction`` is the friction coefficient between body and table, ``torque_factor`` is kappa (1
+    for uncorrected theory), and ``gravity`` is in m/s^2. Raises :class:`InvalidParameterError` for
+    a value that is not finite and positive.
 
     The accuracy of :meth:`rest`, relative to an integration with tight tolerance, is 1e-9 in
     distance, rotation and duration for a disk or a ring at torque factors of 0.2 to 5 (tested at
     1e-8; 2e-8 from 0.05 to 20), for every combination of speed and spin. For a polygon it is 1e-4,
-    relative to a brute-force integration (tested at 1e-3). :meth:`launch` inverts :meth:`rest` up
-    to rounding, for a polygon to 1e-11.
+    relative to a brute-force integration (tested at 1e-3). :meth:`launch` is the inverse of
+    :meth:`rest`: exact up to rounding errors for round bodies, accurate to 1e-11 for polygons.
     """
 
     body: Body
@@ -71,14 +71,14 @@ class Sliding:
 
     @property
     def axisymmetric(self) -> RoundSlide:
-        """The slide of the body, or of its equivalent disk if the body is a polygon."""
+        """Sliding model of the body or, for a polygon, of its equivalent disk."""
         return self._axisymmetric
 
     def approximated(self) -> Sliding:
         """Return a copy in which a polygon slides like its equivalent disk.
 
-        It is much faster, with an error of 1 to 2 %. It is intended for planners, which evaluate
-        hundreds of taps per decision. A round body is unaffected.
+        The copy is much faster, with an error of 1 to 2 %. It is intended for planners, which
+        evaluate hundreds of taps per decision. A round body is unaffected.
         """
         rough = copy.copy(self)
         object.__setattr__(rough, "_model", self._axisymmetric)
@@ -87,9 +87,9 @@ class Sliding:
     def tabulated(self) -> Sliding:
         """Return a copy that computes a polygon's slides from a table.
 
-        It is hundreds of times faster, with an error of 1e-3. The table of a new shape or torque
-        factor takes a second or two to create, and is cached. A round body's slides always come
-        from a table.
+        The copy is hundreds of times faster, with an error of 1e-3. The table of a new shape or
+        torque factor takes a second or two to create, and is cached. A round body's slides always
+        come from a table.
         """
         if not isinstance(self.body, Polygon):
             return self
@@ -106,8 +106,8 @@ class Sliding:
 
         Arguments broadcast; scalars give floats. ``direction`` (rad) is that of the launch in the
         body's frame. It matters only for polygons, whose result also drifts sideways (``lateral``).
-        Distance and rotation have the signs of speed and spin (except possibly small values of a
-        polygon). Raises :class:`InvalidParameterError` for values that are not finite.
+        Distance and rotation have the signs of speed and spin (small values of a polygon may have
+        the other sign). Raises :class:`InvalidParameterError` for values that are not finite.
         """
         return self._model.rest(speed, spin, direction)
 

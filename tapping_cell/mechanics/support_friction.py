@@ -13,9 +13,9 @@ Wolf (Phys. Rev. Lett. 90, 2003), rewritten in the integrals
 
     B = int cos^2 / Delta,   D = int sin^2 / Delta,   C = (D - B) / k^2,   Delta^2 = 1 - k^2 sin^2
 
-over a quarter turn (Bulirsch 1965). Sums of K and E suffer from cancellation if the modulus is
-small. With B, C and D there is no cancellation, so one formula is accurate from pure sliding to
-pure spinning.
+over a quarter turn (Bulirsch 1965). The usual sums of the complete elliptic integrals K and E
+suffer from cancellation if the modulus is small. With B, C and D there is no cancellation, so that
+one formula is accurate from pure sliding to pure spinning.
 """
 
 from __future__ import annotations
@@ -34,12 +34,10 @@ _SMALLEST_COMPLEMENT = 1e-12
 
 
 class SupportFriction(NamedTuple):
-    """Friction factors of one regime, without the factor tau.
+    """Friction factors F and T of one regime, in a form that stays accurate for small tau.
 
-    ``leading`` is the factor of the dominant motion (translation or rotation), ``trailing`` that of
-    the other; ``trailing`` is stored divided by tau. If translating, F = leading and T = tau *
-    trailing; if spinning, T = leading and F = tau
-    * trailing.
+    In the translating regime, F = leading and T = tau * trailing. In the spinning regime, T =
+    leading and F = tau * trailing.
     """
 
     leading: Array
@@ -49,7 +47,8 @@ class SupportFriction(NamedTuple):
 def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
     """Friction factors for uniform pressure on a disk.
 
-    ``complement`` is 1 - tau^2, passed separately because it is more accurate.
+    ``complement`` is 1 - tau^2. It is a separate argument because computing it from tau would lose
+    accuracy.
     """
     b, c, d = _elliptic_bcd(tau, complement)
     shared = 4 / (3 * math.pi) * (2 * b + complement * d)
@@ -62,8 +61,8 @@ def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) ->
 
 
 def ring_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
-    """Friction factors for uniform pressure on a thin ring. Both regimes are equal with force and
-    torque exchanged."""
+    """Friction factors for uniform pressure on a thin ring. The formulas of both regimes are the
+    same, with force and torque exchanged."""
     del spinning
     b, _, d = _elliptic_bcd(tau, complement)
     return SupportFriction(2 / math.pi * (b + complement * d), 2 / math.pi * b)

@@ -1,6 +1,6 @@
-"""A whole tap, impact and slide combined: forward (``Tap.outcome``) and inverse (``Tap.plan``).
+"""A whole tap (impact and slide): its outcome (``Tap.outcome``) and its inverse (``Tap.plan``).
 
-The body is launched along the impulse, so the wanted launch determines the impulse's line of
+The body is launched along the impulse, so the desired launch determines the impulse's line of
 action. Its direction is that of the velocity, and its distance from the centre of mass is (I omega)
 / (m v). The contact point is where that line enters the body, and the angle of the line from the
 contact normal must be within the friction cone. The striker's axis is the one for which Routh's
@@ -30,7 +30,7 @@ from tapping_cell.mechanics.sliding import Sliding
 
 Array = NDArray[np.float64]
 
-# Tolerance for rounding errors of a displacement on the edge of the cone.
+# Relative tolerance for rounding errors of a displacement on the edge of the cone.
 _EDGE = 1e-9
 # Steps of the finite differences for the Jacobian, in m and rad.
 _LENGTH_STEP = 1e-6
@@ -41,11 +41,11 @@ _ORIGIN = (0.0, 0.0, 0.0)
 class TapPlan(NamedTuple):
     """Plan of a tap for a displacement; every field has the shape of the displacements.
 
-    ``contact_angle`` is the direction of the contact point from the centre of mass in the object's
-    frame, in rad. ``strike_pose`` (..., 3) is the ball's centre in the table frame at the moment of
-    contact, with x along its travel. ``striker_speed`` is in m/s, ``incidence`` is the angle from
-    the contact normal to the striker's axis in rad, and ``twist`` (..., 3) is the launch (vx, vy,
-    omega) in table axes.
+    ``contact_angle`` is the direction from the centre of mass to the contact point in the object's
+    frame, in rad. ``strike_pose`` (..., 3) is the pose of the ball's centre in the table frame at
+    the moment of contact, with x along the ball's travel. ``striker_speed`` is in m/s,
+    ``incidence`` is the angle from the contact normal to the striker's axis in rad, and ``twist``
+    (..., 3) is the launch (vx, vy, omega) in table axes.
     """
 
     contact_angle: Array
@@ -58,8 +58,9 @@ class TapPlan(NamedTuple):
 def tips_at_rest(
     strike_pose: ArrayLike, standoff: float, round_position: float = 0.0, round_angle: float = 0.0
 ) -> Array:
-    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses, rounded to the steps (m
-    and rad) of an arm; steps of 0 do not round."""
+    """Return poses (..., 3) of the tip ``standoff`` m behind strike poses. They are rounded to
+    multiples of ``round_position`` m and ``round_angle`` rad, the resolution of an arm; 0 means no
+    rounding."""
     tips = np.array(strike_pose, dtype=float)
     tips[..., 0] -= standoff * np.cos(tips[..., 2])
     tips[..., 1] -= standoff * np.sin(tips[..., 2])
@@ -74,11 +75,11 @@ class TapResult(NamedTuple):
     """Result of a tap; every field has the shape of the poses.
 
     ``missed`` is True if the striker does not touch the object (then nothing moves). ``travel`` is
-    that of the ball until the contact in m, negative if the pose overlaps the object. ``point``
-    (..., 2) of the contact and ``normal`` (..., 2) into the object are in table axes. ``incidence``
-    is in rad, ``normal_impulse`` and ``tangential_impulse`` in N s. ``twist`` (..., 3) is (vx, vy,
-    omega) just after the impact and ``displacement`` (..., 3) is (dx, dy, dtheta), both in table
-    axes.
+    the ball's travel until the contact in m, negative if the strike pose overlaps the object. The
+    contact point ``point`` (..., 2) and the normal ``normal`` (..., 2) into the object are in table
+    axes. ``incidence`` is in rad, ``normal_impulse`` and ``tangential_impulse`` in N s. ``twist``
+    (..., 3) is (vx, vy, omega) just after the impact and ``displacement`` (..., 3) is (dx, dy,
+    dtheta), both in table axes.
     """
 
     missed: NDArray[np.bool_]
@@ -109,8 +110,8 @@ class Tap:
     def __post_init__(self) -> None:
         if self.sliding.body != self.impact.body:
             raise InvalidParameterError(
-                f"the sliding is of {self.sliding.body} and the impact of {self.impact.body}; "
-                "both must be of the same body."
+                f"sliding has the body {self.sliding.body} and impact has the body "
+                f"{self.impact.body}; both must have the same body."
             )
         smallest = not_negative("smallest distance", self.smallest_distance, "m")
         object.__setattr__(self, "smallest_distance", smallest)
@@ -129,11 +130,12 @@ class Tap:
     def cone_slope(self) -> float:
         """Maximum rotation per distance of one tap, in rad/m.
 
-        Sliding is scale-invariant, so a launch with the largest R omega / v = gamma sin(phi_max)
-        has the same ratio of rotation to distance at any speed. The edge of the cone of reachable
-        displacements is therefore a straight line for a round body. For a polygon, the value is the
-        bound over all its contacts, with the sliding of its equivalent disk; :meth:`reachable`
-        takes the direction of a displacement into account.
+        The displacements that one tap can cause form a cone. Sliding is scale-invariant, so a
+        launch with the largest R omega / v = gamma sin(phi_max) has the same ratio of rotation to
+        distance at any speed. For a round body the edge of the cone is therefore a straight line
+        with this slope. For a polygon, the value is the largest over all contacts, computed with
+        the slide of the equivalent disk; :meth:`reachable` also considers the direction of a
+        displacement.
         """
         return self._cone_slope
 
@@ -195,10 +197,11 @@ class Tap:
     def plan(self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN) -> TapPlan:
         """Plan the tap for ``displacement`` (..., 3), (dx, dy, dtheta) in table axes, m and rad.
 
-        ``object_pose`` (..., 3) is the object's pose in the table frame; both broadcast.
-        :meth:`outcome` of the plan equals the displacement up to rounding. Raises
-        :class:`UnreachableDisplacementError` for a displacement outside the cone or shorter than
-        the smallest distance, and :class:`InvalidParameterError` for values that are not finite.
+        ``object_pose`` (..., 3) is the object's pose in the table frame; it broadcasts with the
+        displacement. :meth:`outcome` of the plan equals the displacement up to rounding errors.
+        Raises :class:`UnreachableDisplacementError` for a displacement outside the cone or shorter
+        than the smallest distance, and :class:`InvalidParameterError` for values that are not
+        finite.
         """
         wanted = _poses("displacement", displacement)
         self._refuse(wanted)
@@ -253,10 +256,10 @@ class Tap:
         rad.
 
         The rows are the displacement x along the planned travel, y to its left, and the rotation.
-        The columns, as in section 5.1 of the paper, are a displacement of the ball's centre at the
-        contact by i along the contact normal and by j along the tangent, and a rotation of the
-        striker's axis by beta about the ball's centre. Computed by central differences of
-        :meth:`outcome`. Raises the same exceptions as :meth:`plan`.
+        The columns are those of section 5.1 of the paper: a displacement i of the ball's centre at
+        the contact along the contact normal, a displacement j along the tangent, and a rotation
+        beta of the striker's axis about the ball's centre. The derivatives are central differences
+        of :meth:`outcome`. Raises the same exceptions as :meth:`plan`.
         """
         wanted = _poses("displacement", displacement)
         plan = self.plan(wanted)
@@ -316,8 +319,8 @@ class Tap:
         )
 
     def _line_of_action(self, wanted: Array) -> tuple[Array, Contact, Array]:
-        """Return the launch's twist, the point where the impulse's line of action enters the body,
-        and the slope of the impulse relative to the normal there; in the object's frame."""
+        """Return, in the object's frame, the launch's twist, the contact (where the impulse's line
+        of action enters the body), and the slope of the impulse relative to the contact normal."""
         twist = self.sliding.twist_for(wanted)
         velocity, spin = twist[..., :2], twist[..., 2]
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
@@ -354,8 +357,8 @@ class Tap:
             )
         limit = math.degrees(self.cone_slope * distance)
         raise UnreachableDisplacementError(
-            f"the displacement turns by {math.degrees(rotation):.4g} degrees over "
-            f"{1e3 * distance:.4g} mm; one tap turns by at most {limit:.4g} degrees over that "
+            f"the displacement has a rotation of {math.degrees(rotation):.4g} degrees over "
+            f"{1e3 * distance:.4g} mm; one tap rotates by at most {limit:.4g} degrees over this "
             f"distance ({math.degrees(self.cone_slope) / 1e3:.4g} degrees/mm). Use two taps."
         )
 
@@ -364,8 +367,8 @@ class Tap:
         limit = math.degrees(math.atan(self.impact.friction))
         raise UnreachableDisplacementError(
             f"no contact of the body gives ({1e3 * dx:.4g} mm, {1e3 * dy:.4g} mm, "
-            f"{math.degrees(rotation):.4g} degrees): the impulse would lie more than {limit:.4g} "
-            "degrees from the normal of the edge that it meets. Choose another direction."
+            f"{math.degrees(rotation):.4g} degrees): the impulse would deviate by more than "
+            f"{limit:.4g} degrees from the normal of the edge. Choose another direction."
         )
 
 
@@ -391,7 +394,8 @@ def _rotate(vector: Array, angle: Array) -> Array:
 
 
 def _turn(planar: Array, angle: Array) -> Array:
-    """Rotate a twist or displacement (..., 3) by ``angle``, i.e. to axes rotated by -angle."""
+    """Rotate a twist or displacement (..., 3) by ``angle``; equivalent to axes rotated by
+    -angle."""
     return np.concatenate([_rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
 
 

@@ -1,4 +1,5 @@
-"""Alternative taps, best first, for use if the method's own tap is not possible."""
+"""Alternative taps, best first, for use if the tap that the planning method chooses is not
+possible."""
 
 from __future__ import annotations
 
@@ -23,8 +24,9 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 LEAST = 80
-"""Minimum number of safe candidates that are checked together at first, if there are that many.
-Each further chunk has twice as many, because the effort depends little on the number."""
+"""Minimum number of safe candidates that are checked together in the first chunk, if there are so
+many. Each further chunk has twice as many, because the computing time depends little on their
+number."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function of poses (n, 3) and displacements (n, 3) that returns which of them are possible."""
@@ -50,12 +52,12 @@ def alternative_taps(
 
     The candidates cover all directions, several distances (shares of the method's own choice
     ``first`` and of the largest tap) and several rotations (shares of the cone). They are ranked by
-    the number of taps that the method needs afterwards, with the distance along the path around
-    obstacles. One more tap is added if the goal is near but not reachable by one possible tap.
+    the number of taps that the method needs afterwards, computed with the length of the path around
+    obstacles. One tap is added if the goal is near but no possible tap leads there directly.
     ``visited``: poses from which the object was tapped before and whose costs were underestimated.
     ``safe``: function that returns which displacements (n, 3) may be commanded. ``possible``:
-    function that returns which of these can be struck. Each of the slower checks is applied only to
-    the candidates that the previous one has kept.
+    function that returns which of these the striker can make. Each slower check is applied only to
+    the candidates that passed the faster checks.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)
@@ -79,7 +81,7 @@ def alternative_taps(
             cost += visited.extra(made.after[part], cost)
         waiting = np.concatenate([waiting, part])
         waiting_cost = np.concatenate([waiting_cost, cost])
-        # Candidates that no later candidate can precede.
+        # Candidates that are better than every candidate not checked yet.
         following = order[start : start + 1]
         ready = waiting_cost <= made.cost[following].min(initial=np.inf)
         rank = np.argsort(waiting_cost[ready], kind="stable")
@@ -89,7 +91,7 @@ def alternative_taps(
 
 
 class Ranked(NamedTuple):
-    """Displacements to command, (n, 3), and the estimated number of taps after each of them,
+    """Displacements to command, (n, 3), and the estimated number of further taps after each,
     (n,)."""
 
     commanded: Array
@@ -97,10 +99,11 @@ class Ranked(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Candidates for replacing the method's own tap, m per pose.
+    """Candidates that can replace the tap chosen by the method, m for each pose.
 
-    commanded: (..., m, 3). after: (..., m, 3), poses after the taps. cost: (..., m), lower bound of
-    the number of taps from each candidate on; infinite if no path leads from there to the goal.
+    commanded: displacements, (..., m, 3). after: poses after the taps, (..., m, 3). cost: lower
+    bound of the number of taps after each candidate, (..., m); infinite if no path leads from there
+    to the goal.
     """
 
     commanded: Array
@@ -157,8 +160,9 @@ def candidate_taps(
 
 
 def _through_edges(tap: Tap, body: Polygon, orientation: Array) -> Array:
-    """Directions of travel, rad in `table`, that suit the edges best: the normals, and half the
-    friction cone's angle to both sides of each; (..., directions) for orientations (...)."""
+    """Directions of travel, rad in `table`, that suit a polygon's edges best: each edge's normal,
+    and directions half a friction angle to either side of it; (..., directions) for orientations
+    (...)."""
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0])
     aside = 0.5 * math.atan(tap.impact.friction) * np.array([-1.0, 0.0, 1.0])
     return np.asarray(orientation[..., None] + (inward[:, None] + aside).ravel())
@@ -171,8 +175,8 @@ def indirect(
     planner: Planner,
     strikeable: Strikeable,
 ) -> Array:
-    """Return the extra taps, 1 or 0, for poses (..., 3) after a tap: 1 if the residual is within
-    one tap, but that tap is not possible.
+    """Return the extra taps for poses (..., 3) after a tap: 1 if the goal is near enough for one
+    tap but this tap is not possible, else 0.
 
     ``strikeable`` applies constraints that a planning method ignores: the edges of a polygon
     transmit only impulses inside the friction cone, and other objects may obstruct the arm and the

@@ -1,12 +1,13 @@
 """A bank of Kalman filters that is robust to a wrong prior, to outliers and to lasting changes.
 
 Each filter of the bank starts from a prior of a different width (static multiple models: Magill,
-IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects; for a very different
-object only one more measurement is needed. A measurement may be an outlier (a bumped object, a
-striker that missed). Each filter weights it by the probability that it is valid (probabilistic data
-association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may also change permanently.
-One more filter, the candidate, assumes that they changed at the last measurement. If the next
-measurement agrees with the candidate, the candidate outweighs the other filters and replaces them.
+IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects; with the wide priors,
+a very different object needs only one more measurement. A measurement may be an outlier (a bumped
+object, a striker that missed). Each filter weights measurements by the probability that they are
+valid (probabilistic data association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may
+also change permanently. An additional filter, the candidate, assumes that the true values changed
+at the last measurement. If the next measurement agrees with the candidate, it outweighs the other
+filters and replaces them.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class Prior:
     """Prior distribution: a mixture with one normal distribution per filter.
 
     weight: (filters,), with a sum of 1. mean, deviation: mean and standard deviation, (filters,
-    numbers). change: index of the filter whose prior applies after a change. span: width of the
+    numbers). change: index of the filter from whose prior the candidate starts. span: width of the
     uniform distribution of outliers.
     """
 
@@ -48,7 +49,7 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """Estimate of the numbers of one object, or of several objects (leading axes).
+    """Estimate of some numbers (parameters) of one object, or of several objects (leading axes).
 
     weight: (..., filters); the last filter is the candidate. mean: (..., filters, numbers).
     covariance: (..., filters, numbers, numbers).
@@ -60,7 +61,7 @@ class Belief:
 
     @classmethod
     def start(cls, prior: Prior, shape: tuple[int, ...] = ()) -> Belief:
-        """Return the prior, for objects that were never measured."""
+        """Return the belief about objects that were never measured: the prior."""
         count, numbers = prior.mean.shape
         order = [*range(count), prior.change]
         weight = np.append(prior.weight, 0.0)
@@ -96,7 +97,8 @@ class Belief:
         return np.asarray(np.sqrt(np.einsum("...h,...hi->...i", share, own + off * off)))
 
     def quantile(self, slope: ArrayLike, probability: float, noise: ArrayLike = 0.0) -> Array:
-        """Quantile (...,) of slope . numbers + noise over all filters, including the candidate.
+        """Quantile (...,) of the sum of slope . numbers and noise, over all filters with the
+        candidate.
 
         slope: (..., numbers). noise: standard deviation of the added noise, (...,).
         """
@@ -120,12 +122,12 @@ class Belief:
         share: ArrayLike,
         floor: ArrayLike,
     ) -> tuple[Belief, Array]:
-        """Update the belief with a measurement of slope . numbers.
+        """Update the belief with a measurement of the scalar product slope . numbers.
 
         Returns the new belief and the probability that the measurement is valid.
 
         Args:
-            prior: prior that the belief started from.
+            prior: prior from which the belief started.
             slope: (..., numbers).
             measured: (...,). NaN means no measurement and leaves the estimate unchanged.
             share: (...,), standard deviation of a measurement relative to the true value.
@@ -160,8 +162,8 @@ class Belief:
         return _settled(weight, mean, covariance), np.where(known, probability, 0.0)
 
     def _with_fresh(self, prior: Prior) -> tuple[Array, Array, Array]:
-        """Return weights, means and covariances with an additional filter, which assumes that the
-        true values have just changed."""
+        """Return weights, means and covariances with one more filter, a new candidate, which
+        assumes that the true values have just changed."""
         shape = self.weight.shape[:-1]
         numbers = prior.mean.shape[1]
         spread = np.diag(prior.deviation[prior.change] ** 2)
@@ -175,8 +177,8 @@ class Belief:
 
 
 def _settled(weight: Array, mean: Array, covariance: Array) -> Belief:
-    """Keep the more probable of the last two filters as the candidate. If the old candidate
-    outweighs all other filters, it replaces them."""
+    """Keep the more probable of the last two filters (the old and the new candidate) as the
+    candidate. If the old candidate outweighs all other filters, it replaces them."""
     old_better = weight[..., -2] > weight[..., -1]
     wins = old_better & (weight[..., -2] > weight[..., :-2].sum(axis=-1))
     pick = np.where(old_better, -2, -1)[..., None]

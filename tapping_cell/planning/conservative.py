@@ -1,4 +1,5 @@
-"""Conservative two-tap plans: subgoals that allow for the first tap's errors (section 4.2)."""
+"""Conservative two-tap plans: subgoals that allow for errors of the first tap (section 4.2 of the
+paper)."""
 
 from __future__ import annotations
 
@@ -12,12 +13,14 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.two_tap import two_tap_choice
 
 ERROR_LINE = 0.3
-"""Twice the standard deviation of the rotation's scatter, which is 15 % (section 3.1.1)."""
+"""Relative error of the rotation that plans allow for: twice the standard deviation of 15 %
+(section 3.1.1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConservativePlanner:
-    """Aims so far inside the reachable region that the error line fits, with larger first taps."""
+    """Aims further inside the reachable region, with a larger first tap, so that the goal can be
+    reached despite the first tap's error (the error line)."""
 
     settings: PlannerSettings
     name: str = "conservative"

@@ -1,4 +1,5 @@
-"""Coverage of the working area by fixed tappers: the places from which a tap leads inward."""
+"""Coverage of the working area by fixed tappers: the places at which an object can be tapped
+inward."""
 
 from __future__ import annotations
 
@@ -21,8 +22,9 @@ INWARD = math.radians(80.0)
 """Largest angle between an inward tap and the direction to the middle."""
 
 MIDDLE = 0.25
-"""Share of the working radius within which every direction counts as inward. There, it is
-sufficient that no gap between the directions of the taps exceeds ``WIDEST_GAP``."""
+"""Share of the working radius, near the middle, within which every direction counts as inward.
+There, it is sufficient that no gap between neighbouring directions of taps exceeds ``WIDEST_GAP``.
+"""
 
 WIDEST_GAP = math.radians(170.0)
 """Largest allowed angle between neighbouring directions of taps near the middle, below 180
@@ -33,7 +35,7 @@ class Coverage(NamedTuple):
     """Coverage at points of the working area.
 
     points: (n, 2), m. reached: (n, tappers), whether the tapper can tap an object there at every
-    orientation. dead: (n,), whether no tap leads inward from there at some orientation."""
+    orientation. dead: (n,), whether an object there cannot be tapped inward at some orientation."""
 
     points: Array
     reached: BoolArray

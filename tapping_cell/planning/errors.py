@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class PlanningError(ValueError):
-    """Invalid setting or argument of planning; the message names it."""
+    """A setting or an argument of planning is invalid; the message names it."""
 
 
 class UnknownPlannerError(PlanningError):

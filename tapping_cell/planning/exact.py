@@ -14,7 +14,8 @@ from tapping_cell.planning.two_tap import two_tap_choice
 
 @dataclass(frozen=True, slots=True)
 class ExactPlanner:
-    """Aims at the edge of the reachable region (section 4.1) and replans if a tap falls short."""
+    """Aims at the edge of the region from which one tap reaches the goal (section 4.1 of the
+    paper); plans again if a tap falls short."""
 
     settings: PlannerSettings
     name: str = "exact"

@@ -1,12 +1,14 @@
 """Expected number of taps that follow a tap in any direction.
 
-The plan itself contains only taps on the line to the goal. After a tap of length s at an angle phi
-to that line, the residual in the frame of the tap is ::
+The plan (a solution of ``value_iteration``) contains only taps along the line to the goal. If the
+goal is at the distance r, the residual after a tap of length s at an angle phi to that line, in the
+frame of the tap, is ::
 
-    (r cos phi - s (1 + a), -r sin phi + s c),    a, c scatter of distance and direction.
+    (r cos phi - s (1 + a), -r sin phi + s c)
 
-The length of the residual is distributed over the grid of the plan's distances by nodes of equal
-probability. The rotation is independent of it, as in ``value_iteration``.
+with the scatter a of the distance and c of the direction. Nodes of equal probability represent the
+distribution of the residual's length on the plan's grid of distances. The rotation is independent
+of this length, as in ``value_iteration``.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from tapping_cell.planning.value_iteration import (
 )
 
 ALONG_NODES, ASIDE_NODES = 48, 12
-"""Nodes over the errors of distance and direction."""
+"""Numbers of nodes that represent the errors of distance and direction."""
 
 
 def expected_taps(
@@ -85,7 +87,7 @@ def normal_nodes(count: int) -> Array:
 
 def _radial_weights(grid: Array, lengths: Array, box: float) -> tuple[Array, Array]:
     """Mean weights for linear interpolation of lengths (n, nodes) on a grid, (n, grid), and the
-    part of the lengths inside the box, (n, grid up to the box)."""
+    part of these weights due to lengths inside the box, (n, grid up to the box)."""
     rows, nodes = lengths.shape
     index, share = bracket(grid, lengths)
     at = np.arange(rows)[:, None] * grid.size + index

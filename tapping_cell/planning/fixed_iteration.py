@@ -1,15 +1,16 @@
-"""Policy iteration for a goal of fixed tappers, over the object's states (x, y, theta).
+"""Policy iteration for a goal in a cell with fixed tappers, over the object's states (x, y, theta).
 
 Source: Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 3 (stochastic
 shortest path).
 
-A tap is a tapper and a length. The lengths are a geometric progression, the length that ends
-nearest to the goal and the length that corrects the rotation. A policy improvement compares the
-taps of all states by their mean W over the scatter. W is taken from the nearest point of a table
-that also has points halfway between the grid points. The state after a tap is therefore an index,
-which is computed only once per grid. Between improvements the policy is evaluated by sweeps with
-its sparse transition matrix, with linear interpolation. A coarse grid is solved first and
-initialises the fine grid, which compares only the taps that are promising on the coarse grid.
+A tap is defined by a tapper and a length. The lengths tried are a geometric progression, the length
+that ends nearest to the goal and the length that corrects the rotation. A policy improvement
+compares, in every state, the taps by the mean of W (see ``fixed_policy``) over the scatter. W is
+taken from the nearest point of a table that also has points halfway between the grid points. The
+state after a tap is therefore an index, which is computed only once per grid. Between improvements,
+sweeps with a sparse transition matrix, based on linear interpolation, evaluate the policy. A coarse
+grid is solved first and initialises the fine grid, which compares only the taps that are promising
+on the coarse grid.
 """
 
 from __future__ import annotations
@@ -42,22 +43,23 @@ Singles = NDArray[np.float32]
 Indices = NDArray[np.int32]
 
 COARSE, FINE = 0.7, 0.22
-"""Ratio of the steps to the distance from the goal (see ``Grading``) on the first and the last
+"""Ratio of a grid step to the distance from the goal (see ``Grading``) on the first and the last
 grid."""
 
 WIDEST_STEPS = (0.03, 0.3)
-"""Largest steps of the grid, m and rad. One tap can move and rotate the object that far; with wider
-steps, first taps at large rotations move it hardly at all."""
+"""Largest steps of the grid, m and rad. One tap can move and rotate the object by such a step. With
+wider steps, plans for large rotations would begin with taps that hardly move the object."""
 
 FINE_DISTANCE = 2.0
-"""Distance from the goal, in stopping boxes, within which the grid is almost uniform."""
+"""Distance from the goal, in sizes of the stopping box, within which the grid is almost uniform."""
 
 LENGTHS = (8, 12)
 """Number of tap lengths, in geometric progression, that are tried in a state: on the coarse grid
 and on the finer ones."""
 
 OUTER = 0.020
-"""Distance beyond the working area up to which states are solved, for objects that left it, m."""
+"""Distance outside the working area, m, up to which states are solved, for objects that left the
+area."""
 
 POINTS = (4, 8)
 """Number of equally likely points that represent a tap's scatter while solving: on the coarse grid
@@ -74,10 +76,10 @@ MAX_KEPT = 20
 """Number of taps per state that are compared on the fine grid."""
 
 AROUND = (0.93, 1.07)
-"""Factors on the best length that are also tried."""
+"""Multiples of the best length that are tried as well."""
 
 CHUNK = 200_000
-"""Number of resulting states computed per batch, so that a batch fits in the processor's cache."""
+"""Number of states after taps computed per batch, so that a batch fits in the processor's cache."""
 
 PER_HALF_STEP = 6
 """Number of entries of an axis's index table per smallest half step of its grid."""
@@ -90,8 +92,9 @@ class Abandoned(Exception):
 def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
     """Solve for a goal on the coarse grid, which is fast and sufficient far from the goal.
 
-    If the first tap comes from this solution, runs need 0.05 taps more than with a grid with steps
-    of 0.5, which takes 0.15 s longer (300 tasks at each of three goals); a tap takes 0.7 s.
+    If the first tap comes from this solution, runs need 0.05 taps more than with a grid of ratio
+    0.5 (300 tasks at each of three goals). That grid takes 0.15 s longer to solve, and a tap takes
+    0.7 s.
     """
     place = np.asarray(goal, dtype=float)
     problem = _Problem(space, settings, place, COARSE, LENGTHS[0], POINTS[0])
@@ -127,10 +130,12 @@ def _solve_on(problem: _Problem, improvements: int, start: Solution | None) -> S
 
 
 class _Axis:
-    """Lookup table for the nearest half index of a coordinate, ten times as fast as a logarithm.
+    """Lookup table for the nearest point or half point of an axis, ten times as fast as a
+    logarithm.
 
     ``stride``: stride of the axis in the flat value table. Coordinates beyond the axis have the
-    index ``beyond``."""
+    index ``beyond``.
+    """
 
     def __init__(self, grading: Grading, size: int, stride: int, beyond: int, most: float) -> None:
         width = grading.fine * math.sinh(grading.step / 2.0) / PER_HALF_STEP
@@ -215,7 +220,8 @@ class _Problem:
         )
 
     def start(self, coarse: Solution | None) -> Array:
-        """Initial W: from a coarser solution, or estimated from the distance and the rotation."""
+        """Initial W: from a coarser solution or, if there is none, estimated from distance and
+        rotation."""
         value = np.full(self.states.shape[0], LOST)
         states = self.states[self.rows]
         if coarse is not None:
@@ -275,7 +281,8 @@ class _Problem:
     def _scattered(
         self, heading: Singles, slope: Singles, length: Singles, points: Singles
     ) -> tuple[Singles, Singles, Singles]:
-        """Lengths, headings and rotations of taps at every scatter point: the given shape, (p,)."""
+        """Lengths, headings and rotations of taps at every scatter point; (..., p) for taps
+        (...)."""
         turn = length * slope
         along = self.scatter.along(length).astype(np.float32)
         turning = self.scatter.turning(turn).astype(np.float32)
@@ -287,8 +294,8 @@ class _Problem:
         )
 
     def _table(self, value: Array) -> Singles:
-        """Flat table of W with points halfway between the grid points. Three entries follow: W
-        beyond the grid, W in the stopping box and W of an impossible tap."""
+        """Flat table of W at the grid points and at points halfway between them. Three entries are
+        appended: W beyond the grid, W in the stopping box and W of an impossible tap."""
         table: Singles = value.reshape(self.grid.shape).astype(np.float32)
         for axis in range(3):
             table = _halved(table, axis)
@@ -412,7 +419,7 @@ class _Problem:
 
 
 def _halved(table: Singles, axis: int) -> Singles:
-    """Insert the means of neighbouring entries between them along an axis."""
+    """Insert, along an axis, the mean between each two neighbouring entries."""
     moved = np.moveaxis(table, axis, 0)
     made = np.empty((2 * moved.shape[0] - 1, *moved.shape[1:]), dtype=np.float32)
     made[::2] = moved
@@ -426,7 +433,8 @@ def _lines_at(
     rows: NDArray[np.intp],
     shape: tuple[int, ...],
 ) -> Lines:
-    """Lines at these states; for a round object they are computed once per position."""
+    """Lines (see ``Lines``) at these states; for a round object they are computed once per
+    position."""
     if not space.is_round:
         return space.lines(places[rows])
     column = rows // shape[2]

@@ -1,12 +1,12 @@
 """Expected number of taps to a goal with fixed tappers, on a grid over the object's (x, y, theta).
 
 A state is the error relative to a fixed goal, because the position of the object determines which
-tappers can hit it and how. The grid is graded: its steps are uniform near the goal, grow in
-proportion to the distance from it, and stay below a widest one, because interpolation between
-states that no single tap connects is far too high. The cell of a state is found without a search. W
-is the least expected number of taps if at least one more tap must be made. The cost inside the
-stopping box is 0. If the objective is time, W is the least expected time, in units of
-``MEAN_TAP_S``. The scatter of a tap is represented by a fixed set of equally likely points.
+tappers can hit it and how. The grid is graded: its steps are uniform near the goal and then grow in
+proportion to the distance from it, up to a largest step. The limit is needed because interpolation
+between states that no single tap connects gives far too high values. The cell of a state is found
+without a search. W is the least expected number of taps if at least one more tap must be made. The
+cost inside the stopping box is 0. If the objective is time, W is the least expected time, in units
+of ``MEAN_TAP_S``. The scatter of a tap is represented by a fixed set of equally likely points.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tapping_cell.planning.settings import Scatter
 from tapping_cell.se2 import wrap_angle
 
 LOST = 40.0
-"""Cost, in taps, of a state without a tap towards the goal or of a forbidden state."""
+"""Cost, in taps, of a forbidden state and of a state from which no tap leads towards the goal."""
 
 MIN_SCATTER = Scatter(0.02, 0.04, 0.003)
 """Minimum scatter that plans assume."""
@@ -41,7 +41,8 @@ class Grading(NamedTuple):
 
     @property
     def _limits(self) -> tuple[float, float]:
-        """Where the steps become constant: distance, and coordinate asinh(distance / fine)."""
+        """Point from which the steps are constant: its distance, and its coordinate asinh(distance
+        / fine)."""
         distance = math.sqrt(max((self.widest / self.step) ** 2 - self.fine**2, 0.0))
         return distance, math.asinh(distance / self.fine)
 
@@ -77,7 +78,7 @@ class Grid(NamedTuple):
         return along, along, turn
 
     def coordinates(self, remaining: Array) -> Array:
-        """Fractional indices of states (..., 3): (3, ...)."""
+        """Fractional grid indices, (3, ...), of states (..., 3)."""
         return np.stack(
             [
                 self.along.steps(remaining[..., 0]) + self.size[0],
@@ -102,7 +103,8 @@ class Solution:
     value: Array
 
     def taps_to_go(self, error: ArrayLike) -> Array:
-        """Expected taps for errors (..., 3), object minus goal, if one more must be made."""
+        """Expected taps for errors (..., 3), object minus goal, if at least one more tap must be
+        made."""
         e = np.asarray(error, dtype=float)
         where = self.grid.coordinates(e)
         return np.asarray(map_coordinates(self.value, where, order=1, mode="constant", cval=LOST))
@@ -121,7 +123,8 @@ def scatter_points(count: int) -> Array:
 def states_after(
     error: Array, heading: Array, slope: Array, length: Array, scatter: Scatter, points: Array
 ) -> Array:
-    """Errors after taps at every scatter point: (..., k, p, 3) for lengths (..., k)."""
+    """Errors (object minus goal) after taps, at every scatter point: (..., k, p, 3) for lengths
+    (..., k)."""
     length, turn = length[..., None], (length * slope)[..., None]
     size = length + scatter.along(length) * points[:, 0]
     turned = heading[..., None] + scatter.across(length) / length * points[:, 2]

@@ -49,23 +49,23 @@ LENGTHS = 32
 """Number of tap lengths, in geometric progression, that a decision compares per tapper."""
 
 AROUND = np.array([0.94, 0.97, 1.0, 1.03])
-"""Factors on the length that ends nearest to the goal and on the length that corrects the
-rotation; the products are compared as well."""
+"""Multiples of two lengths that a decision compares as well: the length that ends nearest to the
+goal and the length that corrects the rotation."""
 
 POINTS = 24
 """Number of equally likely points that represent the scatter in a decision."""
 
 DEVIATIONS = 3.0
-"""Size of the uncertainty bound, in standard deviations, for which a slide must stay on the table
-and off the keep-outs."""
+"""Size of the uncertainty bound, in standard deviations, within which a slide must stay on the
+table and off the keep-outs."""
 
 RETRIEVABLE = 1.5
 """Size of the uncertainty bound, in standard deviations, within which another tap must be able to
-bring the object back. For an object that was never tapped, this bound is 1.4 times the slide that
-its file predicts."""
+bring the object back. For an object that was never tapped, this bound is 1.4 times the slide
+predicted from its file."""
 
 WAY = np.linspace(0.25, 1.0, 4)
-"""Shares of a slide at which its distance to the keep-outs is checked."""
+"""Fractions of a slide at which the object's distance to the keep-outs is checked."""
 
 
 class FixedTapperSession(GoalSession):
@@ -170,7 +170,7 @@ class FixedTapperSession(GoalSession):
             )
 
     def edge_warning(self, pose: ArrayLike) -> str:
-        """Return a warning if the object has left the working area, else an empty string."""
+        """Return a warning if the object is outside the working area, else an empty string."""
         clearance = float(self._space.area.clearance(np.asarray(pose, dtype=float)[:2]))
         if clearance >= 0.0:
             return ""
@@ -220,9 +220,9 @@ class FixedTapperSession(GoalSession):
             return Refusal(
                 RefusalReason.NO_STRIKE,
                 f"no safe tap of the object at {place_text(pose)} is possible: "
-                f"{int(lines.usable.sum())} of {lines.usable.size} tappers reach it, but would move"
-                " it out of the working area, into a keep-out or to where no tap can bring it"
-                " back; move the object by hand towards the middle",
+                f"{int(lines.usable.sum())} of {lines.usable.size} tappers can hit it, but they "
+                "would move it out of the working area, into a keep-out or to a place from which "
+                "no tap can bring it back; move the object by hand towards the middle",
             )
         index, commanded, length, expected = chosen
         plan = self._space.plan(index, pose, length)
@@ -231,9 +231,9 @@ class FixedTapperSession(GoalSession):
     def _best(
         self, pose: Array, left: Array, lines: Lines, usable: list[int]
     ) -> tuple[int, Array, float, Expected] | None:
-        """Return the tap with the least expected cost, in taps or time: index of the tapper,
-        commanded displacement (3,), its length and the expected effort. Return None if no tap is
-        acceptable."""
+        """Return the acceptable tap with the least expected cost, in taps or time: index of the
+        tapper, commanded displacement (3,), its length and the expected effort; None if there is
+        none."""
         assert self._solved is not None
         solution = self._solved.solution
         assert solution is not None, "the goal is not solved yet; check ready first"
@@ -248,7 +248,7 @@ class FixedTapperSession(GoalSession):
         if not np.any(allowed):
             return None
         size = np.maximum(np.hypot(expected[..., 0], expected[..., 1]), 1e-9)
-        # The error is object minus goal. The scatter is that with which the goal was solved.
+        # The error is object minus goal. The scatter is the one with which the goal was solved.
         states = states_after(
             np.broadcast_to(-left, (*size.shape, 3)),
             np.arctan2(expected[..., 1], expected[..., 0]),
@@ -275,9 +275,9 @@ class FixedTapperSession(GoalSession):
         return usable[int(best[0])], commanded[best], float(length[best]), effort
 
     def _ends_well(self, pose: Array, commanded: Array, expected: Array) -> BoolArray:
-        """Return which displacements (tappers, n, 3) are acceptable. Under all uncertainty the
-        object must stay on the table, off the keep-outs and where a tap can bring it back. An
-        object outside the working area must come nearer to the area."""
+        """Return which displacements (tappers, n, 3) are acceptable. Within the bounds of the
+        uncertainty, the object must stay on the table, off the keep-outs and where a tap can bring
+        it back. An object outside the working area must come nearer to the area."""
         far = self._way(pose, commanded, expected, DEVIATIONS)
         here = float(self._space.area.clearance(pose[:2]))
         needed = min(
@@ -293,8 +293,9 @@ class FixedTapperSession(GoalSession):
         return np.asarray(safe)
 
     def _way(self, pose: Array, commanded: Array, expected: Array, deviations: float) -> Array:
-        """Points on slides (tappers, n, 3) whose length and direction deviate by this many standard
-        deviations: (tappers, n, 3 directions, points, 2), m in `table`."""
+        """Points on slides whose length and direction deviate by ``deviations`` standard
+        deviations, for displacements (tappers, n, 3): (tappers, n, 3 directions, points, 2), m in
+        `table`."""
         spread = self.gains.spread(commanded, self.settings.scatter, deviations)
         size = np.hypot(expected[..., 0], expected[..., 1])
         heading = np.arctan2(expected[..., 1], expected[..., 0])
@@ -339,7 +340,8 @@ def check_fixed_goal(goal_pose: ArrayLike, space: FixedStrikeSpace) -> Refusal |
 
 
 def _displacement(heading: ArrayLike, slope: ArrayLike, length: ArrayLike) -> Array:
-    """Displacements (..., 3) from headings (rad), rotations per distance (rad/m), lengths (m)."""
+    """Compute displacements (..., 3) from headings (rad), rotations per distance (rad/m) and
+    lengths (m)."""
     size = np.asarray(length, dtype=float)
     along = np.broadcast_to(np.asarray(heading, dtype=float), size.shape)
     turn = np.broadcast_to(np.asarray(slope, dtype=float), size.shape)

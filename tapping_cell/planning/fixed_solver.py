@@ -1,9 +1,9 @@
-"""Cache of solved goals of fixed tappers; goals can be solved in separate processes.
+"""Solver of goals for fixed tappers, with a cache; goals can be solved in separate processes.
 
-Solving a goal takes seconds of processor time. A solver in a thread would block the interpreter for
-the other threads, and the planner's heartbeat would stop. The first tap waits for the coarse
-solution, so one process computes only coarse solutions. A second process refines them at a lower
-priority, so that it does not delay the images of the camera.
+Solving a goal takes seconds of processor time. A solver in a thread would keep the other threads
+from running, and the planner's heartbeat would stop. The first tap waits for the coarse solution,
+so one process computes only coarse solutions. A second process refines them at a lower priority, so
+that it does not delay the processing of camera images.
 """
 
 from __future__ import annotations
@@ -36,10 +36,12 @@ from tapping_cell.planning.settings import PlannerSettings
 KEPT_SOLUTIONS = 16
 
 FINER = (0.33, FINE)
-"""Steps of the grids that follow the coarse one in the background."""
+"""Step ratios (see ``Grading``) of the finer grids, which are solved in the background after the
+coarse grid."""
 
 SOLVING_NICENESS, REFINING_NICENESS = 0, 10
-"""Niceness of the process that solves goals coarsely, and of the one that refines the solutions."""
+"""Niceness of the process that solves goals on the coarse grid and of the process that refines
+them."""
 
 
 class SolvedGoal:
@@ -98,8 +100,8 @@ class Job:
 class GoalSolver:
     """Solves goals for one object and cell, and caches the last solutions.
 
-    ``background``: solve in separate processes and return the best solution so far. ``finer``:
-    steps of the grids after the coarse one.
+    ``background``: solve in separate processes and return the best solution so far. ``finer``: step
+    ratios of the grids after the coarse one.
     """
 
     def __init__(self, *, background: bool = False, finer: tuple[float, ...] = FINER) -> None:
@@ -143,9 +145,9 @@ class GoalSolver:
 
 
 class _Worker:
-    """A process that solves, which starts immediately and ends with this process.
+    """A process that solves goals. It starts immediately and ends with this process.
 
-    ``take`` is called in a thread with a job and each of its solutions, or with the error.
+    ``take`` is called in a thread, with a job and each of its solutions or with the error.
     """
 
     def __init__(
@@ -163,9 +165,10 @@ class _Worker:
         Thread(target=self._receive, name=f"{name}: solutions", daemon=True).start()
 
     def ask(self, job: Job) -> None:
-        """Request the solutions of a goal, which is solved before the goals requested earlier."""
+        """Request the solutions of a goal; this goal is solved before the goals requested
+        earlier."""
         self._asked[job.key] = job
-        # A job is larger than the pipe's buffer, so sending it waits for a busy process.
+        # A job is larger than the pipe's buffer, so sending blocks while the process is busy.
         self._unsent.put(job)
 
     def _send(self) -> None:

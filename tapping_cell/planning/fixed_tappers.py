@@ -26,14 +26,14 @@ from tapping_cell.planning.workspace import KeepOut, Workspace
 from tapping_cell.se2 import Pose
 
 STEEPEST = math.radians(60.0)
-"""Largest incidence of a tap. Beyond it, the striker may graze or miss the object because of a
-small error of its line."""
+"""Largest incidence of a tap. With a larger incidence, a small error of the striker's line could
+make it graze or miss the object."""
 
 STROKE_MARGIN = 0.003
 """Minimum remaining stroke at the contact, m."""
 
 BESIDES_FLIGHT_S = 0.40
-"""Mean time of a tap without the striker's flight to the object, s: messages to the board, the
+"""Mean time of a tap, s, without the striker's flight to the object: messages to the board, the
 slide, the images of the object at rest and the decision."""
 
 MEAN_TAP_S = 0.65
@@ -141,7 +141,7 @@ class FixedStrikeSpace:
     ) -> None:
         """``objective``: quantity that plans minimise, one of ``tap_times.OBJECTIVES``."""
         if not tappers:
-            raise PlanningError("a cell with fixed tappers needs at least one")
+            raise PlanningError("a cell with fixed tappers needs at least one tapper")
         self.tappers = tuple(
             replace(
                 tapper,
@@ -185,7 +185,7 @@ class FixedStrikeSpace:
         return made
 
     def with_mounts(self, mounts: Sequence[Pose]) -> FixedStrikeSpace:
-        """Return a copy with other mounts, in the order of the tappers (measured or learnt)."""
+        """Return a copy with other (measured or learnt) mounts, in the order of the tappers."""
         made = copy(self)
         made.tappers = tuple(
             replace(tapper, mount=mount) for tapper, mount in zip(self.tappers, mounts, strict=True)
@@ -194,8 +194,8 @@ class FixedStrikeSpace:
         return made
 
     def _clear_strokes(self) -> BoolArray:
-        """Return which tappers avoid all keep-outs along the whole stroke, because a striker that
-        misses the object makes the whole stroke."""
+        """Return which tappers avoid all keep-outs along the whole stroke; a striker that misses
+        the object makes the whole stroke."""
         clear = []
         for tapper in self.tappers:
             way = np.linspace(0.0, tapper.stroke, WAY_POINTS)
@@ -233,7 +233,7 @@ class FixedStrikeSpace:
         return groups
 
     def _lines_of(self, group: list[int], poses: Array) -> Lines:
-        """Lines of a group of tappers with the same mechanics; poses (..., 1, 3)."""
+        """Return the lines of a group of tappers with the same mechanics; poses (..., 1, 3)."""
         some = [self.tappers[index] for index in group]
         mounts = np.array([[item.mount.x, item.mount.y, item.mount.theta] for item in some])
         slowest, fastest = np.array([[item.slowest, item.fastest] for item in some]).T
@@ -251,7 +251,8 @@ class FixedStrikeSpace:
         return Lines(usable, heading, slope, reach, least, most, hit.travel)
 
     def plan(self, index: int, pose: ArrayLike, distance: float) -> StrikePlan:
-        """Return the strike of tapper ``index`` that moves an object at (3,) by a distance in m."""
+        """Return the strike of tapper ``index`` that moves an object at ``pose`` (3,) by a distance
+        in m."""
         held = np.asarray(pose, dtype=float)
         tapper = self.tappers[index]
         mount = tapper.mount

@@ -1,9 +1,9 @@
 """Map of the places where an object can be tapped, and path lengths from there to the goal.
 
-A place is *tappable* if the object fits there and can be tapped in enough
-directions: no half plane of directions is missing. From such a place every remaining error can be
-corrected, if necessary by a zigzag. Taps may only end at tappable places, and the goal must be
-tappable, so that a run does not get stuck. Path lengths around keep-outs are computed on a grid
+A place is *tappable* if the object fits there and can be tapped in enough directions: no gap
+between the directions exceeds ``WIDEST_GAP``. From such a place every remaining error can be
+corrected, if necessary by a zigzag of taps. Taps may only end at tappable places, and the goal must
+be tappable, so that a run does not get stuck. Path lengths around keep-outs are computed on a grid
 with 16 neighbours per cell (accurate to 3 %) by Dijkstra's algorithm (Dijkstra 1959).
 """
 
@@ -35,7 +35,7 @@ WIDEST_GAP = math.radians(150.0) + 1e-9
 """Largest allowed angle between neighbouring directions of possible taps, below 180 degrees."""
 
 TURNS = (-0.7, 0.0, 0.7)
-"""Rotations of the taps tried, as shares of the cone."""
+"""Rotations of the taps tried, as fractions of the cone's slope."""
 
 TYPICAL_TAP = 0.010
 """Distance of the taps tried, m. The choice is arbitrary because the pose of a strike depends only
@@ -47,7 +47,7 @@ STEPS = [(1, 0), (1, 1), (0, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1)]
 SIGHT_POINTS = 16
 
 MASKS_KEPT = 400
-"""Maximum number of keep-outs whose masks are cached, about 40 kB each."""
+"""Maximum number of keep-outs whose masks are cached; a mask takes about 40 kB."""
 
 
 class FreeSpace:
@@ -68,7 +68,8 @@ class FreeSpace:
         self._set(space, _pack(_blocked(space, centres, self._tips)))
 
     def _set(self, space: StrikeSpace, blocked: NDArray[np.uint32]) -> None:
-        """``blocked``: bit masks of the impossible tap directions, (turns, cells x, cells y)."""
+        """Set the map; ``blocked``: bit masks of the impossible tap directions, (turns, cells x,
+        cells y)."""
         self._space = space
         self._blocked = blocked
         self._strikable = ~np.any(_has_long_run(blocked), axis=0)
@@ -76,8 +77,8 @@ class FreeSpace:
         self.tappable: BoolArray = self._strikable & fits
 
     def among(self, areas: Sequence[KeepOut]) -> FreeSpace:
-        """Return the map with additional keep-outs. This is fast because the arm's reach is not
-        computed again."""
+        """Return a copy of the map with additional keep-outs. This is fast because the arm's reach
+        is not computed again."""
         made = copy(self)
         for name in ("_graph", "_nearest", "regions"):
             made.__dict__.pop(name, None)
@@ -107,7 +108,8 @@ class FreeSpace:
 
     @cached_property
     def regions(self) -> NDArray[np.int32]:
-        """Region number of each cell (flat): connected tappable cells from 1, other cells 0."""
+        """Number of the region of each cell (flat): connected tappable cells share a number from 1
+        on; other cells have 0."""
         return np.asarray(label(self.tappable, structure=np.ones((3, 3)))[0].reshape(-1))
 
     def contains(self, points: ArrayLike) -> BoolArray:
@@ -139,7 +141,8 @@ class FreeSpace:
         return np.asarray(corner + CELL * np.concatenate(edges))
 
     def nearest_cells(self, points: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """Nearest tappable cell of each point (flat index) and its distance; inf if none exists.
+        """Tappable cell nearest to each point (flat index), and its distance, m; inf if there is
+        none.
 
         Accurate to the size of a cell: all points in one cell have the same nearest cell.
         """
@@ -176,7 +179,8 @@ class FreeSpace:
 
 
 class PathLengths:
-    """Path lengths to one goal: the straight distance if it is free, else the path around."""
+    """Path lengths to one goal: the straight distance where it is free, else that around
+    obstacles."""
 
     def __init__(self, free: FreeSpace, goal: Array) -> None:
         self._free = free
@@ -204,8 +208,9 @@ class PathLengths:
 def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
     """Largest gap between directions of possible taps for objects at ``centres`` (..., 2), rad.
 
-    This is the worst case of taps that turn the object left, right and not at all. Only the arm's
-    reach and the clearance of the tool are checked, not the slide of the object.
+    The gap is computed for taps that rotate the object to the left, to the right and not at all;
+    the largest of the three is returned. Only the arm's reach and the clearance of the tool are
+    checked, not the slide of the object.
     """
     p = np.asarray(centres, dtype=float)
     gap = np.zeros(p.shape[:-1])
@@ -219,8 +224,8 @@ def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
 
 
 def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
-    """Return which taps the arm's reach or the tool's clearance exclude: (turns, cells x, cells y,
-    directions)."""
+    """Return which taps are impossible because of the arm's reach or the tool's clearance: (turns,
+    cells x, cells y, directions)."""
     found = []
     for turn in tips:
         poses = np.empty((*centres.shape[:-1], DIRECTIONS, 3))
@@ -238,7 +243,7 @@ def _tool_in(area: KeepOut, space: StrikeSpace, centres: Array, tips: Sequence[A
     offset = (np.array([round_area.x, round_area.y]) - centres).reshape(-1, 2).astype(np.float32)
     found = np.stack([_circle_hits(offset, turn, round_area.radius, space) for turn in tips])
     if not isinstance(area, CircleArea):
-        # Only the tools that hit the circle around the polygon can hit the polygon.
+        # Only tools that hit the circle around the polygon can hit the polygon.
         turn, cell, direction = np.nonzero(found)
         poses = np.stack(tips)[turn, direction]
         poses[:, :2] += centres.reshape(-1, 2)[cell]
@@ -251,7 +256,7 @@ def _tool_in(area: KeepOut, space: StrikeSpace, centres: Array, tips: Sequence[A
 
 
 def _around(area: PolygonArea) -> CircleArea:
-    """Return a circle that contains a polygon, slightly enlarged against rounding."""
+    """Return a circle that contains a polygon, slightly enlarged to allow for rounding errors."""
     corners = np.asarray(area.vertices)
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     reach = float(np.hypot(*(corners - middle).T).max())
@@ -284,8 +289,8 @@ def _pack(missing: BoolArray) -> NDArray[np.uint32]:
 
 
 def _has_long_run(blocked: NDArray[np.uint32]) -> BoolArray:
-    """Return whether more adjacent directions are missing than ``WIDEST_GAP`` allows."""
-    # smallest number of blocked directions that is too wide a gap
+    """Return whether more adjacent directions are blocked than ``WIDEST_GAP`` allows."""
+    # smallest number of adjacent blocked directions that makes too wide a gap
     needed = int(WIDEST_GAP / (2.0 * math.pi / DIRECTIONS))
     full = np.uint32((1 << DIRECTIONS) - 1)
 
@@ -322,7 +327,8 @@ def _tips_around(space: StrikeSpace) -> list[Array]:
 
 
 def _largest_run(missing: BoolArray) -> Array:
-    """Angle, rad, between the directions that enclose the longest run of missing directions.
+    """Angle, rad, between the two directions on either side of the longest run of missing
+    directions.
 
     ``missing``: flags (..., DIRECTIONS). Returns (...,).
     """
@@ -364,7 +370,7 @@ def _nearest_cells(tappable: BoolArray) -> NDArray[np.intp]:
 
 
 def _hull_mask(tappable: BoolArray) -> BoolArray:
-    """Cells between two tappable cells of the same column or of the same row."""
+    """Return which cells lie between two tappable cells of the same column or of the same row."""
 
     def between(cells: BoolArray, axis: int) -> BoolArray:
         before = np.logical_or.accumulate(cells, axis=axis)

@@ -1,18 +1,18 @@
-"""Online estimation of the ratio between the object's true displacements and the model's.
+"""Online estimation of how an object's true displacements differ from those of the model.
 
 A tap commanded as (d, turn, direction) and measured as (d', turn', direction') gives
 
     ln(d' / d)             = a                      a: logarithm of the gain of the distance
     turn' / d'             = G turn / d + o x u     G: gain of the rotation per distance
-    direction' - direction = e + f turn / d         e, f: steady error of direction, and its growth
+    direction' - direction = e + f turn / d         e, f: constant direction error, and its growth
 
-Each equation is estimated separately. u is the direction of travel in the object's frame. o is an
-offset of two numbers, for an object whose centre of mass or of friction is not at its middle: the
-rotation per distance (rad/m) that a tap through the middle causes. The rotation is divided by the
-measured distance because friction scales both equally; G therefore describes only the torque of the
-friction. Each estimate is a ``Belief``. Its prior mixes a narrow distribution, for an accurate
-object file, with wide ones. Measurements are weighted by the tap's scatter and the camera's noise,
-and outliers are distinguished from lasting changes.
+The unknowns of each equation are estimated separately. u is the direction of travel in the object's
+frame. o is an offset with two components, for an object whose centre of mass or of friction is not
+at its middle: the rotation per distance (rad/m) that a tap through the middle causes. The rotation
+is divided by the measured distance because friction scales both equally; G therefore describes only
+the torque of the friction. Each estimate is a ``Belief``. Its prior is a mixture of a narrow
+distribution, for an accurate object file, and wide ones. Measurements are weighted by the tap's
+scatter and the camera's noise, and outliers are distinguished from lasting changes.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from tapping_cell.planning.settings import CameraNoise, Scatter
 from tapping_cell.se2 import wrap_angle
 
 NAMES = ("distance", "rotation", "direction", "direction_growth", "offset_x", "offset_y")
-"""Distance gain; gain of the rotation per distance; direction error in rad; growth of this error in
-rad per rad/m; rotation per distance (rad/m) of taps through the middle along -y and +x of the
-object."""
+"""Names of the learnt parameters: distance gain; gain of the rotation per distance; direction error
+in rad; growth of this error in rad per rad/m; rotation per distance (rad/m) of taps through the
+middle along -y and +x of the object."""
 
 LOWEST = np.array([0.1, 0.1, -0.5, -0.05, -20.0, -20.0])
 HIGHEST = np.array([10.0, 10.0, 0.5, 0.05, 20.0, 20.0])
@@ -58,8 +58,8 @@ ROTATION = Prior(
     change=3,
     span=20.0,
 )
-"""Prior of (G, o): an object that matches its file, one with G within a factor of 3, one with an
-offset, and one with both."""
+"""Prior of (G, o): a mixture for an object that matches its file, one whose G is within a factor of
+3, one with an offset, and one with both deviations."""
 
 DIRECTION = Prior(
     weight=np.array([0.85, 0.15]),
@@ -68,20 +68,21 @@ DIRECTION = Prior(
     change=1,
     span=2.0 * math.pi,
 )
-"""Prior of (e, f): usually a standard deviation of 0.6 degrees, else errors up to 20 degrees."""
+"""Prior of (e, f): usually a standard deviation of 0.6 degrees, rarely errors of up to 20
+degrees."""
 
 MIN_SLOPE = 0.1
 """Standard deviation, rad/m, of the rotation per distance of a tap without commanded rotation. It
-corresponds to an arm that is 0.2 mm beside the middle of the paper's disk."""
+corresponds to a position error of the arm of 0.2 mm for the paper's disk."""
 
 KEPT = 0.95
 """Probability that the gains of an earlier run are still valid."""
 
 MIN_MOVE = 1e-6
-"""Displacements below this length, m, count as no displacement."""
+"""Length, m, below which a displacement counts as zero."""
 
 UNEXPLAINED = 0.5
-"""A tap is an outlier if the probability that it is a valid measurement is below this."""
+"""Probability of being a valid measurement below which a tap is an outlier."""
 
 
 _ONE_DEVIATION = (float(ndtr(-1.0)), float(ndtr(1.0)))
@@ -103,8 +104,8 @@ class Gains:
     """Learnt parameters of one object, or of several objects (leading axes).
 
     distance: belief about (a,). rotation: belief about (G, o_x, o_y). direction: belief about
-    (e, f). taken, outliers: shape (...), numbers of explained taps and of outliers.
-    surprised: shape (...), whether the last tap was an outlier.
+    (e, f). taken, outliers: shape (...), number of taps that the model explains and number of
+    outliers. surprised: shape (...), whether the last tap was an outlier.
     """
 
     distance: Belief
@@ -161,11 +162,12 @@ class Gains:
         return np.concatenate([distance, rotation[..., :1], direction, rotation[..., 1:]], axis=-1)
 
     def to_plan(self, remaining: ArrayLike) -> tuple[Array, Array, Array]:
-        """Convert residuals (..., 3), dx, dy (m) and rotation (rad), for a planning method.
+        """Convert residuals (..., 3), dx, dy (m) and rotation (rad), to the input of a planning
+        method.
 
-        Returns the distance (m), the rotation (rad) scaled such that the cone has its nominal
-        slope, and the heading (rad). The distance is not scaled, so that the stopping box and the
-        smallest tap keep their size.
+        Returns the distance (m), the rotation (rad) divided by its gain, so that the cone of
+        possible taps has its nominal slope, and the heading (rad). The distance is not scaled, so
+        that the stopping box and the smallest tap keep their size.
         """
         left = np.asarray(remaining, dtype=float)
         turn = left[..., 2] / self.value[..., 1]
@@ -180,10 +182,12 @@ class Gains:
         orientation: ArrayLike,
         cone_slope: float = math.inf,
     ) -> Array:
-        """Displacements (..., 3) to request from the mechanics, for taps as from ``to_plan``.
+        """Compute the displacements (..., 3) to request from the mechanics for the taps of a
+        planning method.
 
-        orientation: orientation of the object before the tap, rad. cone_slope: limit of the
-        commanded rotation per distance, rad/m; the compensation of the offset is cut off there.
+        distance, rotation, heading: as returned by ``to_plan``. orientation: orientation of the
+        object before the tap, rad. cone_slope: limit of the commanded rotation per distance, rad/m;
+        it also limits the compensation of the offset.
         """
         return command_of(self.value, distance, rotation, heading, orientation, cone_slope)
 
@@ -217,7 +221,7 @@ class Gains:
         moved = np.hypot(seen[..., 0], seen[..., 1])
         usable = np.isfinite(moved) & np.isfinite(seen[..., 2]) & np.isfinite(asked)
         usable = usable & (asked > MIN_MOVE)
-        # The parts of the error that do not depend on the size of the tap.
+        # Standard deviations of the parts of the error that do not depend on the size of the tap.
         place = math.hypot(math.sqrt(2.0) * camera.position, scatter.position_floor)
         angle = math.hypot(math.sqrt(2.0) * camera.angle, scatter.angle_floor)
         least = np.where(usable, np.maximum(moved, max(place, MIN_MOVE)), 1.0)
@@ -236,7 +240,7 @@ class Gains:
             zero,
             np.hypot(scatter.distance, aim),
         )
-        # The direction and the rotation per distance of a very short slide are not measurable.
+        # The direction and the rotation per distance of a very short slide cannot be measured.
         still = np.where(moved > 3.0 * place, blank, math.nan)
         rotation, turned = self.rotation.observe(
             ROTATION,
@@ -267,11 +271,12 @@ class Gains:
         )
 
     def spread(self, commanded: ArrayLike, scatter: Scatter, deviations: float) -> Spread:
-        """Bounds of the deviation of commanded displacements (..., 3) from ``predict``.
+        """Return bounds of the deviation of true displacements from ``predict``, for commands (...,
+        3).
 
-        They include the scatter and the belief with a possible change at the last tap.
-        ``deviations``: size of the bounds, in standard deviations of a normal distribution with the
-        same probability on each side.
+        The bounds include the scatter, the uncertainty of the gains and a possible change of the
+        object at the last tap. ``deviations``: size of the bounds, as the number of standard
+        deviations of a normal distribution with the same tail probability.
         """
         command = np.asarray(commanded, dtype=float)
         length = np.hypot(command[..., 0], command[..., 1])
@@ -279,7 +284,8 @@ class Gains:
         slope = command[..., 2] / size
         high, low = float(ndtr(deviations)), float(ndtr(-deviations))
         one = np.ones_like(slope)
-        # Without a floor the quantile is the same for all taps of an object, which saves time.
+        # Without a floor, the quantile is the same for all taps of an object and is computed only
+        # once.
         every = size if scatter.position_floor > 0.0 else np.ones(self.taken.shape)
         stretch = scatter.along(every) / every
         longest = self.distance.quantile(np.ones((*every.shape, 1)), high, stretch)
@@ -300,8 +306,8 @@ class Gains:
     ) -> Array:
         """Covariance (3, 3), m and rad, of the displacement caused by one command (3,).
 
-        Half of the interval that contains 68 % of the belief and the scatter is used as the
-        standard deviation, because the belief has heavier tails than a normal distribution.
+        Half the width of the interval with a probability of 68 % is used as the standard deviation,
+        because the belief has heavier tails than a normal distribution.
         """
         command = np.asarray(commanded, dtype=float)
         x, y, turn = self.predict(command, orientation).tolist()
@@ -342,7 +348,7 @@ class Gains:
         """Restore gains saved by ``as_numbers``, for the same object in a later run.
 
         The saved numbers replace the narrow priors. The wide priors stay, because friction may have
-        changed with the table or the humidity.
+        changed, for example with the table or the humidity.
 
         Raises:
             PlanningError: a number is missing, not finite or outside its bounds.
@@ -358,9 +364,9 @@ class Gains:
                 or not 0.0 <= spread <= widest
             ):
                 raise PlanningError(
-                    f"the saved gain of {name} is {kept!r} with deviation {spread!r}; the limits "
-                    f"are {LOWEST[index]:g} to {HIGHEST[index]:g} with 0 to {widest:g}; delete "
-                    "the file to start without saved gains"
+                    f"the saved gain of {name} is {kept!r} with deviation {spread!r}; the gain "
+                    f"must be {LOWEST[index]:g} to {HIGHEST[index]:g} and the deviation 0 to "
+                    f"{widest:g}; delete the file to start without saved gains"
                 )
             value[index], deviation[index] = kept, spread
         made = cls.start()
@@ -378,7 +384,7 @@ def command_of(
     orientation: ArrayLike,
     cone_slope: float = math.inf,
 ) -> Array:
-    """``Gains.command`` for ``Gains.value`` (..., 6), which broadcasts with the taps."""
+    """Compute ``Gains.command`` from ``Gains.value`` (..., 6), which broadcasts with the taps."""
     travel = np.asarray(distance, dtype=float)
     size = np.maximum(np.abs(travel), 1e-12)
     along = np.asarray(heading, dtype=float) + np.where(travel < 0.0, math.pi, 0.0)
@@ -391,7 +397,7 @@ def command_of(
 
 
 def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -> Array:
-    """``Gains.predict`` for ``Gains.value`` (..., 6), which broadcasts with the taps."""
+    """Compute ``Gains.predict`` from ``Gains.value`` (..., 6), which broadcasts with the taps."""
     command = np.asarray(commanded, dtype=float)
     length = np.hypot(command[..., 0], command[..., 1])
     slope = command[..., 2] / np.maximum(length, 1e-12)
@@ -404,7 +410,7 @@ def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -
 
 
 def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None:
-    """Replace the narrowest prior by saved numbers, with a higher weight than a file's prior."""
+    """Replace the narrowest prior by saved numbers, and give it a higher weight, ``KEPT``."""
     belief.weight[1:] *= (1.0 - KEPT) / belief.weight[1:].sum()
     belief.weight[0] = KEPT
     belief.mean[0] = np.asarray(mean)

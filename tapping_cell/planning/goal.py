@@ -19,7 +19,8 @@ def place_text(pose: ArrayLike) -> str:
 
 
 def others_text(space: StrikeSpace) -> str:
-    """Clause for a refusal that names the other objects on the table, or an empty string."""
+    """Return a clause for refusals that names the other objects on the table, or an empty
+    string."""
     others = space.workspace.others()
     return f"; the camera also sees {others}: remove the obstacles" if others else ""
 
@@ -82,9 +83,9 @@ def check_goal(
     if free is not None or gap > WIDEST_GAP:
         return Refusal(
             RefusalReason.GOAL_OUT_OF_REACH,
-            f"at the goal {place_text(goal)} the arm cannot tap from a range of "
-            f"{math.degrees(gap):.0f} degrees of directions; at most "
-            f"{math.degrees(WIDEST_GAP):.0f} degrees may be missing for a tap to be corrected; "
+            f"at the goal {place_text(goal)} the arm cannot tap from directions in a range of "
+            f"{math.degrees(gap):.0f} degrees; to correct every error, at most "
+            f"{math.degrees(WIDEST_GAP):.0f} degrees may be missing; "
             "choose a goal nearer to the middle of the arm's reach, or away from keep-outs"
             + others_text(space),
         )

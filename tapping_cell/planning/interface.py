@@ -27,8 +27,9 @@ class Taps(NamedTuple):
 class Planner(Protocol):
     """A planning method: chooses the next tap from the residual to the goal.
 
-    ``choose`` is a vectorised pure function of the residual that never raises. It returns a tap
-    even inside the stopping box, because a noisier observation than usual may require one more tap.
+    ``choose`` is a vectorised pure function of the residual and never raises an exception. It
+    returns a tap even for a residual inside the stopping box, because an observation that is
+    noisier than usual may require one more tap.
     """
 
     @property
@@ -57,8 +58,8 @@ class TapValues(Protocol):
     def taps_after(
         self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
     ) -> Array | None:
-        """Expected number of taps after a tap, (directions, sizes, turns); infinite outside the
-        cone. Return None while no solution is available.
+        """Return the expected number of further taps after a tap, (directions, sizes, turns), which
+        is infinite outside the cone. Return None while no solution is available.
 
         distance, rotation: residual before the tap, m and rad. aside: directions of the tap
         relative to the direction of the goal, rad. sizes: m, above 0. turns: rad.

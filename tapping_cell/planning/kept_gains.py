@@ -2,7 +2,8 @@
 
 The file is ``$XDG_STATE_HOME/tapping_cell/gains/<cell>/<object>.json``, or below ``~/.local/state``
 if the variable is not set. Gains are saved only on request, because they are valid only for one
-object on one table at one humidity, and gains of a simulated cell only for that cell.
+object on one table at one humidity, and gains learnt in a simulated cell are valid only for that
+cell.
 """
 
 from __future__ import annotations

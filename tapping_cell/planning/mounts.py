@@ -1,9 +1,10 @@
 """Online estimation of the mount errors of fixed tappers.
 
-If a line of travel has an ``offset`` (m, to the left of its direction) and an ``angle`` (rad), the
-contact changes, and with it the direction and the rotation per distance of the tap: by about
-0.7 degrees per mm for the paper's disk. Every tap measures these two. A Kalman update estimates
-the two numbers of the tapper that fired, with derivatives from finite differences of the mechanics.
+A mount error is an ``offset`` of the striker's line of travel (m, to the left of its direction) and
+an ``angle`` (rad). It changes the contact, and therefore the direction of the tap (by about 0.7
+degrees per mm for the paper's disk) and its rotation per distance. Every tap measures both. A
+Kalman filter estimates the offset and the angle of the tapper that fired, with derivatives from
+finite differences of the mechanics.
 """
 
 from __future__ import annotations

@@ -1,12 +1,14 @@
 """Multi-tap plans: cones chained backwards from the stopping box (Huang and Mason, section 4.3).
 
-Cone 0 is the box. A state belongs to cone i if some tap moves its whole error line (the rotation
-times 1 +- ``error_line``) into the cones below i. At a distance r a cone is an interval
-|theta| <= h_i(r), because the error lines of rotations from 0 to the largest cover the interval.
+Cone 0 is the box. A state belongs to cone i if some tap moves it into the cones below i for every
+possible rotation of the tap. These rotations form the error line of the tap: its rotation times 1
++- ``error_line``. At a distance r, a cone is an interval |theta| <= h_i(r), because the error lines
+of all rotations from 0 to the largest cover the interval. With s = ``error_line`` and the slope k
+of the cone of a tap,
 
     h_i(r) = largest over taps d of  H + (1 - s) min(k |d|, H / s),   H = h_(i-1)(|r - d|)
 
-(the far end of the line must stay below H and its near end above -H). The paper's task takes five
+so that the far end of the line stays below H and its near end above -H. The paper's task takes five
 taps with error lines of 60 %, and two taps with 30 %. These numbers are guaranteed as long as the
 errors stay within the lines.
 """
@@ -25,11 +27,11 @@ from tapping_cell.planning.lookup import bracket
 from tapping_cell.planning.settings import PlannerSettings
 
 ERROR_LINE = 0.6
-"""Four times the standard deviation of the rotation's scatter (15 %). It gives five taps for the
-paper's task."""
+"""Four times the standard deviation of the rotation's scatter (15 %). With this value, the paper's
+task takes five taps."""
 
 AIM = 0.3
-"""The last tap must aim within this share of the box's distance from the goal."""
+"""Share of the box's distance: the last tap must aim within this distance from the goal."""
 
 FARTHEST = 1.0
 """Distance in m up to which cones are chained."""
@@ -41,11 +43,11 @@ ROWS = 2048
 
 
 class MultiPlanner:
-    """Planner whose taps lead to a lower cone, which needs fewer taps, for all ends on the error
-    line.
+    """Planner whose taps lead to a lower cone, with fewer remaining taps, for all errors on the
+    error line.
 
-    Among the taps with this guarantee it chooses the tap whose expected end is in the lowest cone,
-    and among these the shortest tap.
+    Among the taps with this guarantee it chooses the tap whose expected end is in the lowest cone;
+    if there are several, it chooses the shortest.
     """
 
     name = "multi"
@@ -63,7 +65,8 @@ class MultiPlanner:
         far = np.geomspace(4.0 * least, max(FARTHEST, 4.0 * most), 220)
         self.distances: Array = np.concatenate([near, far])
         self.cones: Array = self._chain()
-        """Half openings h_i (rad) at ``distances``, one row per cone from cone 1; -1 if empty."""
+        """Half openings h_i (rad) of the cones at ``distances``, one row per cone from cone 1 on;
+        -1 where a cone is empty."""
 
     def planned_taps(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
         """Number of the state's cone, which is the number of planned taps; 0 inside the box."""
@@ -82,7 +85,8 @@ class MultiPlanner:
         return np.where((r <= box.distance) & (theta <= box.rotation), 0, level)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Planned taps plus a share of the path length, which ranks the states within a cone."""
+        """Number of planned taps plus a term that grows with the path length and ranks the states
+        within a cone."""
         settings = self.settings
         r = np.asarray(distance, dtype=float)
         path = np.maximum(r, np.abs(rotation) / settings.cone_slope)
@@ -93,7 +97,8 @@ class MultiPlanner:
         )
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
-        """Choose a tap into a lower cone or, if there is none, the tap that ends nearest to one."""
+        """Choose a tap that leads into a lower cone or, if there is none, the tap that ends nearest
+        to the goal."""
         r, signed = np.broadcast_arrays(
             np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
         )

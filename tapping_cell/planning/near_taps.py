@@ -26,7 +26,7 @@ from tapping_cell.planning.tap_times import TapTimes
 DIRECTIONS: Array = np.arange(24, dtype=np.float64) * (2.0 * math.pi / 24)
 SIZE_RATIO = 1.35
 SHARES = np.array([-1.0, -0.5, 0.5, 1.0])
-"""Rotations that are tried, as shares of the largest rotation of each size."""
+"""Rotations that are tried for each size, as shares of the largest rotation."""
 
 
 class NearTaps(NamedTuple):
@@ -85,8 +85,9 @@ def best_first(
     times: TapTimes,
     tip: Array,
 ) -> Array:
-    """Return the possible taps in the order of their expected times, (m, 3). If no direct tap to
-    the goal is possible after a tap, its cost is up to one tap higher.
+    """Return the possible taps in the order of their expected times, (m, 3).
+
+    If the arm cannot tap directly to the goal afterwards, a tap's cost is up to one tap higher.
 
     ``space``: strike space; ``times``: durations of the arm's motions; ``tip``: pose of the arm's
     tip, x, y, height, yaw in `table`. The other arguments are as for ``near_taps``.
@@ -95,8 +96,8 @@ def best_first(
     after = gains.predict(commanded, pose[2])
     following = _strikes_to_goal(pose + after, left - after, space)
     clearance = np.any(space.elbows(following), axis=-1) & space.tool_is_clear(following)
-    # Probability of a direct tap: 1 if one tap follows, 0 if two follow (the first may go in any
-    # direction).
+    # Probability that the next tap goes straight to the goal: 1 if one tap follows, 0 if two or
+    # more follow, because the first of these may go in any direction.
     direct = np.clip(np.minimum(follow, 2.0 - follow), 0.0, 1.0)
     cost = follow + np.where(clearance, 0.0, direct)
     possible, strikes = space.strike_poses(pose, commanded)

@@ -10,11 +10,12 @@ from tapping_cell.planning.settings import PlannerSettings
 
 
 def nominal_taps(distance: ArrayLike, rotation: ArrayLike, settings: PlannerSettings) -> Array:
-    """Number of taps without errors: 0 in the box, 1 in the cone, 2 or more outside the cone.
+    """Number of taps if they have no errors: 0 in the box, 1 in the cone, 2 or more outside the
+    cone.
 
-    Far from the goal it depends on the path length, which is the larger of the distance and the
-    rotation divided by the cone's slope. A small share of this length is added so that of states
-    with equal counts the nearer state has the lower value.
+    Far from the goal the number grows with the path length, which is the larger of the distance and
+    the rotation divided by the cone's slope. A small share of this length is added, so that the
+    nearer of two states with the same number of taps has the lower value.
     """
     r, theta = np.asarray(distance, dtype=float), np.abs(np.asarray(rotation, dtype=float))
     k, most = settings.cone_slope, settings.largest_distance

@@ -16,7 +16,8 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35
-"""Neighbouring taps are interpolated if they differ by at most this share of the largest tap."""
+"""Largest difference of the taps at neighbouring grid points that are interpolated, as a share of
+the longest of them."""
 
 
 class OptimalPolicy:
@@ -50,9 +51,9 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps for these residuals: 0 inside the box; beyond the grid, one more tap
+        """Expected taps for these residuals: 0 inside the box. Beyond the grid, one tap is added
         for each length of the largest tap."""
-        # Rotations may exceed half a turn because they are scaled by the learnt gain.
+        # Rotations divided by the learnt gain may exceed half a turn.
         most = self.settings.largest_distance
         far = np.asarray(distance, dtype=float) - self._solution.distances[-1]
         turned = np.abs(np.asarray(rotation, dtype=float)) - self._solution.rotations[-1]
@@ -138,11 +139,12 @@ class OptimalPlanner:
         return self.ready
 
     def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
-        """Return the optimal tap, or the fallback method's while the policy is being solved."""
+        """Return the optimal tap, or the tap of the fallback method while the plan is being
+        solved."""
         return (self._policy or self._fallback).choose(distance, rotation)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps, or the fallback's count while the plan is being solved."""
+        """Expected taps, or the estimate of the fallback method while the plan is being solved."""
         return (self._policy or self._fallback).taps_to_go(distance, rotation)
 
     def taps_after(

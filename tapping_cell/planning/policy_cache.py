@@ -3,7 +3,7 @@
 Each plan is a file in ``$XDG_CACHE_HOME/tapping_cell/policies`` (``~/.cache`` if the variable is
 not set). A file is written under a temporary name and renamed, so that readers never see an
 incomplete file. If a file cannot be read, the plan is solved again. If a file cannot be written,
-only the time for solving is lost.
+the plan is solved again the next time.
 """
 
 from __future__ import annotations

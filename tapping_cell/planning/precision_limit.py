@@ -1,4 +1,4 @@
-"""Finest tolerance that taps of an object can meet, given the scatter of its smallest tap."""
+"""Check whether taps can meet a tolerance, given the scatter of the object's smallest tap."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.stopping import inside_probability
 
 MIN_SHARE = 0.05
-"""Minimum share of the smallest taps that must end within the tolerance. If only one of twenty taps
-ends there, a goal takes about forty taps, because each failed tap requires another tap away from
-the goal."""
+"""Minimum share of the smallest taps that must end within the tolerance. If only one in twenty taps
+ends within the tolerance, a goal takes about forty taps, because each failed tap requires another
+tap away from the goal."""
 
 
 def smallest_tap_share(settings: PlannerSettings) -> float:
     """Share of the smallest taps that end in the stopping box if they start exactly their own
     length from the goal and point straight towards it."""
     least, scatter, camera = settings.smallest_distance, settings.scatter, settings.camera
-    # One observation is used for aiming the tap and another one for judging it.
+    # Two observations contribute noise: one for aiming the tap and one for judging its result.
     camera_noise = 2.0 * camera.position**2
     turn = 2.0 * camera.angle**2 + scatter.angle_floor**2
     along = float(scatter.along(least)) ** 2 + camera_noise
@@ -47,7 +47,7 @@ def precision_limit(settings: PlannerSettings) -> str:
         f"the tolerance of {1e3 * settings.tolerance_position:.3g} mm and "
         f"{math.degrees(settings.tolerance_angle):.3g} degrees is too fine for the smallest tap: "
         f"its {1e3 * least:.3g} mm scatter by {1e3 * along:.2g} mm in distance and "
-        f"{1e3 * across:.2g} mm across{turned}, so that {100.0 * share:.2g} % of such taps would "
-        f"end inside; {100.0 * MIN_SHARE:.0f} % are needed. Widen the tolerance, or make smaller "
-        "or more even taps (smallest_tap and scatter of the object's file)"
+        f"{1e3 * across:.2g} mm across{turned}, so that only {100.0 * share:.2g} % of such taps "
+        f"would end within it; {100.0 * MIN_SHARE:.0f} % are needed. Widen the tolerance, or make "
+        "smaller or more repeatable taps (smallest_tap and scatter of the object's file)"
     )

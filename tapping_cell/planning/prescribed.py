@@ -3,9 +3,9 @@
 Such taps are for experiments that measure the object, in which the planner must not choose the tap.
 The contact is chosen among those whose normal passes through the centre of mass (every contact of a
 round body, one contact per edge of a polygon), so that the rotation depends on the incidence alone.
-The experiment is to identify the object's mechanics. The prior model only has to be accurate enough
-to keep the object on the table and in the camera's view, and the required clearance allows for
-large errors of the model (``MODEL_DEVIATION``).
+Before the experiment the object's mechanics are known only roughly. The model only has to be
+accurate enough to keep the object on the table and in the camera's view, and the required clearance
+allows for large errors of the model (``MODEL_DEVIATION``).
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ MODEL_DEVIATION = Scatter(distance=0.10, rotation=0.20, direction=math.radians(2
 factor change the distance by about 30 %, which is three of these standard deviations."""
 
 LARGEST_INCIDENCE = math.radians(60.0)
-"""Largest allowed incidence. Beyond it, a striker slightly off its line may graze or miss the
-object."""
+"""Largest allowed incidence. With a larger incidence, a striker slightly off its line may graze or
+miss the object."""
 
 CONTACTS = 72
 """Number of contacts tried around a round body."""
 
 SHORT = 0.003
-"""Largest distance between the actual and the intended contact along the striker's travel, m."""
+"""Largest distance, m, along the striker's travel, between the actual and the intended contact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,9 @@ class Prescription:
     """Parameters of a prescribed tap.
 
     striker_speed: m/s. incidence: rad, from the contact normal (into the object) to the striker's
-    axis, positive counter-clockwise. direction: wanted direction of the object's travel in `table`,
-    rad; None means towards the middle of the table. slack: largest deviation of the travel from
-    this direction, rad; the possible contact with the smallest deviation is used.
+    axis, positive counter-clockwise. direction: desired direction of the object's travel in
+    `table`, rad; None means towards the middle of the table. slack: largest deviation of the travel
+    from this direction, rad; the possible contact with the smallest deviation is used.
 
     Raises:
         PlanningError: a number is not finite or out of range.
@@ -77,7 +77,9 @@ class Prescription:
         if self.direction is not None and not math.isfinite(self.direction):
             raise PlanningError("the direction is not a finite number; give it in rad, or omit it")
         if not self.slack >= 0:
-            raise PlanningError(f"the slack is {self.slack!r} rad; it must be 0 or more")
+            raise PlanningError(
+                f"the slack of the direction is {self.slack!r} rad; it must be 0 or more"
+            )
 
 
 class PrescribedSession:
@@ -125,7 +127,7 @@ class PrescribedSession:
             object_pose: x, y, theta in `table`, m and rad.
             covariance: unused; present as in a positioning session.
             in_view: points (n, 2) of the table in the camera's view, m; the object's centre must
-                stay in their convex hull, which is also in view. None means no limit.
+                stay in their convex hull, all of which is in view. None means no limit.
         """
         pose = np.asarray(object_pose, dtype=float)
         if self._tapped is not None:
@@ -142,8 +144,8 @@ class PrescribedSession:
         off = np.abs(wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - wanted))
         order = np.argsort(off, kind="stable")
         order = order[(off <= self.prescription.slack + 1e-9)[order]]
-        # Before the first measured tap the scatter of the space is used, which should include
-        # ``MODEL_DEVIATION``. Afterwards the spread of the learnt gains is used.
+        # Before the first measured tap, the scatter of the strike space is used, which should
+        # include ``MODEL_DEVIATION``. Afterwards, the spread of the learnt gains is used.
         spread = None
         if float(self.gains.taken + self.gains.outliers) > 0:
             spread = self.gains.spread(
@@ -164,7 +166,7 @@ class PrescribedSession:
         pose_after: ArrayLike,
         covariance: ArrayLike | None = None,
     ) -> None:
-        """Learn from the tap, which was or may have been fired, and end the session."""
+        """Learn from the tap, which was fired or may have been fired, and end the session."""
         self._tapped = strike
         if not self._adapt:
             return
@@ -181,7 +183,8 @@ class PrescribedSession:
         return edge_warning(pose, self._space)
 
     def use_free_space(self, space: StrikeSpace, free: FreeSpace) -> None:
-        """Replace the space and its map, because the obstacles on the table may have changed."""
+        """Replace the strike space and its map, because the obstacles on the table may have
+        changed."""
         self._space = space
         self._free = free
 
@@ -227,7 +230,7 @@ class PrescribedSession:
         safe: BoolArray,
         in_view: ArrayLike | None,
     ) -> dict[str, BoolArray]:
-        """Return which contacts have each kind of problem: an array (n,) per kind."""
+        """Return, for each kind of problem, which contacts have it, (n,)."""
         space = self._space
         off_contact = (
             made.missed
@@ -270,7 +273,7 @@ class PrescribedSession:
         moved: Array,
         slide: Array,
     ) -> Refusal:
-        """Return why the contact nearest to the wanted direction cannot be tapped."""
+        """Return why the contact that best fits the desired direction cannot be tapped."""
         heading = math.degrees(float(wrap_angle(wanted)))
         place = place_text(pose)
         hit = [index for index in order if not problems["contact"][index]]
@@ -278,7 +281,7 @@ class PrescribedSession:
             return Refusal(
                 RefusalReason.NO_STRIKE,
                 f"no contact of the object at {place} with an incidence of "
-                f"{math.degrees(self.prescription.incidence):.1f} deg sends it within "
+                f"{math.degrees(self.prescription.incidence):.1f} deg makes it travel within "
                 f"{math.degrees(min(self.prescription.slack, math.pi)):.0f} deg of the direction "
                 f"{heading:.0f} deg; allow more slack or another incidence",
             )
@@ -286,26 +289,26 @@ class PrescribedSession:
         distance = 1e3 * math.hypot(moved[index, 0], moved[index, 1])
         farthest = 1e3 * float(np.max(np.linalg.norm(slide[index] - pose[:2], axis=-1)))
         text = (
-            f"the tap would move the object from {place} by {distance:.0f} mm (at most "
-            f"{farthest:.0f} mm within its uncertainty)"
+            f"the tap would move the object from {place} by {distance:.0f} mm (with all "
+            f"uncertainty at most {farthest:.0f} mm)"
         )
         if problems["table"][index]:
             return Refusal(
                 RefusalReason.TAP_LEAVES_TABLE,
-                f"{text} to where it would leave the table, enter a keep-out or be out of the "
-                "arm's reach; ask for a lower striker speed or another direction, or move the "
+                f"{text}, so that it might leave the table, enter a keep-out or be out of the "
+                "arm's reach; choose a lower striker speed or another direction, or move the "
                 "object towards the middle" + others_text(self._space),
             )
         if problems["view"][index]:
             return Refusal(
                 RefusalReason.TAP_LEAVES_VIEW,
-                f"{text} out of the part of the table that the camera certainly sees (between the "
-                "reference markers); ask for a lower striker speed or another direction, or move "
-                "the object towards the middle",
+                f"{text}, so that it might leave the part of the table that the camera certainly "
+                "sees (between the reference markers); choose a lower striker speed or another "
+                "direction, or move the object towards the middle",
             )
         return Refusal(
             RefusalReason.NO_STRIKE,
-            f"the arm or the tool has no room to tap the object at {place} so that it travels "
+            f"the arm or the tool lacks space to tap the object at {place} so that it travels "
             f"within {math.degrees(min(self.prescription.slack, math.pi)):.0f} deg of the "
             f"direction {heading:.0f} deg; allow more slack, or move the object towards the middle"
             + others_text(self._space),
@@ -313,7 +316,7 @@ class PrescribedSession:
 
 
 def cautious(space: StrikeSpace) -> Scatter:
-    """Combine the scatter of a space's taps with the error of the model."""
+    """Combine the scatter of a strike space's taps with the error of the model."""
     known, model = space.scatter, MODEL_DEVIATION
     return replace(
         known,
@@ -327,7 +330,7 @@ def between(points: ArrayLike, others: ArrayLike) -> BoolArray:
     """Return whether points (..., 2) lie in the convex hull of ``others`` (n, 2); False if the hull
     has no area.
 
-    The visible part of a plane is convex, so the hull of visible points is visible.
+    The visible part of a plane is convex, so the convex hull of visible points is visible.
     """
     p, given = np.asarray(points, dtype=float), np.asarray(others, dtype=float).reshape(-1, 2)
     try:

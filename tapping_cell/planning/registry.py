@@ -1,7 +1,7 @@
 """Registry of planning methods: four built-in methods and methods of other packages.
 
-Another package adds a method by an entry point of the group ``tapping_cell.planners``. The object
-is called with ``PlannerSettings`` and must return a ``Planner``:
+Another package adds a method by an entry point of the group ``tapping_cell.planners``. The entry
+point's object is called with ``PlannerSettings`` and must return a ``Planner``:
 
     [project.entry-points."tapping_cell.planners"]
     mine = "my_package.my_module:MyPlanner"
@@ -59,8 +59,9 @@ def make_planner(
     Args:
         name: one of ``planner_names()``.
         settings: settings of the method; by default those of the paper's cell.
-        background: make ``optimal`` return immediately and solve its plan in a thread; until then
-            another method is used. The other methods need no time and ignore this argument.
+        background: return immediately and solve the plan of ``optimal`` in a thread; until it is
+            solved, another method is used. All other methods are ready at once and ignore this
+            argument.
 
     Raises:
         UnknownPlannerError: unknown name; the message lists the names.

@@ -43,26 +43,26 @@ WORTH_OBSERVING = 0.02
 """Minimum probability of being within the tolerance for requesting a longer observation."""
 
 PROBE_SIZE = 1.5
-"""Length of a probe tap, in lengths of the smallest tap."""
+"""Length of a probe tap, as a multiple of the smallest tap's length."""
 
 MAX_PROBES = 3
 
 PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
 
 UNKNOWN = 1.6
-"""Ratio of the longest possible slide to the predicted slide above which the object is probed
-first. An object that matches its file has a ratio of 1.2 after one tap."""
+"""Ratio of the longest possible slide to the predicted slide, above which the object is probed
+first. For an object that matches its file, the ratio is 1.2 after one tap."""
 
 JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
-"""Numbers of explained taps, and the probability with which the rotation gain must be below its
-least value from that number on, for the object to be judged not to turn. More taps hardly narrow
-the estimate of a gain slightly below the least value, so that the goal would end only at the
-maximum number of taps."""
+"""Criteria for refusing an object that does not rotate: from this number of explained taps on, the
+rotation gain must be below its least value with this probability. The second criterion is weaker,
+because more taps hardly narrow the estimate of a gain slightly below the least value, and the goal
+would end only at the maximum number of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
 NEAR_CHUNK = 12
-"""Number of taps, in order of rank, whose clearance is checked together."""
+"""Number of taps whose clearance is checked together, best first."""
 
 BLOCKED = 1.05
 """Ratio of path length to straight distance above which the straight line counts as blocked.
@@ -185,8 +185,8 @@ class GoalSession(ABC):
 
     @abstractmethod
     def skip(self, strike: Strike) -> None:
-        """Reject a tap that the operator did not want: until the next tap is fired, choose a
-        different tap if one is possible."""
+        """Reject a tap that the operator did not want. Until the next tap is fired, a different tap
+        is chosen if one is possible."""
 
     def predicted_covariance(self, strike: Strike, pose: Pose) -> Array:
         """Covariance (3, 3), m and rad, of the pose after a tap of an object at ``pose``."""
@@ -284,10 +284,11 @@ class GoalSession(ABC):
         return None
 
     def _rotation_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
-        """Refuse to correct the angle of an object that taps cannot turn.
+        """Return a refusal if the angle must be corrected but taps cannot turn the object, else
+        None.
 
-        Below the least gain of the model the plan promises a rotation that no tap gives, and the
-        goal would end only at the maximum number of taps.
+        If the rotation gain is below the least gain of the model, the plan predicts rotations that
+        no tap causes, and the goal would end only at the maximum number of taps.
         """
         required = [sure for taps, sure in JUDGING_ROTATION if self.gains.taken >= taps]
         if abs(left[2]) <= box.rotation or not required:
@@ -377,7 +378,8 @@ class PositioningSession(GoalSession):
         self.use_free_space(space, FreeSpace(space) if free is None else free)
 
     def use_free_space(self, space: StrikeSpace, free: FreeSpace) -> None:
-        """Replace the space and its map, because the obstacles on the table may have changed."""
+        """Replace the strike space and its map, because the obstacles on the table may have
+        changed."""
         self._space = space
         self._free = free
         self._goal_refusal = check_goal(self.goal, space, free)
@@ -417,7 +419,8 @@ class PositioningSession(GoalSession):
         pose_after: ArrayLike,
         covariance: ArrayLike | None = None,
     ) -> None:
-        """Learn from a fired tap, given the stationary poses before and after it.
+        """Learn from a fired tap; the poses are those of the object at rest before and after the
+        tap.
 
         Call this method once per fired tap. If the result is unknown, pass NaN poses.
         """
@@ -489,9 +492,9 @@ class PositioningSession(GoalSession):
             if found is not None:
                 return self._chosen(pose, left, first, found[1], "")
             detour = (
-                "the arm or the tool has no room for the tap along the line"
+                "the arm or the tool lacks space for the tap along the line to the goal"
                 if bool(self._space.tap.reachable(first, pose))
-                else "no contact of the object gives the tap along the line"
+                else "no contact of the object allows the tap along the line to the goal"
             )
         if missed and self._skipped and "skipped" not in detour:
             detour += "; another tap was skipped"
@@ -542,8 +545,9 @@ class PositioningSession(GoalSession):
         return self._made(pose, left, commanded, plan, detour, expected)
 
     def _expected(self, pose: Array, left: Array, commanded: Array, plan: StrikePlan) -> Expected:
-        """Return the expected effort of a displacement (3,) and the taps after it. It is unknown
-        if the method has no such value or if an obstacle blocks the straight line to the goal."""
+        """Return the expected effort of a displacement (3,) and of the taps after it. The effort is
+        unknown if the method cannot compute it or if an obstacle blocks the straight line to the
+        goal."""
         if not isinstance(self.planner, TapValues) or self._blocked(pose):
             return UNKNOWN_EFFORT
         distance, rotation, heading = self.gains.to_plan(left)
@@ -562,8 +566,8 @@ class PositioningSession(GoalSession):
         return Expected(taps, self._expected_seconds(taps, plan))
 
     def _expected_seconds(self, taps: float, plan: StrikePlan) -> float:
-        """Return the expected time of these taps, the first of which is ``plan``, s; NaN if the
-        durations of the arm's motions are unknown."""
+        """Return the expected time, s, of this number of taps, the first of which is ``plan``; NaN
+        if the durations of the arm's motions are unknown."""
         if self._times is None:
             return math.nan
         way = self._times.mean_way
@@ -575,9 +579,9 @@ class PositioningSession(GoalSession):
     def _best_near(
         self, pose: Array, left: Array, own: Taps, missed: tuple[float, ...]
     ) -> tuple[Array, StrikePlan] | None:
-        """Return the tap, among all directions, that reaches the goal in the least expected time:
-        its displacement (3,) and strike. Return None if this time is not known. ``own``: the
-        method's tap."""
+        """Return the tap, among taps in all directions, with which the goal is reached in the least
+        expected time: its displacement (3,) and strike. Return None if this time is unknown.
+        ``own``: the tap chosen by the method."""
         if self._objective != "time" or self._times is None or self.arm is None:
             return None
         if self._blocked(pose):
@@ -585,7 +589,7 @@ class PositioningSession(GoalSession):
         if not isinstance(self.planner, TapValues):
             return None
         if isinstance(self._space.tap.body, Polygon):
-            # the expected values do not consider that a polygon's edges limit the possible taps
+            # the expected times ignore that a polygon can be tapped in only a few directions
             return None
         taps = near_taps(pose, left, own, self.gains, self.planner, self.settings)
         if taps is None:
@@ -608,15 +612,15 @@ class PositioningSession(GoalSession):
     ) -> Refusal:
         """Return the refusal that explains why no tap is possible.
 
-        ``allowed``: some slide would be safe; ``struck``: some contact gives a safe slide;
-        ``trusted``: some slide would be safe if the object's file were exact; ``first``: reason
-        against the method's first choice.
+        ``allowed``: some slide would be safe; ``struck``: some contact allows a safe slide;
+        ``trusted``: some slide would be safe if the object's file were exact; ``first``: why the
+        method's first choice was rejected.
         """
         place = place_text(pose)
         if allowed and not struck:
             return Refusal(
                 RefusalReason.NO_CONTACT,
-                f"no contact of the object at {place} gives a safe tap that makes progress: "
+                f"no contact of the object at {place} allows a safe tap towards the goal: "
                 "its edges transmit only impulses within the friction cone (the preferred tap: "
                 f"{first}); turn the object by hand, or move it towards the middle",
             )
@@ -638,13 +642,14 @@ class PositioningSession(GoalSession):
         )
 
     def _longest_factor(self) -> float:
-        """Ratio of the longest possible slide to the predicted slide, with all uncertainty."""
+        """Ratio of the longest possible slide, within the bounds of the uncertainty, to the
+        predicted slide."""
         spread = self._spread([1.0, 0.0, 0.0])
         return 1.0 if spread is None else float(spread.longest)
 
     def _longest_tap(self) -> float:
-        """Length of the longest tap allowed now, m. After a tap that was an outlier the length is
-        reduced, so that a changed object slides no farther than the largest tap."""
+        """Length of the longest tap allowed now, m. After an outlier the length is reduced, so that
+        an object that has changed slides no farther than the largest tap."""
         settings = self.planner.settings
         if not bool(self.gains.surprised):
             return settings.largest_distance
@@ -678,9 +683,9 @@ class PositioningSession(GoalSession):
         )
 
     def _ends_well(self, pose: Array, commanded: Array, *, trusting: bool = False) -> BoolArray:
-        """Return which displacements (n, 3) are acceptable, (n,). The slide must be safe under all
-        uncertainty and, under the scatter alone, must end in a tappable place. ``trusting``:
-        ignore the uncertainty of the gains."""
+        """Return which displacements (n, 3) are acceptable, (n,). The slide must be safe within the
+        bounds of all uncertainty and, within those of the scatter alone, must end at a tappable
+        place. ``trusting``: ignore the uncertainty of the gains."""
         expected = self.gains.predict(commanded, pose[2])
         end = self._space.footprint(pose, expected)[..., -1, :]
         tappable = np.all(self._free.contains(end), axis=-1)
@@ -693,10 +698,10 @@ class PositioningSession(GoalSession):
         return np.asarray(tappable & nominal & safe)
 
     def _spread(self, commanded: ArrayLike) -> Spread | None:
-        """Return bounds of where displacements (..., 3) may end.
+        """Return bounds of the true displacements for commands (..., 3).
 
-        Return None if the session does not learn and therefore trusts the object's file. Only the
-        scatter then limits where they may end.
+        Return None if the session does not learn and therefore trusts the object's file; then only
+        the scatter makes displacements uncertain.
         """
         if not self._adapt:
             return None
@@ -712,13 +717,20 @@ class PositioningSession(GoalSession):
         if self._blocked(pose):
             return "the straight line to the goal is blocked"
         if self._leads_back(pose, commanded):
-            return "the tap along the line leads back to a place that cost more taps than estimated"
+            return (
+                "the tap along the line to the goal leads back to a place that took more taps than "
+                "estimated"
+            )
         if bool(self._ends_well(pose, commanded[None, :])[0]):
             return ""
-        return "the tap along the line might leave the table, enter a keep-out or end out of reach"
+        return (
+            "the tap along the line to the goal might make the object leave the table, enter a "
+            "keep-out or end out of reach"
+        )
 
     def _leads_back(self, pose: Array, commanded: Array) -> bool:
-        """Return whether a displacement (3,) ends where the goal was not reached as estimated."""
+        """Return whether a displacement (3,) ends at a place that took more taps than estimated
+        before."""
         after = (pose + self.gains.predict(commanded, pose[2]))[None, :]
         left = self.residual(after[0])
         distance, turn, _ = self.gains.to_plan(left)
@@ -739,7 +751,8 @@ def _elsewhere(commanded: Array, missed: tuple[float, ...]) -> BoolArray:
 
 
 def noise_of(covariance: ArrayLike) -> CameraNoise:
-    """Convert a pose covariance (3, 3) to camera noise, using the worse of the position axes."""
+    """Convert a pose covariance (3, 3) to camera noise; the position noise is that of the worst
+    direction."""
     matrix = np.asarray(covariance, dtype=float)
     largest = float(np.max(np.linalg.eigvalsh(matrix[:2, :2])))
     return CameraNoise(math.sqrt(max(largest, 0.0)), math.sqrt(max(float(matrix[2, 2]), 0.0)))

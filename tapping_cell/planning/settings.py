@@ -35,10 +35,10 @@ def _check_range(owner: object, name: str, low: float, high: float, unit: str) -
 class Scatter:
     """Standard deviations of a tap's result.
 
-    distance, rotation: shares of the tap's distance and rotation. direction: rad. They were
-    measured by Huang and Mason, section 3.1.1, except the direction, which is an assumption.
-    position_floor (m, along and across the tap), angle_floor (rad): parts that do not decrease with
-    the size of the tap.
+    distance, rotation: shares of the tap's distance and rotation. direction: rad. The default
+    values were measured by Huang and Mason (section 3.1.1), except the direction, which is an
+    assumption. position_floor (m, along and across the tap), angle_floor (rad): parts that do not
+    decrease with the size of the tap.
     """
 
     distance: float = 0.05
@@ -90,7 +90,7 @@ class CameraNoise:
         return np.diag(self.deviations**2)
 
     def __post_init__(self) -> None:
-        """Refuse negative or absurd values (PlanningError)."""
+        """Refuse values out of range (PlanningError)."""
         _check_range(self, "position", 0.0, 0.1, "m")
         _check_range(self, "angle", 0.0, 1.0, "rad")
 
@@ -140,7 +140,8 @@ class PlannerSettings:
 
     @property
     def stopping(self) -> StoppingBox:
-        """Box that plans are made for: the box in which a long observation stops."""
+        """Box that plans are made for: the box within which a long observation confirms the
+        goal."""
         longer = math.sqrt(LONG_OBSERVATION)
         return stopping_box(
             self.tolerance_position,
@@ -155,7 +156,7 @@ class PlannerSettings:
         """Settings with the cone and the smallest distance of an object's mechanics.
 
         The cone is made slightly narrower, so that a tap on its edge is not rejected because of
-        rounding.
+        rounding errors.
         """
         return cls(
             cone_slope=tap.cone_slope * (1.0 - 1e-6),
@@ -164,5 +165,6 @@ class PlannerSettings:
         )
 
     def key(self) -> str:
-        """Return a string that is equal exactly if the settings are equal; identifies a plan."""
+        """Return a string that identifies a plan: it is equal if and only if the settings are
+        equal."""
         return ";".join(f"{item.name}={getattr(self, item.name)!r}" for item in fields(self))

@@ -2,14 +2,14 @@
 
 An observation has an error, so an object just outside the tolerance can be measured inside it. The
 cell stops only if the probability that the true pose is within the tolerance is at least
-``CONFIDENCE``. This probability is the integral of the observation's normal distribution over the
-circle of the position tolerance, minus the probability that the rotation is outside its tolerance
-(Bonferroni's bound, which does not assume independence). For an observation at the edge of the
-tolerance the probability is about one half. A longer observation may then decide; if it does not,
-the object is tapped again.
+``CONFIDENCE``. A lower bound of this probability is used: the integral of the observation's normal
+distribution over the circle of the position tolerance, minus the probability that the rotation is
+outside its tolerance (Bonferroni's bound, which does not assume independence). For an observation
+at the edge of the tolerance the probability is about one half. Then a longer observation may
+confirm the goal; if it does not, the object is tapped again.
 
-Plans are made for the box in which an observation along one axis would stop: the tolerance minus
-``MARGIN`` standard deviations of a long observation.
+Plans are made for a stopping box. On each axis, its half width is the tolerance minus ``MARGIN``
+standard deviations of a long observation.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ MARGIN = 2.5758293035489004
 
 LONG_OBSERVATION = 9
 """Number of nominal observations that are fused in a long observation. An observation takes much
-less time than a tap. At a tolerance of 0.1 mm and 0.1 degrees and a noise of a tenth of these
-values, long observations of 9 instead of 4 nominal observations save 0.25 taps and need 0.6 more
+less time than a tap. If the tolerance is 0.1 mm and 0.1 degrees and the noise a tenth of it, long
+observations of 9 instead of 4 nominal observations save 0.25 taps and need 0.6 more
 observations."""
 
 SMALLEST_SHARE = 0.25
@@ -42,9 +42,9 @@ _REACH = 6.0
 """Number of standard deviations beyond which a normal distribution is neglected."""
 
 _NODES, _ROUND_NODES = 241, 41
-"""Numbers of quadrature nodes. An isotropic position covariance needs fewer nodes because they can
-be placed across the residual, where the chord changes slowly. Both are accurate to 1e-8
-(tested)."""
+"""Numbers of quadrature nodes. An isotropic position covariance needs fewer nodes, because the
+integration can run across the residual, where the length of the chord changes slowly. Both numbers
+give an accuracy of 1e-8 (tested)."""
 
 
 class StoppingBox(NamedTuple):
@@ -57,7 +57,7 @@ class StoppingBox(NamedTuple):
 
 
 def stopping_share(relative_noise: float) -> float:
-    """Share of the tolerance within which an observation along one axis stops, in [0, 1].
+    """Share of the tolerance, in [0, 1], within which an observation of one axis confirms the goal.
 
     ``relative_noise``: standard deviation of the observation as a share of the tolerance.
     """
@@ -121,8 +121,8 @@ def inside_probability(
 
 
 def _inside_circle(left: Array, axes: Array, deviation: Array, radius: float) -> Array:
-    """Probability (n,) of the circle about the origin for normal distributions about ``left``
-    (n, 3) with these principal axes (n, 2, 2) and standard deviations (n, 2) in rising order."""
+    """Probability (n,) of being in the circle about the origin, for normal distributions with means
+    ``left`` (n, 3), principal axes (n, 2, 2) and standard deviations (n, 2) in ascending order."""
     centre = np.einsum("nij,ni->nj", axes, left[:, :2])
     nodes = _NODES
     if np.all(deviation[:, 1] <= deviation[:, 0] * (1.0 + 1e-9)):

@@ -1,4 +1,4 @@
-"""Strikes of the arm: the pose of the striker for a tap, and the taps that the obstacles allow.
+"""Strikes of the arm: striker poses for taps, and checks of reach and of clearance to obstacles.
 
 All poses are in `table`. A strike pose is the pose of the centre of the striker's ball tip, with x
 along the direction of travel. The tool behind the tip is modelled as a straight bar (a capsule) on
@@ -96,7 +96,7 @@ class StrikePlan:
 
     @property
     def flight(self) -> float:
-        """Time from the release until the striker meets the object, s."""
+        """Time from the release of the striker until it hits the object, s."""
         return self.strike_pose.distance_to(self.contact_pose) / self.striker_speed
 
 
@@ -112,9 +112,9 @@ class StrikeSpace:
         scatter: Scatter | None = None,
     ) -> None:
         self.tap = replace(tap, sliding=tap.sliding.tabulated(), smallest_distance=0.0)
-        """The mechanics, with tabulated slides for a polygon. The smallest tap is set to 0 here
-        because the planning method applies that limit: it refers to the true distance, but
-        commands are scaled by the learnt gains."""
+        """The mechanics, with tabulated slides for a polygon. Its smallest distance is 0, because
+        that limit applies to the true distance, whereas commands are scaled by the learnt gains;
+        the planning method applies the limit."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter
@@ -142,9 +142,10 @@ class StrikeSpace:
     ) -> Array:
         """Possible positions of the object's centre during and after a slide, m in `table`.
 
-        The result, (..., rays, points, 2), contains rays for displacements (..., 3) from the start
-        to the end of the longest slide. ``spread`` bounds their direction and length; None uses
-        ``settings.footprint`` standard deviations of the scatter alone.
+        The result, (..., rays, points, 2), consists of points on rays, for displacements (..., 3),
+        from the start to the end of the longest slide. ``spread`` bounds the rays' direction and
+        length; with None, the bounds are ``settings.footprint`` standard deviations of the scatter
+        alone.
         """
         start = np.asarray(object_pose, dtype=float)
         moved = np.asarray(displacement, dtype=float)
@@ -200,7 +201,8 @@ class StrikeSpace:
         return np.asarray(np.all(bar, axis=-1) & tip)
 
     def tool_clears_object(self, object_pose: ArrayLike, tip_poses: ArrayLike) -> BoolArray:
-        """Return whether the tool at rest at tip poses (..., 3) has clearance to the object."""
+        """Return whether the tool, at rest at tip poses (..., 3), keeps the clearance from the
+        object."""
         tips = np.asarray(tip_poses, dtype=float)
         pose = np.asarray(object_pose, dtype=float)
         outline = transform_points(pose[..., None, :], self.outline)
@@ -228,8 +230,9 @@ class StrikeSpace:
         )
 
     def strike_poses(self, object_pose: Array, displacements: Array) -> tuple[BoolArray, Array]:
-        """Return which displacements (n, 3) are possible with some contact, (n,), and the strike
-        poses of the tip at rest, (n, 3), else NaN. Reach and clearance are not checked here."""
+        """Return which displacements (n, 3) are possible with some contact, (n,), and the poses of
+        the tip at rest for them, (n, 3), NaN for the others. Reach and clearance are not checked
+        here."""
         possible = np.asarray(self.tap.reachable(displacements, object_pose))
         poses = np.full(displacements.shape, math.nan)
         if np.any(possible):
@@ -260,12 +263,13 @@ class StrikeSpace:
         )
 
     def strikeable(self, object_poses: Array, displacements: Array) -> BoolArray:
-        """Return which displacements (n, 3) are possible, each from its own object pose (n, 3)."""
+        """Return which displacements (n, 3) are possible, each for its own object pose (n, 3)."""
         return self.contacts(object_poses, displacements)[1]
 
     def contacts(self, object_poses: Array, displacements: Array) -> tuple[BoolArray, BoolArray]:
-        """Return which displacements (n, 3) some contact gives, (n,), and which of them are
-        possible for the arm, the tool and the striker as well, (n,). ``object_poses``: (n, 3)."""
+        """Return which displacements (n, 3) are possible with some contact, (n,), and which of
+        these are also possible for the arm, the tool and the striker, (n,). ``object_poses``: (n,
+        3)."""
         found, plan = self.tap.plan_reachable(displacements, object_poses)
         possible = found.copy()
         if np.any(found):
@@ -275,7 +279,8 @@ class StrikeSpace:
         return found, possible
 
     def tool_fits(self, object_pose: ArrayLike, contact_poses: ArrayLike) -> BoolArray:
-        """Return whether the arm reaches, and the tool fits at, the rest pose of these contacts.
+        """Return whether the arm reaches the rest poses of these contacts and the tool has
+        clearance there.
 
         ``contact_poses``: poses (..., 3) of the tip at the contact.
         """

@@ -1,4 +1,4 @@
-"""Interface through which a cell provides the durations of taps to planning."""
+"""Interface through which a cell with an arm provides the durations of taps to the planner."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 from tapping_cell.planning.interface import Array
 
 OBJECTIVES = ("taps", "time")
-"""Quantity that planning minimises: the number of taps, or the time of taps and arm motions."""
+"""Quantities that planning can minimise: the number of taps, or the time of taps and arm
+motions."""
 
 
 class TapTimes(Protocol):
@@ -26,11 +27,11 @@ class TapTimes(Protocol):
         ...
 
     def to_strikes(self, tip: ArrayLike, strikes: ArrayLike) -> Array:
-        """Time (n,) of the arm's motion from tip pose (4,), as x, y, height and yaw, to strike
-        poses (n, 3), s; infinite for unreachable poses."""
+        """Time (n,), s, of the arm's motion from the tip pose (x, y, height, yaw) to strike poses
+        (n, 3); infinite for unreachable poses."""
         ...
 
     def between(self, strikes: ArrayLike, following: ArrayLike) -> Array:
-        """Time (n,) of the arm's motion to the ``following`` strikes (n, 3), s, from the retreat
-        poses after ``strikes`` (n, 3); the mean time for unreachable poses."""
+        """Time (n,), s, of the arm's motion from the retreat poses after ``strikes`` (n, 3) to the
+        strikes ``following`` (n, 3); the mean time for unreachable poses."""
         ...

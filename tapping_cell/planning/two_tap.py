@@ -1,9 +1,9 @@
 """Geometry shared by the two-tap methods: the nearest subgoal and the tap that leads to it.
 
 The state is the residual to the goal, a distance r >= 0 (m) and a rotation theta (rad). A tap moves
-along the line to the goal by d (either sign) and rotates by at most k |d| (either sense). From a
-subgoal with distance r' and rotation theta' one more tap can reach the goal if r' is at least the
-smallest tap and |theta'| <= k r'.
+the object along the line to the goal by d (of either sign) and rotates it by at most k |d| (in
+either sense). From a subgoal with distance r' and rotation theta', one more tap can reach the goal
+if r' is at least the smallest tap and |theta'| <= k r'.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from tapping_cell.planning.interface import Array, Taps
 from tapping_cell.planning.settings import PlannerSettings
 
 SECOND_TAP_MARGIN = 1.4
-"""Minimum ratio of the second tap to the smallest tap. With a subgoal exactly one smallest tap from
-the goal, half of the runs would fail because of the first tap's scatter (measured in
+"""Minimum ratio of the second tap to the smallest tap. If the subgoal were exactly one smallest tap
+from the goal, half of the runs would fail because of the first tap's scatter (measured in
 docs/planning.md)."""
 
 ROUNDING = 1e-6
@@ -29,18 +29,19 @@ def two_tap_choice(
     """Choose the tap to the goal if one tap suffices, else the first tap of a two-tap plan.
 
     The error line of a subgoal is the rotation of the first tap times 1 +- ``error_line``. The
-    subgoal is the nearest one for which a second, opposite tap reaches the goal from every point of
-    the error line. ``error_line`` 0 gives the exact two-tap plan (Huang and Mason, sections 4.1 and
-    4.2). A retreat taps away from the goal by a, so that r + a remains. An overshoot taps past the
-    goal by b, so that b remains:
+    subgoal is the nearest one for which a second tap, in the opposite direction, reaches the goal
+    from every point of the error line. An ``error_line`` s of 0 gives the exact two-tap plan (Huang
+    and Mason, sections 4.1 and 4.2). The variant "retreat" first taps away from the goal by a, so
+    that the distance r + a remains. The variant "overshoot" first taps past the goal by b, so that
+    the distance b remains:
 
         retreat:    theta - k a (1 - s) = k (r + a)  ->  a = (theta - k r) / (k (2 - s))
         overshoot:  theta - k (r + b)(1 - s) = k b   ->  b = (theta - k r (1 - s)) / (k (2 - s))
 
-    Both use the full slope k of the cone. The second tap can correct the whole error line, theta
-    (1 +- s) within k b, only if b >= s theta / k; a retreat always satisfies this. The second tap
-    is at least ``SECOND_TAP_MARGIN`` smallest taps. A tap is limited to the largest tap; the next
-    plan corrects the rest.
+    In both variants, both taps use the full slope k of the cone. After an overshoot, the second tap
+    can correct the whole error line only if b >= s theta / k; after a retreat it always can. The
+    second tap is at least ``SECOND_TAP_MARGIN`` times the smallest tap. Taps are limited to the
+    largest tap; the next plan corrects the rest.
     """
     r, signed = np.broadcast_arrays(
         np.asarray(distance, dtype=float), np.asarray(rotation, dtype=float)
@@ -63,7 +64,8 @@ def two_tap_choice(
         second = subgoal
     turn = _first_rotation(theta, k * np.abs(first), k * second, error_line)
 
-    # The plan needs taps above the limit: rotate as much as one tap can, and stay near the goal.
+    # If the plan needs taps above the limit, rotate by as much as one tap can, and stay near the
+    # goal.
     too_large = ~direct & (np.maximum(np.abs(first), second) > most)
     tap = np.where(direct, np.clip(r, least, most), np.where(too_large, most, first))
     turn = np.where(direct, np.minimum(theta, k * r) * most / np.maximum(r, most), turn)
@@ -72,8 +74,8 @@ def two_tap_choice(
 
 
 def _first_rotation(theta: Array, most: Array, reach: Array, error_line: float) -> Array:
-    """Rotation of the first tap: half of theta, limited such that the whole error line of the
-    residual rotation stays within ``reach``."""
+    """Rotation of the first tap: half of theta, limited so that for every error on the error line
+    the remaining rotation is within ``reach``, which the second tap can correct."""
     least = np.clip((theta - reach) / (1.0 - error_line), 0.0, most)
     largest = np.clip((theta + reach) / (1.0 + error_line), 0.0, most)
     return np.asarray(np.maximum(least, np.minimum(theta * 0.5, largest)))

@@ -5,14 +5,15 @@ Source: Bertsekas, *Dynamic Programming and Optimal Control*, 2012, vol. 2, ch. 
 The state is the distance r >= 0 and the rotation theta >= 0 to the goal (the other sense is the
 mirror image). A tap (d, turn) changes the state to ::
 
-    r'     = hypot(r - d (1 + a), |d| c)     a, c scatter of distance and direction, plus the camera
-    theta' = |theta - turn (1 + b)|          b scatter of rotation, plus the camera
+    r'     = hypot(r - d (1 + a), |d| c)     a, c: scatter of distance and direction
+    theta' = |theta - turn (1 + b)|          b: scatter of the rotation
 
-and the run ends inside the stopping box. The value W(r, theta) is the least expected number of
-taps if at least one more tap must be made. The value of a state is 0 inside the box and W outside.
-W is smooth because the scatter of a tap averages it, so it is stored on a product grid and
-interpolated linearly. For a given tap, r' and theta' are independent. The expectations for all taps
-from a state are therefore two matrix products,
+where the noise of the camera is added to the scatter. The run ends inside the stopping box. The
+value W(r, theta) is the least expected number of taps if at least one more tap must be made. The
+value of a state is 0 inside the box and W outside. W is smooth because it is an average over the
+scatter of a tap. It is therefore stored on a product grid and interpolated linearly. For a given
+tap, r' and theta' are independent. The expectations for all taps from a state are therefore two
+matrix products,
 
     E = P_r W P_t^T - (the same over the part inside the box).
 
@@ -52,22 +53,25 @@ FARTHEST = 1.0
 """Distance in m beyond which the plan does not change."""
 
 SMALLEST_TURN = 0.26
-"""Smallest rotation on the action grid, as a share of the largest rotation of the smallest tap."""
+"""Smallest rotation of the taps that are compared, as a share of the largest rotation of the
+smallest tap."""
 
 LATERAL_NODES = 8
 """Number of quadrature nodes over one half of the (symmetric) error of direction."""
 
 MIN_SCATTER = Scatter(0.02, 0.04, 0.0)
-"""Minimum scatter that plans assume. Without scatter they would aim exactly at the edge of the
-cone, between two grid points."""
+"""Minimum scatter that plans assume. Without scatter, plans would aim exactly at the edge of the
+cone, which lies between two grid points."""
 
 IMPROVEMENTS = 12
 EVALUATIONS = 25
 SETTLED, NEAR = 1e-3, 10.0
-"""Stop when an improvement changes no value below ``NEAR`` taps by ``SETTLED`` taps or more."""
+"""Policy iteration ends when an improvement changes no value below ``NEAR`` taps by ``SETTLED``
+taps or more."""
 
 MIN_DEVIATION = 0.01
-"""Minimum standard deviation as a share of the box; keeps the integrals finite without scatter."""
+"""Minimum standard deviation, as a share of the box; it keeps the integrals finite if there is no
+scatter."""
 
 
 Values = NDArray[np.float32]
@@ -78,7 +82,8 @@ negligible."""
 class Solution(NamedTuple):
     """A solved plan on the product grid of distances (m) and rotations (rad).
 
-    value: expected taps if one more must be made; tap, turn: distance and rotation of that tap.
+    value: expected taps if at least one more tap must be made; tap, turn: distance and rotation of
+    that tap.
     """
 
     distances: Array
@@ -170,7 +175,7 @@ class _Problem:
         )
 
     def improve(self, value: Values) -> _Improvement:
-        """Return the best tap of every state for a value function."""
+        """Return the best tap of every state, given a value function."""
         rows, columns = self.r.size, self.theta.size
         after_turn, after_turn_in = self.p_t
         flat = after_turn.reshape(-1, columns).T.copy()
@@ -234,8 +239,9 @@ def interpolation_weights(
     """Expected weights of linear interpolation, from the integral of the distribution function.
 
     ``cumulative``: I(z) = integral of F from 0 to z at the grid points (last axis); ``at_box``: F
-    at the edge of the box. Integration by parts of the hat function of node k against dF gives the
-    difference of the slopes of I on both sides. The second result is the part inside the box.
+    at the edge of the box. The weight of node k is the expectation of its hat function; integration
+    by parts turns it into the difference of the slopes of I on both sides of the node. The second
+    result is the part of the weights due to values inside the box.
     """
     slope = np.diff(cumulative, axis=-1) / np.diff(grid)
     ends = np.ones((*slope.shape[:-1], 1))
@@ -248,7 +254,8 @@ def interpolation_weights(
 
 
 def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, Array]:
-    """Weights for |N(mean, deviation)|: I(z) = H(z) + H(-z) - 2 H(0), H the integral of Phi."""
+    """Weights for |N(mean, deviation)|: I(z) = H(z) + H(-z) - 2 H(0), where H is the integral of
+    the normal distribution function."""
     box = FINE_STEPS
 
     def integral(z: Array) -> Array:
@@ -266,8 +273,8 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
     """Return interpolation weights for the expectation over a distance hypot(u, v), with normal
     distributions u ~ N(mean, along) and v ~ N(0, aside).
 
-    The lateral part is represented by nodes of equal probability. The integral over each cell of
-    the grid is computed by Gaussian quadrature with three points.
+    Nodes of equal probability represent the lateral part v. The integral over each cell of the grid
+    is computed by Gaussian quadrature with three points.
     """
     box = FINE_STEPS
     lateral = _normal_quantiles(LATERAL_NODES)

@@ -4,7 +4,7 @@ The ranking of alternative taps looks only one tap ahead. If the path assumed by
 possible, for example because a polygon cannot be struck in its direction, the best tap may lead to
 a pose whose best tap leads back. Learning real-time A* (Korf, Artificial Intelligence 42, 1990)
 avoids this: for each visited pose, the estimated cost of its best tap is stored, and a tap that
-would end near the pose costs at least as much. Every further visit raises the cost, until another
+would end near the pose costs at least as much. Every further visit raises this cost, until another
 tap is cheaper.
 """
 
@@ -18,15 +18,15 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.se2 import wrap_angle
 
 RADIUS = 0.008
-"""Distance from a visited pose within which its cost applies, m. A slide of 80 mm scatters by half
+"""Distance from a visited pose, m, within which its cost applies. A slide of 80 mm scatters by half
 of this distance."""
 
 SHARE = 0.5
-"""Upper limit of this distance as a share of the pose's distance from the goal, so that taps close
-to the goal stay possible."""
+"""Upper limit of ``RADIUS`` as a share of the pose's distance from the goal, so that taps close to
+the goal stay possible."""
 
 ANGLE = math.radians(15.0)
-"""Rotation from a visited pose within which its cost applies, rad."""
+"""Rotation relative to a visited pose, rad, within which its cost applies."""
 
 
 class VisitedPoses:
@@ -43,8 +43,8 @@ class VisitedPoses:
         self._costs = np.append(self._costs, cost)
 
     def extra(self, poses: Array, cost: Array) -> Array:
-        """Return the taps that poses (n, 3) cost more than estimated, (n,); ``cost``: estimate of
-        the taps from each of them, (n,)."""
+        """Return by how many taps the costs stored for poses near these poses (n, 3) exceed the
+        estimates ``cost`` (n,)."""
         if not self._costs.size:
             return np.zeros(cost.shape)
         apart = poses[:, None, :] - self._poses

@@ -28,7 +28,9 @@ class CircleArea:
     def __post_init__(self) -> None:
         """Refuse a circle that is not finite or has no size (PlanningError)."""
         if not (np.all(np.isfinite([self.x, self.y])) and 0.0 < self.radius < 10.0):
-            raise PlanningError(f"keep-out circle {self}: needs finite numbers, radius above 0")
+            raise PlanningError(
+                f"keep-out circle {self}: all numbers must be finite, and the radius above 0"
+            )
 
     def distance(self, points: ArrayLike) -> Array:
         """Distance from the points to the area, negative inside."""
@@ -48,7 +50,8 @@ class PolygonArea:
         """Refuse fewer than three corners or numbers that are not finite (PlanningError)."""
         if len(self.vertices) < 3 or not np.all(np.isfinite(self.vertices)):
             raise PlanningError(
-                f"keep-out polygon with {len(self.vertices)} corners: needs at least 3, all finite"
+                f"keep-out polygon with {len(self.vertices)} corners: it needs at least 3 corners, "
+                "all of them finite"
             )
 
     def distance(self, points: ArrayLike) -> Array:
@@ -132,7 +135,8 @@ class Workspace:
         return ", ".join(f"'{area.name}'" for area in self.keep_outs if area.name)
 
     def object_clearance(self, points: ArrayLike) -> Array:
-        """Largest radius of an object centred at the points that keeps both margins."""
+        """Largest radius with which an object centred at the points keeps the margins to the edges
+        and the keep-outs."""
         return np.asarray(
             np.minimum(
                 self.edge_distance(points) - self.edge_margin,
@@ -141,7 +145,7 @@ class Workspace:
         )
 
     def striker_clearance(self, points: ArrayLike) -> Array:
-        """Largest radius of a part of the striker centred at the points."""
+        """Largest allowed radius of a part of the striker centred at the points."""
         return np.asarray(
             np.minimum(
                 self.edge_distance(points) + self.overhang,

@@ -452,7 +452,7 @@ def test_several_objects_are_placed_preset_and_sent_as_one_arrangement(tmp_path:
                 preset = await page.receive(lambda m: isinstance(m, dict) and m["type"] == "preset")
                 assert preset["goals"] == [[own, 100.0, 50.0, 57.3], [other, -100.0, 0.0, 0.0]]
                 await page.send({"do": "preset", "preset": "star", "objects": [own, other]})
-                assert "known are line" in (await page.answer("arrange"))["text"]
+                assert "must be one of line" in (await page.answer("arrange"))["text"]
                 # Two goals at the same place: the answer is the planner's own refusal, which names
                 # both objects.
                 goals = [{"object": n, "x": 20, "y": 0, "angle": 0} for n in (own, other)]

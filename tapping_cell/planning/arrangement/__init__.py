@@ -10,8 +10,9 @@ Example::
     ...  # fire decision.strike.plan, measure the pose of every object again
     session.observe(decision, before, after)
 
-Contacts between objects are never planned. Other objects are represented by bounding circles,
-and objects without a file by their outlines (``ArrangementSession.avoid``).
+Contacts between objects are never planned. Other objects are represented by bounding circles;
+obstacles, such as objects without a file, are represented by their outlines
+(``ArrangementSession.avoid``).
 """
 
 from tapping_cell.planning.arrangement.among import AmongOthers, bodies_among

@@ -14,30 +14,32 @@ from tapping_cell.planning.workspace import CircleArea, KeepOut
 from tapping_cell.se2 import Pose
 
 KEPT = 300
-"""Maximum number of cached maps, about 60 kB each."""
+"""Maximum number of cached maps; a map takes about 60 kB."""
 
 
 class AmongOthers:
-    """Creates and caches the maps; every query concerns one object among some other objects."""
+    """Creates and caches maps of tappable places; every query is about one object among others."""
 
     def __init__(self) -> None:
         self._maps: dict[tuple[FreeSpace, frozenset[CircleArea]], FreeSpace] = {}
         self._paths: dict[tuple[FreeSpace, frozenset[CircleArea], float, float], PathLengths] = {}
 
     def map(self, body: Body, others: Iterable[CircleArea]) -> FreeSpace:
-        """Return the map of tappable places of an object among these areas."""
+        """Return the map of tappable places of an object if these areas are occupied."""
         areas = frozenset(others)
         key = (body.free, areas)
         if key not in self._maps:
             if len(self._maps) >= KEPT:
                 del self._maps[next(iter(self._maps))]
-            # Sorted, so that equal sets give equal maps for every hash seed.
+            # Sorted, so that the map does not depend on the order of the set, which varies with the
+            # hash seed.
             ordered: list[KeepOut] = [*sorted(areas, key=_order)]
             self._maps[key] = body.free.among(ordered)
         return self._maps[key]
 
     def path(self, body: Body, others: Iterable[CircleArea], start: Pose, end: Pose) -> float:
-        """Length of the path of tappable places between two poses, m; inf if there is no path."""
+        """Length of the path through tappable places between two poses, m; inf if there is no
+        path."""
         areas = frozenset(others)
         key = (body.free, areas, end.x, end.y)
         if key not in self._paths:
@@ -80,7 +82,7 @@ def gap(first: CircleArea, second: CircleArea) -> float:
 
 
 def bodies_among(bodies: Sequence[Body], obstacles: Sequence[KeepOut]) -> tuple[Body, ...]:
-    """Return the objects with maps that contain additional keep-outs, which do not move."""
+    """Return copies of the objects whose maps contain additional, fixed keep-outs."""
     if not obstacles:
         return tuple(bodies)
     made: dict[FreeSpace, FreeSpace] = {}

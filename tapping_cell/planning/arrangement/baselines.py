@@ -60,7 +60,7 @@ def _first_possible(scene: Scene, order: Iterable[Body], maps: AmongOthers) -> M
         assert body.goal is not None
         path = maps.path(body, others, scene.poses[body.name], body.goal)
         if math.isfinite(path) and maps.fits(body, others, body.goal):
-            reason = "it is the first object whose goal is free and has a free path to it"
+            reason = "it is the first object whose goal is free and can be reached on a free path"
             return Move(body.name, body.goal, Purpose.TO_GOAL, reason)
     return Refusal(
         RefusalReason.NO_ARRANGEMENT,

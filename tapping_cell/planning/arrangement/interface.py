@@ -90,5 +90,6 @@ class ArrangementPlanner(Protocol):
         ...
 
     def next_move(self, scene: Scene) -> Move | Refusal:
-        """Return the next move, or a refusal if no move helps. At least one goal is unfinished."""
+        """Return the next move, or a refusal if no move helps. Called only while a goal is
+        unfinished."""
         ...

@@ -1,7 +1,7 @@
-"""Check before the first tap whether a layout can be reached.
+"""Check, before the first tap, whether a layout can be reached.
 
 The order of placement is found backwards from the finished layout. An object that can be tapped at
-its goal and can leave it may have been placed last; it is removed and the search continues.
+its goal and moved away from it may have been placed last; it is removed and the search continues.
 Removing an object never blocks another object, so the greedy choice finds an order if one exists
 (disassembly planning: Wilson and Latombe, Artificial Intelligence 71, 1994). This module does not
 check whether the objects can make way for each other before they are placed.
@@ -24,7 +24,7 @@ NOWHERE: Mapping[str, Pose] = {}
 
 
 def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
-    """Return why some goals of a scene cannot be reached, with the objects' names, or None."""
+    """Return a refusal that names the goals of a scene that cannot be reached, or None."""
     goals = {body.name: body.goal for body in scene.bodies if body.goal is not None}
     for body in scene.bodies:
         place = scene.poses[body.name]
@@ -38,9 +38,9 @@ def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
 
 
 def check_goals(bodies: Sequence[Body], standing: Mapping[str, Pose] = NOWHERE) -> Refusal | None:
-    """Return why goals are impossible regardless of where the movable objects are now, or None.
+    """Return a refusal if a goal is impossible wherever the movable objects are now, else None.
 
-    Each goal is checked alone, and against the other goals and the poses ``standing`` of
+    Each goal is checked alone, then against the other goals and against the poses ``standing`` of
     unmovable objects.
     """
     for body in bodies:
@@ -85,8 +85,8 @@ def _order_exists(scene: Scene, goals: dict[str, Pose], maps: AmongOthers) -> Re
     names = ", ".join(f"'{name}' at {place_text(goals[name])}" for name in stuck)
     return Refusal(
         RefusalReason.NO_ARRANGEMENT,
-        f"the layout cannot be reached: with the others at their goals the striker has no room to "
-        f"bring {names} into place, in whatever order; move these goals further apart or towards "
+        "the layout cannot be reached: if the other objects are at their goals, the striker lacks "
+        f"space to tap {names}, whatever the order; move these goals further apart or towards "
         "the middle of the arm's reach",
     )
 
@@ -97,7 +97,7 @@ def stuck_goals(
     fixed: list[CircleArea],
     maps: AmongOthers,
 ) -> list[str]:
-    """Return the names of unplaced objects without a possible order of placement; empty if none.
+    """Return the names of the unplaced objects that cannot be placed in any order; empty if none.
 
     ``placed``: objects that stay at their goals; ``fixed``: other occupied areas.
     """

@@ -1,4 +1,4 @@
-"""Preset layouts: goals in a line, on a circle or in a grid, or places exchanged in pairs."""
+"""Preset layouts: goals in a line, on a circle or in a grid, or objects swapped in pairs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tapping_cell.se2 import Pose
 PRESETS = ("line", "circle", "grid", "swap")
 
 PRESET_GAP = 0.040
-"""Gap between the bounding circles of neighbours, m; the tool needs about as much."""
+"""Gap between the bounding circles of neighbouring objects, m; the tool needs about this much."""
 
 
 def preset_goals(
@@ -31,14 +31,14 @@ def preset_goals(
     In a line, circle or grid about ``middle`` (x, y in m) all orientations are 0, and the objects
     are assigned to the places so that the sum of the distances is smallest. ``swap`` exchanges the
     poses of the first and second object, of the third and fourth, and so on. ``radius``: largest
-    bounding radius of the objects, m; ``gap``: between neighbours, m. Whether the goals can be
-    reached is not checked here.
+    bounding radius of the objects, m; ``gap``: gap between neighbouring objects, m. Whether the
+    goals can be reached is not checked here.
 
     Raises:
         PlanningError: unknown preset, or fewer than two objects.
     """
     if preset not in PRESETS:
-        raise PlanningError(f"the preset is {preset!r}; known are {', '.join(PRESETS)}")
+        raise PlanningError(f"the preset is {preset!r}; it must be one of {', '.join(PRESETS)}")
     if len(poses) < 2:
         raise PlanningError(f"a preset needs at least two objects, not {len(poses)}")
     names = list(poses)
@@ -59,8 +59,8 @@ def preset_goals(
 
 
 def preset_places(preset: str, count: int, pitch: float, middle: tuple[float, float]) -> Array:
-    """Return the places (count, 2) of a line, circle or grid about ``middle``, with at least
-    ``pitch`` from each to the nearest; m."""
+    """Return the places (count, 2), m, of a line, circle or grid about ``middle``; neighbouring
+    places are at least ``pitch`` apart."""
     number = np.arange(count)
     if preset == "circle":
         radius = 0.0 if count == 1 else 0.5 * pitch / math.sin(math.pi / count)

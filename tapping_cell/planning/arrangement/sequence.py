@@ -1,12 +1,12 @@
-"""The built-in arrangement planner: free goals first, then objects in the way make way.
+"""The built-in arrangement planner: it fills free goals first, then moves objects out of the way.
 
-A move to a goal is possible if the goal is free, a path of tappable places leads to it among the
-other objects, and every remaining goal can still be reached afterwards (``stuck_goals``). The
-cheapest possible move is chosen. Its cost is the number of taps for the way around other objects,
-minus a bonus for goals that it frees. If no such move is possible (occupied goals, swaps, cycles,
-blocked paths), an object in the way is moved to a buffer place, which must be reachable, clear of
-every open goal and close to the object's own path. Each such move opens a goal or a path, so the
-sequence ends. Without a buffer place the planner refuses.
+A move to a goal is possible if the goal is free, a path through tappable places leads to it between
+the other objects, and every remaining goal can still be reached afterwards (``stuck_goals``). The
+cheapest possible move is chosen. Its cost is the number of extra taps for the detour around other
+objects, minus a bonus for each goal that it frees. If no such move is possible (occupied goals,
+swaps, cycles, blocked paths), an object in the way is moved to a buffer place: a reachable place,
+clear of every unfinished goal and close to the object's own path. Each such move opens a goal or a
+path, so the sequence ends. If there is no buffer place, the planner refuses.
 """
 
 from __future__ import annotations
@@ -27,30 +27,31 @@ from tapping_cell.planning.workspace import CircleArea
 from tapping_cell.se2 import Pose, wrap_angle
 
 FREED = 0.4
-"""Bonus, in taps, for freeing another object's goal."""
+"""Bonus, in taps, of a move that frees another object's goal."""
 
 BUFFER_SLACK = 0.012
-"""Clearance between a buffer place and an open goal in addition to the margin, m, because a tap
-towards the place may end beside it."""
+"""Clearance, in addition to the margin, between a buffer place and an unfinished goal, m. It is
+needed because taps may end beside the buffer place."""
 
 BUFFERS_TRIED = 12
 
 TOOL_CLEARANCE = 0.10
-"""Gap between a buffer place and an open goal below which the object obstructs taps at the goal, m.
-The tool needs this space, and a polygon can be tapped along only a few lines."""
+"""Gap between a buffer place and an unfinished goal, m, below which an object there obstructs taps
+at the goal. The tool needs this space, and a polygon can be tapped along only a few lines."""
 
 CROWDING_COST = 2.0
-"""Extra cost, in taps, of a buffer place directly beside an open goal."""
+"""Extra cost, in taps, of a buffer place directly beside an unfinished goal."""
 
 CLOSEST = 3
-"""Number of objects that are tried first as obstacles of taps if the map shows a free path."""
+"""Number of objects that are considered to be in the way if the map shows a free path but no tap is
+possible."""
 
 AGAIN = 1.0
-"""Extra cost, in taps, of each earlier move of the object out of the way, because this move did not
+"""Extra cost, in taps, for each earlier move of the same object out of the way, because it did not
 help enough. Close to the earlier buffer place the cost is doubled."""
 
 NARROW = 0.03
-"""Gap to another object below which a buffer place has an extra cost of up to one tap, m."""
+"""Gap to another object, m, below which a buffer place has an extra cost of up to one tap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,8 @@ class SequencePlanner:
             and other.goal is not None
             and gap(body.area(pose), other.area(other.goal)) < _margin(other)
         ]
-        # For equal costs prefer the shortest path, which other objects are least likely to block.
+        # Between equal costs, prefer the shortest path, which other objects are least likely to
+        # block.
         cost = around - FREED * len(freed) + path
         reason = "its goal and a path to it are free"
         if freed:
@@ -109,7 +111,7 @@ class SequencePlanner:
         return _Option(cost, Move(body.name, goal, Purpose.TO_GOAL, reason))
 
     def _keeps_open(self, scene: Scene, move: Move, options: Sequence[_Option]) -> bool:
-        """Return whether the other possible moves stay possible after a move."""
+        """Return whether the other moves in ``options`` stay possible after a move."""
         poses = {**scene.poses, move.name: move.target}
         for body in scene.bodies:
             if body.name == move.name or not any(each.move.name == body.name for each in options):
@@ -119,7 +121,7 @@ class SequencePlanner:
         return True
 
     def _is_open(self, scene: Scene, body: Body) -> bool:
-        """Return whether the goal of an object is free and a path leads to it."""
+        """Return whether an object's goal is free and a path leads to it."""
         others = areas_of(scene.bodies, scene.poses, [body.name])
         assert body.goal is not None
         return self._maps.fits(body, others, body.goal) and math.isfinite(
@@ -148,14 +150,15 @@ class SequencePlanner:
     def _in_the_way(self, scene: Scene, blocked: Body) -> list[str]:
         """Return the names of the objects that block ``blocked``.
 
-        These are the objects whose removal alone opens the path. If there are none, they are the
-        objects on the goal, or else all objects in order of distance from the straight line."""
+        These are the objects each of which alone, if removed, would open the path. If there are
+        none, these are the objects on the goal or, if the goal is free, all objects, ordered by
+        distance from the straight line to the goal."""
         goal, pose = blocked.goal, scene.poses[blocked.name]
         assert goal is not None
         others = [body for body in scene.bodies if body is not blocked]
         if (blocked.name, Purpose.TO_GOAL) in scene.excluded and self._is_open(scene, blocked):
-            # The map shows a free path, but no tap follows it: probably the objects nearest to the
-            # straight line to the goal are in the way.
+            # The map shows a free path, but no tap along it is possible. Probably the objects
+            # nearest to the straight line to the goal are in the way.
             near = sorted(
                 others,
                 key=lambda body: _from_line(scene.poses[body.name], pose, goal) - body.radius,
@@ -219,7 +222,8 @@ class SequencePlanner:
         return None
 
     def _opens(self, scene: Scene, body: Body, place: Pose, blocked: Body) -> bool:
-        """Return whether the buffer place opens the blocked object's goal, or helps to open it."""
+        """Return whether moving ``body`` to ``place`` opens the blocked object's goal or helps to
+        open it."""
         assert blocked.goal is not None
         poses = {**scene.poses, body.name: place}
         areas = areas_of(scene.bodies, poses, [blocked.name])
@@ -242,7 +246,7 @@ class SequencePlanner:
             )
         return Refusal(
             RefusalReason.NO_ARRANGEMENT,
-            "no sequence of taps leads on: "
+            "no further move was found: "
             + "; ".join(parts)
             + "; no free place was found for the objects in the way. Take an object away, "
             "allow others to be moved, or move these goals apart",
@@ -250,7 +254,7 @@ class SequencePlanner:
 
 
 def taps(body: Body, distance: float, turn: float) -> float:
-    """Estimate how many taps an object needs for a path length (m) and a turn (rad)."""
+    """Estimate how many taps an object needs for a path length (m) and a rotation (rad)."""
     return float(body.planner.taps_to_go(distance, float(wrap_angle(turn))))
 
 
@@ -277,8 +281,8 @@ def _from_line(place: Pose, start: Pose, end: Pose) -> float:
 
 
 def _buffer_cost(body: Body, pose: Pose, places: Array, others: Sequence[CircleArea]) -> Array:
-    """Estimate the cost of each buffer place (n, 2), in taps: the way there, the extra way to the
-    goal, and a penalty for little clearance."""
+    """Estimate the cost of each buffer place (n, 2), in taps: the path there, the longer path from
+    there to the goal, and a penalty for little clearance."""
     longest = body.planner.settings.largest_distance
     there = np.hypot(places[:, 0] - pose.x, places[:, 1] - pose.y)
     cost = np.ceil(there / longest) + 0.5 * there / longest

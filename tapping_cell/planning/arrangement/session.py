@@ -1,8 +1,8 @@
 """Closed loop for several objects: chooses the next object and its tap. Uses no clock and no ROS.
 
-A single object is the special case n = 1, with the move to its goal as the only move. A
-``PositioningSession`` carries out a move among the other objects at their last measured poses. The
-session plans again if an object was touched, was pushed by hand or cannot be moved on.
+With a single object, the only move is that to its goal. A ``PositioningSession`` carries out each
+move and avoids the other objects at their last measured poses. The session plans again if an object
+was touched, was pushed by hand or cannot be moved any further.
 """
 
 from __future__ import annotations
@@ -42,22 +42,23 @@ from tapping_cell.planning.workspace import KeepOut
 from tapping_cell.se2 import Pose
 
 COARSE_ANGLE = 1.5
-"""Tolerance of the rotation of an object that only makes way, rad."""
+"""Tolerance of the rotation of an object that is moved out of the way, rad."""
 
 TOUCHED = 0.002
-"""Displacement of an untapped object, beyond the camera's noise, that counts as a contact, m."""
+"""Displacement in excess of the camera's noise, m, from which an object that was not tapped counts
+as touched."""
 
 SETTLED = 0.0005
-"""Displacement up to which another object counts as stationary, so that the map is reused, m."""
+"""Displacement of another object, m, up to which it counts as stationary and the map is reused."""
 
 STILL = 4.0
-"""Displacement of an object at its goal, in standard deviations of the observations' difference, up
-to which it counts as unmoved."""
+"""Difference of two observations of an object at its goal, in standard deviations, up to which the
+object counts as unmoved."""
 
 MAX_TAPS_EACH = 60
 
 TIMEOUT = 6
-"""Consecutive taps of one move without progress after which another move is tried first."""
+"""Number of consecutive taps of a move without progress, after which other moves are preferred."""
 
 PROGRESS = 0.25
 """Decrease of the estimated number of remaining taps that counts as progress."""
@@ -65,8 +66,8 @@ PROGRESS = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """Observation of a stationary object: pose in `table` and covariance (3, 3), m and rad; None
-    means the camera's nominal noise."""
+    """Observation of a stationary object: pose in `table` and its covariance (3, 3), m and rad.
+    With the covariance None, the camera's nominal noise is used."""
 
     pose: Pose
     covariance: ArrayLike | None = None
@@ -140,7 +141,8 @@ class ArrangementSession:
         self._stalled: frozenset[tuple[str, Purpose]] = frozenset()
         self._buffers: dict[str, tuple[Pose, ...]] = {}
         self._confirmed: dict[str, Pose] = {}
-        self._waits_for: dict[str, str] = {}  # objects that made way: the object they wait for
+        # maps each object that made way to the object for which it waits
+        self._waits_for: dict[str, str] = {}
         self._best = math.inf  # smallest estimate of the remaining taps of the current move
         self._taps_without_progress = 0  # consecutive taps of the current move without progress
         self._session: PositioningSession | None = None
@@ -150,7 +152,7 @@ class ArrangementSession:
         self._settled: dict[str, Pose] = {}
         self._tapped = ""
         self.move: Move | None = None
-        """Current move; None before the first move and after the last move."""
+        """Current move; None before the first move and after the last one."""
         self.finished: frozenset[str] = frozenset()
         """Names of the objects at their goals."""
         self.taps = dict.fromkeys(self._by_name, 0)
@@ -164,7 +166,8 @@ class ArrangementSession:
         return self._session
 
     def avoid(self, obstacles: Sequence[KeepOut]) -> None:
-        """Avoid other obstacles from now on. The layout is checked and the move planned anew."""
+        """Avoid these obstacles from now on, instead of the previous ones. The layout is checked
+        again, and the next move is planned again."""
         self.bodies = bodies_among(self._given, obstacles)
         self._by_name = {body.name: body for body in self.bodies}
         self._checked, self.move, self._session = False, None, None
@@ -211,7 +214,8 @@ class ArrangementSession:
         )
 
     def observe(self, tap: TapOf, before: Observation, after: Observation) -> None:
-        """Learn from a fired tap, given the stationary object before and after it."""
+        """Learn from a fired tap; ``before`` and ``after`` are observations of the object at
+        rest."""
         self.taps[tap.name] += 1
         self._tapped = tap.name
         self._confirmed.pop(tap.name, None)
@@ -261,7 +265,7 @@ class ArrangementSession:
     def _choose(
         self, seen: Mapping[str, Observation], poses: Mapping[str, Pose], observe_again: bool
     ) -> Move | AllDone | ObserveLonger | Refusal:
-        """Check which objects are at their goals, then return the next move or the end."""
+        """Check which objects are at their goals; return the next move, or AllDone."""
         done = set()
         for body in self.bodies:
             if body.goal is None:
@@ -319,7 +323,8 @@ class ArrangementSession:
         return Scene(self.bodies, self._settled, self.finished, excluded, self._buffers, waiting)
 
     def _alone(self, body: Body) -> PositioningSession:
-        """Return a session that only checks the goal and therefore ignores the other objects."""
+        """Return a session that only checks whether the object is at its goal and ignores all
+        others."""
         assert body.goal is not None
         return _at_goal(body, self._most_taps)
 
@@ -343,7 +348,8 @@ class ArrangementSession:
         elif self._session_map is not free:
             self._session.use_free_space(free.space, free)
         self._session_move, self._session_map = move, free
-        # An object that only makes way needs no longer observation to confirm its place.
+        # The place of an object that is moved out of the way need not be confirmed by a longer
+        # observation.
         observe_again = observe_again and move.purpose is Purpose.TO_GOAL
         decision = self._session.decide(seen.pose, seen.covariance, observe_again=observe_again)
         if isinstance(decision, Done):
@@ -372,7 +378,8 @@ def _at_goal(body: Body, most_taps: int) -> PositioningSession:
 
 
 def coarse(planner: Planner) -> Planner:
-    """Return a planning method with a wide tolerance, for an object that only makes way."""
+    """Return a planning method with a wide tolerance, for an object that is moved out of the
+    way."""
     return _coarse(planner.settings)
 
 

@@ -1,9 +1,10 @@
 """Trials with several objects on one table: random scenes with ground truth.
 
-Objects slide in straight lines, as a tapped object does (mechanics, section on sliding). If an
-object hits another object, the impact is inelastic: both continue with the normal velocity of their
-common centre of mass, and each slides a distance proportional to the square of its speed. A trial
-counts every such contact and every strike whose tool would have touched another object.
+Objects slide in straight lines, as tapped objects do (see the section on sliding in the
+documentation of the mechanics). If an object hits another object, the impact is inelastic: along
+the normal, both continue with the velocity of their common centre of mass, and each slides a
+distance proportional to the square of its speed. A trial counts every such contact and every strike
+whose tool would have touched another object.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ METHODS: dict[str, Callable[[AmongOthers], ArrangementPlanner]] = {
     "file order": FileOrder,
     "nearest first": NearestFirst,
 }
-"""The built-in planner and the baselines."""
+"""Arrangement planners by name: the built-in planner and the baselines."""
 
 GOALS = ("random", "swap", "grid")
 
@@ -62,7 +63,7 @@ SWEEP = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """A shape of objects, with its map on the empty table and the method that chooses its taps."""
+    """A kind of objects: their map on the empty table, and the method that chooses their taps."""
 
     free: FreeSpace
     planner: Planner
@@ -146,7 +147,8 @@ def draw_scene(
 ) -> tuple[list[Body], dict[str, Pose]]:
     """Draw objects of random kinds with their goals and start poses.
 
-    Every pose is tappable for the object alone; complete layouts are not filtered.
+    At every pose the object could be tapped if it were alone; layouts that cannot be reached are
+    not filtered out.
     """
     for _ in range(100):
         chosen = [kinds[int(index)] for index in rng.integers(len(kinds), size=task.count)]
@@ -170,8 +172,8 @@ def draw_scene(
         ]
         return bodies, dict(zip(names, starts, strict=True))
     raise PlanningError(
-        f"{task.count} objects with gaps of {1e3 * task.gap:.0f} mm do not fit on the table; ask "
-        "for fewer or smaller ones"
+        f"{task.count} objects with gaps of {1e3 * task.gap:.0f} mm do not fit on the table; use "
+        "fewer or smaller objects"
     )
 
 
@@ -284,7 +286,8 @@ def _slide(body: Body, moved: Array, bodies: Sequence[Body], true: dict[str, Arr
 
 
 def _tool_touches(tap: TapOf, bodies: Sequence[Body], true: Mapping[str, Array]) -> bool:
-    """Return whether the tip or the bar at rest would overlap another object."""
+    """Return whether the tip or the tool's bar, at rest before the strike, overlaps another
+    object."""
     by_name = {body.name: body for body in bodies}
     space = by_name[tap.name].free.space
     pose = np.array(tap.strike.plan.strike_pose)
@@ -309,7 +312,7 @@ def _observe(body: Body, true: Array, rng: np.random.Generator) -> Observation:
 def _longer(
     body: Body, seen: Observation, true: Array, observations: int, rng: np.random.Generator
 ) -> Observation:
-    """Return the mean of all observations after one more observation."""
+    """Return the mean of all observations, including a new one."""
     before, one = np.array(seen.pose), np.array(_observe(body, true, rng).pose)
     step = one - before
     step[2] = wrap_angle(step[2])
@@ -335,7 +338,8 @@ def _draw_gains(task: ArrangementTask, rng: np.random.Generator) -> Array:
 
 
 def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -> list[Pose] | None:
-    """Draw a tappable pose for each object with a minimum gap; None if too many draws fail."""
+    """Draw a tappable pose for each object, with gaps of at least ``least`` m; None if none is
+    found."""
     placed: list[tuple[Pose, float]] = []
     for kind in kinds:
         space = kind.free.space
@@ -356,7 +360,8 @@ def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -
 
 
 def swapped_goals(starts: Sequence[Pose], rng: np.random.Generator) -> list[Pose]:
-    """Exchange the places of objects in pairs, with random angles; an odd last one stays."""
+    """Exchange the places of objects in pairs, with random angles; an unpaired last object
+    stays."""
     return [
         Pose(*starts[index ^ 1][:2], rng.uniform(-math.pi, math.pi))
         if index ^ 1 < len(starts)
@@ -366,7 +371,8 @@ def swapped_goals(starts: Sequence[Pose], rng: np.random.Generator) -> list[Pose
 
 
 def _grid(kinds: Sequence[Kind], between: float) -> list[Pose]:
-    """Goals in a square grid about the middle of the tappable places, with gaps ``between``."""
+    """Goals in a square grid about the middle of the tappable places, with gaps of ``between``
+    m."""
     radius = max(kind.free.space.object_radius for kind in kinds)
     pitch, middle = 2.0 * radius + between, middle_of(kinds[0].free)
     places = preset_places("grid", len(kinds), pitch, middle)
@@ -388,8 +394,8 @@ def evaluate_arrangements(
     seed: int,
     processes: int | None = None,
 ) -> list[ArrangementTrial]:
-    """Run trials in parallel. The scene of trial i depends only on the seed and i, so it is the
-    same for all methods."""
+    """Run trials in parallel. The scene of trial i depends only on the seed and i, so that all
+    methods get the same scenes."""
     seeds = np.random.SeedSequence(seed).spawn(trials)
     workers = min(processes or os.cpu_count() or 1, trials)
     if workers <= 1:

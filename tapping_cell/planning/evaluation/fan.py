@@ -14,8 +14,9 @@ def fan_of_runs(
 ) -> list[Array]:
     """Simulate runs from (0, 0) to ``goal`` = (distance in m, rotation in rad), each (taps + 1, 2).
 
-    The camera is perfect and the scatter is the planner's. The first coordinate is the object's
-    position along the line from the start to the goal; sideways drift is not included.
+    The camera has no noise, and taps have the scatter that the planner assumes. The first
+    coordinate is the object's position along the line from the start to the goal; sideways drift is
+    not included.
     """
     rng = np.random.default_rng(seed)
     scatter, box = planner.settings.scatter, planner.settings.stopping

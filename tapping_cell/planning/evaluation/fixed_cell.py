@@ -1,4 +1,4 @@
-"""Trials of a cell with fixed tappers, as complete sessions one after the other."""
+"""Trials of a cell with fixed tappers; each is a complete session, and they run one by one."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def _answer(
     settings: PlannerSettings,
     rng: np.random.Generator,
 ) -> Array:
-    """Return the true displacement (3,) of a strike with scatter; zero if the striker misses."""
+    """Return the true displacement (3,) of a strike, with scatter; zero if the striker misses."""
     index = [tapper.name for tapper in true.tappers].index(strike.plan.tapper)
     tapper, speed = true.tappers[index], strike.plan.striker_speed
     line = np.array([tapper.mount.x, tapper.mount.y, tapper.mount.theta])

@@ -1,4 +1,4 @@
-"""Decisions of a session in a trial, with the longer observations that it requests."""
+"""Decisions of a session in a simulated trial, including the longer observations it requests."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def decide(
     """Return the session's decision and the measured pose that it is based on.
 
     ``pose``: true pose (3,); ``seen``: its first observation (3,). Each longer observation is the
-    mean of one more observation with independent noise.
+    mean of all observations so far and a new one with independent noise.
     """
     for observations in range(1, LONG_OBSERVATION + 1):
         decision = session.decide(

@@ -1,4 +1,5 @@
-"""Trials on a table with edges, keep-outs and an arm, as complete sessions one after the other."""
+"""Trials on a table with edges, keep-outs and an arm; each is a complete session, and they run one
+by one."""
 
 from __future__ import annotations
 
@@ -28,12 +29,12 @@ MAX_DRAWS = 1000
 def run_table_trials(
     evaluation: Evaluation, planner: Planner, count: int, rng: np.random.Generator
 ) -> Results:
-    """Run ``count`` sessions with random tappable starts and with goals relative to these starts.
+    """Run ``count`` sessions with random tappable starts, and with goals relative to these starts.
 
-    Goals are not filtered; the session must refuse unreachable goals before the first tap.
+    Unreachable goals are not filtered out; the session must refuse them before the first tap.
     """
     if evaluation.space is None:
-        raise PlanningError("trials on a table need a function that makes its StrikeSpace")
+        raise PlanningError("trials on a table need a function that creates its StrikeSpace")
     space = evaluation.space()
     clock = None if evaluation.clock is None else evaluation.clock()
     free = FreeSpace(space)
@@ -62,7 +63,7 @@ def _draw_start(space: StrikeSpace, free: FreeSpace, rng: np.random.Generator) -
         if bool(free.contains(place)):
             return np.append(place, rng.uniform(-math.pi, math.pi))
     raise PlanningError(
-        "at no place on the table can the object be tapped from enough sides; check the arm's "
+        "nowhere on the table can the object be tapped from enough sides; check the arm's "
         "base and limits and the table's size in the cell file"
     )
 

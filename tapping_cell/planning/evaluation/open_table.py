@@ -1,4 +1,5 @@
-"""Vectorised trials on an open table: every step of the loop is computed for all trials."""
+"""Vectorised trials on a table without edges and obstacles: each step is computed for all trials at
+once."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ MISSED = 0.1
 """A tap has missed if it moved the object by less than this share of the expected distance."""
 
 ASIDE = math.radians(30.0)
-"""Maximum random change of direction of the next tap after a miss; the same tap would miss
+"""Maximum random change of the next tap's direction after a miss, because the same tap would miss
 again."""
 
 
@@ -121,8 +122,8 @@ def observe_longer(
 ) -> NDArray[np.bool_]:
     """Return which objects in ``rows`` are at their goals with the required confidence.
 
-    Undecided objects are observed again, at most ``LONG_OBSERVATION`` times in total; ``seen`` is
-    overwritten with the mean of the observations."""
+    Objects that may or may not be there are observed again, at most ``LONG_OBSERVATION`` times in
+    total; ``seen`` is overwritten with the mean of the observations."""
     camera_noise = settings.camera.deviations
     tolerance = settings.tolerance_position, settings.tolerance_angle
     if settings.box is not None:

@@ -21,7 +21,7 @@ OPEN_CHUNK = 4000
 TABLE_CHUNK = 50
 
 WORTH_PROCESSES = 4.0
-"""Minimum expected work, s, for which processes are started, which takes 1 to 2 s."""
+"""Minimum expected computing time, s, for which processes are started; starting takes 1 to 2 s."""
 
 Progress = Callable[[int], None]
 
@@ -40,7 +40,7 @@ def evaluate(
         UnknownPlannerError: unknown method.
         PlanningError: the method rejects the settings.
     """
-    # solve once; all processes load the stored policy
+    # Solve the plan once here; the processes then load it from the cache.
     make_planner(evaluation.planner, evaluation.settings)
     chunk = OPEN_CHUNK if evaluation.space is None else TABLE_CHUNK
     sizes = [chunk] * (evaluation.trials // chunk)

@@ -1,4 +1,5 @@
-"""Vectorised choice of taps on polygons, with alternatives for taps that no contact can give."""
+"""Vectorised choice of taps on polygons; taps that are impossible with every contact are
+replaced."""
 
 from __future__ import annotations
 
@@ -16,11 +17,11 @@ BLOCK = 32
 """Number of trials whose candidates are ranked per batch, so that a batch fits in the cache."""
 
 CHECKED = 16 * BLOCK
-"""Number of trials whose best candidates are checked together with the exact slide."""
+"""Number of trials whose best candidates are checked in one call with the exact slide."""
 
 FIRST, MORE = 24, 4
-"""Number of cheapest candidates that are evaluated first, and the factor by which this number grows
-until the best one is certain."""
+"""Number of cheapest candidates that are evaluated first, and the factor by which this number is
+increased until the best candidate is certain."""
 
 ATTEMPTS = 8
 """Maximum number of candidates per tap that are checked with the exact slide."""
@@ -29,12 +30,12 @@ ATTEMPTS = 8
 def contact_taps(
     pose: Array, goal: Array, first: Array, number: Array, planner: Planner, tap: Tap
 ) -> Array:
-    """Return displacements (n, 3) that are possible with some contact: the first choices or
-    alternatives; NaN if none was found.
+    """Return displacements (n, 3) that are possible with some contact: the first choices where they
+    are possible, else alternatives; NaN if none was found.
 
-    Alternatives are ranked as by ``alternative_taps`` on an open table, with candidates that slide
-    like the equivalent disk. The chosen candidate is checked with the polygon's own slide. Poses,
-    goals and first choices are (n, 3); number: ``Gains.value``, (n, 6).
+    Alternatives are ranked as by ``alternative_taps`` on an open table, on the assumption that the
+    polygon slides like the equivalent disk. The chosen alternative is then checked with the
+    polygon's own slide. Poses, goals and first choices are (n, 3); number: ``Gains.value``, (n, 6).
     """
     if not isinstance(tap.body, Polygon):
         return first
@@ -82,7 +83,7 @@ class _Ranking:
         self._made.cost[~_passed_on(tap, pose, self._made.commanded)] = np.inf
 
     def best(self, rows: NDArray[np.intp]) -> Array:
-        """Return the best remaining candidates, (n, 3), or NaN."""
+        """Return each trial's best remaining candidate, (n, 3), or NaN if none remains."""
         made = self._made
         chosen = np.full((rows.size, 3), np.nan)
         count = made.cost.shape[1]
@@ -92,7 +93,7 @@ class _Ranking:
             at = rows[left]
             order = np.argpartition(made.cost[at], min(tried, count - 1), axis=1)
             some = np.sort(order[:, :tried], axis=1)
-            # Lower bound of the cost of the candidates that are not evaluated.
+            # Lower bound of the costs of all candidates that are not evaluated yet.
             bound: Array = np.full(left.size, np.inf)
             if tried < count:
                 bound = made.cost[at, order[:, tried]]
@@ -129,8 +130,8 @@ class _Ranking:
 
 
 def _passed_on(tap: Tap, pose: Array, commanded: Array) -> NDArray[np.bool_]:
-    """Return which displacements (n, m, 3) lie in the friction cone of some edge, because a polygon
-    that slides like a disk moves in the direction of the impulse."""
+    """Return which displacements (n, m, 3) lie in the friction cone of some edge. Others are
+    impossible, because a polygon that slides like a disk moves in the direction of the impulse."""
     body = tap.body
     assert isinstance(body, Polygon)
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0]) + pose[:, 2:]

@@ -17,9 +17,10 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
     """Summarise an evaluation.
 
     Trials that were refused before the first tap are excluded from ``success_rate`` and ``taps``.
-    ``success_rate``: share of trials that were declared done. ``truly_inside_rate``: share of these
-    whose true pose is within the full tolerance. ``planned_taps``: number of taps of the method's
-    plan, if it is fixed; it adds ``within_planned_rate``.
+    ``success_rate``: share of trials that ended at the goal according to the session.
+    ``truly_inside_rate``: share of these whose true pose is within the full tolerance.
+    ``planned_taps``: number of taps of the method's plan, for methods that guarantee it;
+    ``within_planned_rate`` is then added.
     """
     began = results.end != End.REFUSED_BEFORE
     done = results.end == End.DONE

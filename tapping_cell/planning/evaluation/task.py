@@ -77,8 +77,8 @@ class Evaluation:
             )
         if self.objective == "time" and (self.clock is None or self.space is None):
             raise PlanningError(
-                "the objective 'time' needs the motions of an arm: evaluate on the table of a cell "
-                "with an arm (--table)"
+                "the objective 'time' requires the durations of an arm's motions: evaluate on the "
+                "table of a cell with an arm (--table)"
             )
         if not 1 <= self.trials <= 10**8:
             raise PlanningError(f"{self.trials} trials were requested; give 1 to 100000000")
@@ -93,17 +93,18 @@ class Evaluation:
             )
         if not all(0.0 <= abs(bias) <= 0.4 for bias in self.gain_bias):
             raise PlanningError(
-                f"the gain bias {self.gain_bias} is too large: at most 0.4 (40 %) either way"
+                f"the gain bias is {self.gain_bias}; its values must be within +-0.4 (40 %)"
             )
 
         if not all(1.0 <= factor <= 10.0 for factor in self.unknown):
             raise PlanningError(f"the unknown factors are {self.unknown}; they must be 1 to 10")
         if not 0.0 <= self.off_centre <= 10.0:
-            raise PlanningError(f"off centre by {self.off_centre} rad/m; it must be 0 to 10")
+            raise PlanningError(f"off_centre is {self.off_centre} rad/m; it must be 0 to 10")
 
     @property
     def simulation(self) -> World:
-        """Simulation of the taps: ``world``, or else taps as commanded with scatter."""
+        """Simulation of the taps: ``world`` or, if that is None, commanded displacements with
+        scatter."""
         return AbstractWorld(self.settings.scatter) if self.world is None else self.world
 
 

@@ -1,4 +1,5 @@
-"""Simulations of a commanded tap: displacement with scatter, or the complete physics of a tap."""
+"""Simulations of taps: the commanded displacement with scatter, or the physics of impact and
+slide."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from tapping_cell.planning.settings import Scatter
 
 @dataclass(frozen=True, slots=True)
 class AbstractWorld:
-    """The object moves as commanded, apart from gains and scatter."""
+    """Simulation in which the object moves as commanded, changed only by gains and scatter."""
 
     scatter: Scatter = field(default_factory=Scatter)
     model: None = None
@@ -36,7 +37,8 @@ class AbstractWorld:
 
 @dataclass(frozen=True, slots=True)
 class PhysicsWorld:
-    """Simulates the rounded strike pose, the impact and the slide with the true mechanics.
+    """Simulation of the arm's rounded strike pose, the impact and the slide with the true
+    mechanics.
 
     model: the planner's mechanics, which convert a displacement to a strike.
     truth: the true mechanics.
@@ -94,14 +96,16 @@ def scattered(
 
 
 class World(Protocol):
-    """Simulation of commanded taps.
+    """Interface of a simulation of commanded taps.
 
-    model: mechanics with which the planner converts taps; None if every tap is possible.
+    model: mechanics with which the planner converts displacements to strikes; None if every
+    displacement is possible.
     """
 
     @property
     def model(self) -> Tap | None:
-        """Mechanics with which the planner converts taps; None if every tap is possible."""
+        """Mechanics with which the planner converts displacements to strikes; None if all are
+        possible."""
 
     def answer(
         self,
@@ -116,7 +120,7 @@ class World(Protocol):
 
 
 START_REACH = 0.1
-"""Half width of the square in which starts on the open table are drawn, at any angle, m."""
+"""Half width, m, of the square on the open table in which starts are drawn, at any angle."""
 
 
 def draw_starts(count: int, rng: np.random.Generator) -> Array:

@@ -61,7 +61,7 @@ def test_a_swap_exchanges_pairs_and_leaves_an_odd_one() -> None:
 
 def test_unknown_presets_and_lone_objects_are_refused() -> None:
     two = table([(0.0, 0.0, 0.0), (0.1, 0.0, 0.0)])
-    with pytest.raises(PlanningError, match="'star'; known are line, circle, grid, swap"):
+    with pytest.raises(PlanningError, match="'star'; it must be one of line, circle, grid, swap"):
         preset_goals("star", two, 0.03, MIDDLE)
     with pytest.raises(PlanningError, match="not 1"):
         preset_goals("swap", table([(0.0, 0.0, 0.0)]), 0.03, MIDDLE)
