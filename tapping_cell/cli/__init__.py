@@ -98,8 +98,8 @@ def _not_set_up(why: str) -> int:
 
 
 def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
-    """Return the parser and the run function of the verb in the first word. If that word is not
-    a verb, print an error and exit."""
+    """Return the parser and the run function of the verb that the first word names. If it names no
+    verb, print an error and exit."""
     from tapping_cell.cli.errors import Parser, suggestion
 
     verb = argv[0] if argv else ""

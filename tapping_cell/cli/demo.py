@@ -198,7 +198,7 @@ def _run_folder(out: Path | None) -> Path:
 
 
 def _metres(goal: Sequence[float]) -> tuple[float, float]:
-    """Return x and y in m of a goal in mm, mm and degrees."""
+    """Convert x and y of a goal from mm to m."""
     return goal[0] / 1000, goal[1] / 1000
 
 

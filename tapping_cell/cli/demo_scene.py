@@ -52,10 +52,10 @@ def write_scene(
     truth: Path | None,
     goals: str = "random",
 ) -> DemoScene:
-    """Write the files of a scene of ``count`` objects: the object of the cell file (or of ``own``,
-    if given) and generated disks and squares. The start poses are random poses at which the arm can
-    tap. ``goals`` is one of ``GOALS``: random poses, or the places of the objects exchanged in
-    pairs.
+    """Write the files of a scene of ``count`` objects: the object of the cell file (or of the
+    object file ``own``, if given) and generated disks and squares. The start poses are random poses
+    at which the arm can tap the objects. ``goals`` is one of ``GOALS``: random poses, or objects
+    that exchange places in pairs.
 
     Raises:
         ConfigurationError: a file cannot be used, or the objects do not fit on the table.

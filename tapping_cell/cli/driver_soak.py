@@ -28,7 +28,7 @@ class Soak:
     hours: float
     taps: int
     blocks: tuple[int, ...]
-    """Allocated blocks of Python at each measurement, after the witness has discarded its
+    """Allocated blocks of Python at each measurement, after the test has discarded its own
     records."""
     resident: tuple[int, ...]
     """Resident memory in bytes at each measurement."""

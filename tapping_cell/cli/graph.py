@@ -39,7 +39,7 @@ LAST_DOMAIN = 232
 """Highest ROS domain for which the middleware has valid port numbers."""
 
 MAX_PARTICIPANTS = 20
-"""Number of participants of a domain that are looked for; a cell has 8."""
+"""Number of participant ports that are checked in a domain; a cell has 8 participants."""
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is the shared
 default."""
@@ -86,7 +86,7 @@ class Ended:
 
     @property
     def refused(self) -> bool:
-        """Whether the node rejected its parameters or files, which it would do again after a
+        """Whether the node rejected its parameters or files; it would reject them again after a
         restart."""
         return self.status > 0 and self.output.rpartition(" | ")[2].startswith("error: ")
 

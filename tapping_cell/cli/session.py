@@ -175,7 +175,7 @@ def follow(
                 console.print(tap_text(event))
             elif isinstance(event, Finished):
                 return event
-    raise AssertionError("events end only with the goal")
+    raise AssertionError("the event stream ended before the goal")
 
 
 def wait_for_record(

@@ -2,9 +2,10 @@
 
 Starts the simulated cell (or the hardware with --hardware, or joins a running graph with --attach),
 taps the object near the middle of the table, and records each tap: the object's pose in every
-image, its start and end poses, the striker's speed. A tap that might move the object off the table
-or out of the camera's view is refused. Ctrl-C stops between or within trials; completed trials are
-kept, and --resume continues the experiment. The verb `fit` reads the folder.
+image, the object's start and end poses, and the striker's speed. A tap that might move the object
+off the table or out of the camera's view is refused. Ctrl-C stops between or within trials;
+completed trials are kept, and --resume continues the experiment. The verb `fit` evaluates the
+recorded folder.
 
     python -m tapping_cell single-tap
     python -m tapping_cell single-tap --speeds 600 900 1200 --incidences 15 -40 --trials 5
@@ -83,8 +84,8 @@ RANGES = (
 )
 """Ranges of the options, in their own units."""
 STEP_OF_SEED = 1000
-"""Difference between the seeds of two sessions of one experiment, because a world with the same
-seed would repeat its scatter."""
+"""Difference between the seeds of two sessions of one experiment. With the same seed, the simulated
+world would repeat its scatter."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -58,7 +58,11 @@ class TableSection:
         "minimum distance of object and striker from keep-out zones", "m", 0.0, 0.5, default=0.005
     )
     overhang: float = quantity(
-        "maximum distance of the striker beyond the table edges", "m", 0.0, 2.0, default=0.15
+        "maximum distance by which the striker may extend beyond a table edge",
+        "m",
+        0.0,
+        2.0,
+        default=0.15,
     )
 
 
@@ -88,14 +92,17 @@ class ChainSection:
     base_link: str = text("link of the URDF at which the chain begins")
     tip_link: str = text("link of the URDF that carries the tapper")
     tool: tuple[float, float, float, float, float, float] = quantity(
-        "pose of the striker's tip in tip_link (x, y, z in m, roll, pitch, yaw in rad), with the x "
-        "axis along the line of travel and the z axis up",
+        "pose of the striker's tip in tip_link (x, y, z in m, roll, pitch, yaw in rad); the x axis "
+        "of the tip points along the line of travel, and its z axis up",
         "",
         -7.0,
         7.0,
     )
     max_acceleration: tuple[float, ...] = quantity(
-        "deceleration of each joint of the arm when braking: rad/s^2 or m/s^2", "", 0.001, 1000.0
+        "deceleration of each joint of the arm in a braking stop: rad/s^2 or m/s^2",
+        "",
+        0.001,
+        1000.0,
     )
     mount: tuple[float, float, float, float, float, float] = quantity(
         "pose of base_link in arm_base: x, y, z in m, roll, pitch, yaw in rad",
@@ -129,14 +136,14 @@ class Ros2ControlSection:
     )
     interface: str = choice(
         "interface for sending trajectories: auto uses the action if control_msgs is installed and "
-        "the controller offers it, otherwise the topic",
+        "the controller offers the action, otherwise the topic",
         "auto",
         "topic",
         "action",
         default="topic",
     )
     state_timeout: float = quantity(
-        "timeout of the joint states, after which the arm counts as lost",
+        "time without joint states after which the connection to the arm counts as lost",
         "s",
         0.05,
         1.0,
@@ -164,10 +171,10 @@ class ArmSection:
     )
     upper_arm: float = quantity("distance from shoulder axis to elbow axis", "m", 0.02, 3.0)
     forearm: float = quantity("distance from elbow axis to quill axis", "m", 0.02, 3.0)
-    tip_forward: float = quantity("offset of the tip ahead of the quill axis", "m", -0.5, 0.5)
+    tip_forward: float = quantity("offset of the tip forward of the quill axis", "m", -0.5, 0.5)
     tip_side: float = quantity("offset of the tip to the left of the quill axis", "m", -0.5, 0.5)
     tip_yaw: float = quantity(
-        "angle from the tool's heading to the line of travel", "rad", -7.0, 7.0
+        "angle from the tool's heading to the striker's line of travel", "rad", -7.0, 7.0
     )
     tip_height: float = quantity("height of the tip when the quill is at zero", "m", 0.0, 2.0)
     lower: FourNumbers = quantity("lower joint limits: rad, rad, m, rad", "", -20.0, 20.0)
@@ -178,7 +185,9 @@ class ArmSection:
     max_acceleration: FourNumbers = quantity(
         "maximum joint accelerations: rad/s^2, rad/s^2, m/s^2, rad/s^2", "", 0.001, 1000.0
     )
-    singularity_margin: float = quantity("minimum bend angle of the elbow", "rad", 0.0, 0.5)
+    singularity_margin: float = quantity(
+        "minimum angle of the elbow from the stretched and the folded position", "rad", 0.0, 0.5
+    )
     strike_height: float = quantity(
         "height of the tip above the table during a strike", "m", 0.001, 0.2
     )
@@ -190,7 +199,8 @@ class ArmSection:
         "speed near the object as a fraction of the maximum joint speeds", "", 0.01, 1.0
     )
     back_off: float = quantity(
-        "distance by which the tip retreats along the line of travel before it is raised",
+        "distance by which the tip retreats along the line of travel after a tap, before the arm "
+        "raises it",
         "m",
         0.0,
         0.1,
@@ -362,14 +372,16 @@ class ArmSection:
         section = self.ros2_control
         if self.dialect != "ros2_control":
             if section is not None:
-                raise ValueError(f"arm.ros2_control has no meaning for the dialect {self.dialect}")
+                raise ValueError(
+                    f"arm.ros2_control is not used by the dialect {self.dialect}: leave it out"
+                )
             if not self.port:
                 raise ValueError(f"key 'arm.port' is missing: the dialect {self.dialect} needs it")
             return
         if section is None:
             raise ValueError("key 'arm.ros2_control' is missing: the dialect ros2_control needs it")
         if self.port:
-            raise ValueError("arm.port has no meaning for the dialect ros2_control: leave it out")
+            raise ValueError("arm.port is not used by the dialect ros2_control: leave it out")
         if section.chain is None and len(section.joints) != len(self.lower):
             raise ValueError(
                 f"arm.ros2_control.joints has {len(section.joints)} names, the arm has"
@@ -395,7 +407,7 @@ class ArmSection:
         if len(chain.max_acceleration) != len(section.joints):
             raise ValueError(
                 f"arm.ros2_control.chain.max_acceleration has {len(chain.max_acceleration)}"
-                f" values, .joints has {len(section.joints)}: give one for each"
+                f" values, but .joints has {len(section.joints)}; give one value for each joint"
             )
         try:
             return chain_from_urdf(
@@ -444,8 +456,8 @@ class ArmSection:
 
 
 LONGEST_SHOT = 0.1
-"""Maximum time from the last check before a pulse until the output is off, in s. This time and the
-striker's flight must end before the arm is allowed to move again."""
+"""Maximum time from the last check before a pulse until the output is off, in s. This time plus the
+striker's time of flight must pass before the arm is allowed to move again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,7 +486,7 @@ class OutputSection:
         default="",
     )
     latency: float = quantity(
-        "maximum measured delay from sending a level until the output has that level",
+        "maximum delay, as measured, from sending a command until the output has switched",
         "s",
         0.001,
         0.045,
@@ -554,12 +566,12 @@ class TapperSection:
         """Raise ValueError for keys that contradict each other."""
         if self.dialect == "board":
             if self.output is not None:
-                raise ValueError("tapper.output has no meaning for the dialect board")
+                raise ValueError("tapper.output is not used by the dialect board: leave it out")
             if not self.port:
                 raise ValueError("key 'tapper.port' is missing: the dialect board needs it")
             return
         if self.port:
-            raise ValueError("tapper.port has no meaning for the dialect io: leave it out")
+            raise ValueError("tapper.port is not used by the dialect io: leave it out")
         if len(self.output_settings().pulses) != len(self.energies):
             raise ValueError(
                 f"tapper.output.pulses has {len(self.output_settings().pulses)} values, "

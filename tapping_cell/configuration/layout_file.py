@@ -19,10 +19,18 @@ class LayoutGoal:
         7.0,
     )
     position_tolerance: float = quantity(
-        "position tolerance of the goal; 0 for that of the cell file", "m", 0.0, 1.0, default=0.0
+        "position tolerance of the goal; 0 means the tolerance of the cell file",
+        "m",
+        0.0,
+        1.0,
+        default=0.0,
     )
     angle_tolerance: float = quantity(
-        "angle tolerance of the goal; 0 for that of the cell file", "rad", 0.0, 3.2, default=0.0
+        "angle tolerance of the goal; 0 means the tolerance of the cell file",
+        "rad",
+        0.0,
+        3.2,
+        default=0.0,
     )
 
 
@@ -36,14 +44,16 @@ class LayoutFile:
         "names of objects without a goal that may be tapped out of the way", default=()
     )
     max_taps: int = quantity(
-        "maximum number of taps for all objects together; 0 for goal.max_taps times the goals",
+        "maximum number of taps for all objects together; 0 means goal.max_taps times the number "
+        "of goals",
         "",
         0,
         10000,
         default=0,
     )
     time_limit: float = quantity(
-        "time limit for all objects together; 0 for the planner's time limit times the goals",
+        "time limit for all objects together; 0 means the planner's time limit times the number "
+        "of goals",
         "s",
         0.0,
         86400.0,

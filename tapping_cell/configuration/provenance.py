@@ -17,8 +17,8 @@ class Provenance:
     """Inputs, residual and uncertainty of a calibration.
 
     ``residual`` is the error that remains after the fit, and ``uncertainty`` is the standard
-    deviation of the result. A later calibration is compared with the record by these two values
-    (see calibration/keep.py).
+    deviation of the result. These two values are compared when a later calibration would replace
+    the file (see calibration/keep.py).
     """
 
     by: str = text("verb that wrote the record, such as 'calibrate arm'")

@@ -28,7 +28,8 @@ Goal = tuple[float, float, float]
 class Method:
     """A planning method with the settings of one of its variants.
 
-    ``error_line`` is in percent; None means the method's default.
+    ``error_line``: assumed rotation error in percent of the tap's rotation; None means the method's
+    default.
     """
 
     label: str
@@ -169,7 +170,8 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
     )
     axis.set_ylim(0.0, max(2.5 * turn, 12.0))
     axis.set_title(
-        f"remaining error: cones of multi, error lines of {100 * planner.error_line:.0f} %",
+        "remaining error: cones of the method multi, error lines at "
+        f"{100 * planner.error_line:.0f} %",
         fontsize=9,
     )
     axis.legend(fontsize=7, loc="upper left")

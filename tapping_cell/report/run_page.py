@@ -429,7 +429,7 @@ def _configuration(run: Run) -> str:
     return (
         f"<section><h2>Configuration</h2>{files}<p>{seed}Versions: {escape(versions)}.</p>"
         f'<p class="quiet">The bag in the folder of this page contains every topic of this '
-        "run: open the <code>.mcap</code> file in Foxglove, or call <code>ros2 bag play bag</code>."
-        " To write this page again, call <code>python -m tapping_cell report</code> with the "
+        "run: open the <code>.mcap</code> file in Foxglove, or run <code>ros2 bag play bag</code>."
+        " To write this page again, run <code>python -m tapping_cell report</code> with the "
         "folder.</p></section>"
     )

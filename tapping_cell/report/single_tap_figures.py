@@ -142,7 +142,7 @@ def _residuals(figure: Figure, report: SingleTapReport) -> None:
     columns = (
         (left, _percent(seen.speed, slid.speed), "initial speed: measured over calculated"),
         (middle, _percent(seen.spin, slid.spin), "initial spin: measured over calculated"),
-        (right, 100 * (report.own_friction - 1), "friction of the trial relative to all"),
+        (right, 100 * (report.own_friction - 1), "friction: single trial over fit to all trials"),
     )
     for axes, values, title in columns:
         for label, (colour, mark) in _styles(report).items():

@@ -17,7 +17,8 @@ PAGE = "report.html"
 _CAPTIONS = {
     figures.RUNS: "Displacements and initial velocities of all trials (as figure 3 of the paper). "
     "Crosses are calculated: displacements from the measured initial velocities, velocities from "
-    "the measured displacements. Open marks: mean prediction from striker's speed and incidence.",
+    "the measured displacements. Open marks: mean prediction from the striker's speed and "
+    "incidence.",
     figures.PROFILES: "Velocity profiles of single trials (as figure 4), predicted from the "
     "displacement with the fitted torque factor. The fit itself compares the poses (right), not "
     "the velocities.",

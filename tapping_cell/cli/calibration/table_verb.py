@@ -152,7 +152,7 @@ def _from_sheet(arguments: argparse.Namespace) -> tuple[ReferenceMap, Provenance
         residual=0.0,
         residual_of="none (a single reading of a ruler)",
         uncertainty=0.0002 / RULER * farthest,
-        uncertainty_of="position of the farthest marker, m, for a ruler read to 0.2 mm",
+        uncertainty_of="position of the farthest marker if the ruler is read to 0.2 mm, m",
         deviations={},
         notes=(f"the sheet's 100 mm ruler measures {arguments.ruler:g} mm",),
     )

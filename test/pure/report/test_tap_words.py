@@ -60,7 +60,7 @@ def test_the_expected_effort_is_told_if_the_planner_knew_it() -> None:
         (Pose(0.04, 0.0, 0.2), "The tap is aimed straight at the goal."),
         (Pose(0.01, 0.0, 0.2), "The tap moves the object past the goal on purpose: a rotation"),
         (Pose(-0.01, 0.0, 0.2), "The tap moves the object away from the goal on purpose"),
-        (Pose(0.09, 0.0, 0.2), "The tap moves the object to 50.0 mm before the goal on purpose"),
+        (Pose(0.09, 0.0, 0.2), "The tap stops 50.0 mm short of the goal on purpose"),
     ],
 )
 def test_the_purpose_of_a_tap_is_told(goal: Pose, words: str) -> None:
