@@ -1,8 +1,8 @@
 """Report every error in configuration files, without starting any node.
 
-For a cell file, the files that it names are checked too. All of them must be consistent: marker
-ids, heights, joint limits, the tapper's speeds, the arm's reach over the table, the planner. The
-kind of a file is recognised from its keys.
+For a cell file, the files that it names are checked too. The values in all these files must be
+consistent: marker ids, heights, joint limits, the tapper's speeds, the arm's reach over the table,
+the planner. The kind of a file is recognised from its keys.
 
     python -m tapping_cell check-config config/cell.yaml
     python -m tapping_cell check-config my/objects/*.yaml --kind object --json

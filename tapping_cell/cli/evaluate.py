@@ -580,7 +580,7 @@ def _progress(
 def _text(planner: str, figures: dict[str, Any]) -> str:
     taps, box = figures["taps"], figures["box"]
     lines = [
-        f"{planner}: {figures['trials']} trials, {figures['trials_per_second']:.0f} a second",
+        f"{planner}: {figures['trials']} trials, {figures['trials_per_second']:.0f} per second",
         f"  taps              mean {taps['mean']:.3f} "
         f"(95 % interval {taps['mean_interval'][0]:.3f} to {taps['mean_interval'][1]:.3f})",
         f"                    median {taps['p50']}, 90 % within {taps['p90']}, "

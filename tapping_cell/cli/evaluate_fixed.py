@@ -62,9 +62,9 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
-        help="standard deviations of the true position and direction of each tapper's line, in mm"
-        " and degrees, drawn for each trial (only for a cell with fixed tappers; default: 0 "
-        "0)",
+        help="standard deviations of the position error and the direction error of each tapper's "
+        "line, in mm and degrees; the errors are drawn for each trial (only for a cell with fixed "
+        "tappers; default: 0 0)",
     )
 
 
@@ -72,7 +72,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
     """Evaluate the cell at each start angle and print the table. Return 0.
 
     Raises:
-        PlanningError: an option does not apply to such a cell.
+        PlanningError: an option does not apply to a cell with fixed tappers.
     """
     without_meaning = {
         "--all": arguments.all,

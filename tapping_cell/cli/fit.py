@@ -117,7 +117,9 @@ def _content(experiments: Sequence[Experiment], path: Path | None) -> ObjectFile
             f"{experiments[0].folder}: the header names no object; give --object FILE"
         )
     if any(other is None or other.shape != first.shape for other in headers):
-        raise RecordError("the records are of objects of different shapes; fit them separately")
+        raise RecordError(
+            "the records are of objects with different shapes; fit each object separately"
+        )
     return first
 
 

@@ -26,7 +26,7 @@ GOALS_IN_A_STEP = 100
 
 
 def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -> int:
-    """Run a campaign. Return exit code 0 only without any violation."""
+    """Run a campaign. Return exit code 0 only if no invariant was violated."""
     known = tuple(FIXED_MAKERS) if mix.fixed else KINDS
     unknown = sorted(set(mix.only) - set(known))
     if unknown:

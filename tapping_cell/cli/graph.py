@@ -27,7 +27,8 @@ SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_tri
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 
 RECORDER = "run_recorder"
-"""Recorder of every goal. The cell works without it, so its end does not end the graph."""
+"""Recorder of every goal. If the recorder ends, the graph continues, because the cell works without
+it."""
 
 TIMEOUT_S = 5.0
 """Time for a node to exit before it is killed."""

@@ -36,7 +36,7 @@ IN_A_ROW = 3
 
 
 class ProbingStopped(RuntimeError):
-    """No further goal can be sent, for the stated reason. Recorded runs are kept."""
+    """No further goal can be sent; the message states why. Recorded runs are kept."""
 
 
 def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, None, None]:

@@ -1,6 +1,6 @@
 """Ctrl-C and SIGTERM end a verb in order.
 
-This module imports nothing of the cell, so that `stop` starts fast.
+This module imports no other module of the package, so that the verb `stop` starts fast.
 """
 
 from __future__ import annotations

@@ -264,7 +264,8 @@ def _measure(
     trials: list[Trial],
     console: Console,
 ) -> None:
-    """Make the remaining trials of the design. Each trial is on disk before the next starts."""
+    """Make the remaining trials of the design. Each trial is written to disk before the next one
+    starts."""
     sessions = sum(1 for entry in folder.glob("session_*") if entry.is_dir())
     name = f"session_{sessions + 1:02d}"
     seed = design.seed + STEP_OF_SEED * sessions

@@ -65,8 +65,12 @@ class Supervisor:
                 f"{ended.sentence}; it is restarted ({len(recent)} of {MAX_RESTARTS})",
             )
         if ended.name not in ASIDE:
-            often = "" if ended.refused else f" {MAX_RESTARTS + 1} times in {WINDOW_S:.0f} s"
-            raise NodeDied(f"the cell cannot work without {ended.name}:{often} {ended.sentence}")
+            often = (
+                ""
+                if ended.refused
+                else f", which ended {MAX_RESTARTS + 1} times in {WINDOW_S:.0f} s"
+            )
+            raise NodeDied(f"the cell cannot work without {ended.name}{often}: {ended.sentence}")
         self.left_alone[ended.name] = ended.sentence
         return Incident(
             ended.name,

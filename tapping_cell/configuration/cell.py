@@ -128,7 +128,7 @@ class Ros2ControlSection:
         "full name of the arm's joint_trajectory_controller, such as /scara_controller"
     )
     joints: tuple[str, ...] = text(
-        "names of the joints in the arm's driver, in the order of the arm's kinematics (SCARA: "
+        "names of the joints in the arm's driver, in the order of the kinematic chain (SCARA: "
         "shoulder, elbow, quill, tool)"
     )
     joint_states: str = text(
@@ -304,7 +304,7 @@ class ArmSection:
         default=False,
     )
     joint_offset: FourNumbers = quantity(
-        "true joint positions minus those of the controller, calibrated: rad, rad, m, rad",
+        "calibrated joint offsets, true position minus the controller's position: rad, rad, m, rad",
         "",
         -1.0,
         1.0,
@@ -321,7 +321,8 @@ class ArmSection:
         default=(),
     )
     grbl_settings: tuple[tuple[float, float], ...] = quantity(
-        "required $$ settings besides $13 = 0: number and value, such as [[23, 3], [27, 1.0]]",
+        "required Grbl settings ($$) in addition to $13 = 0: number and value, such as [[23, 3], "
+        "[27, 1.0]]",
         "",
         -1e7,
         1e7,

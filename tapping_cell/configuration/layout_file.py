@@ -39,7 +39,9 @@ class LayoutFile:
     """Contents of a layout file: one arrangement of objects."""
 
     goals: tuple[LayoutGoal, ...] = section("goals, each for a different object")
-    in_order: bool = text("whether to finish the objects in the order of the list", default=False)
+    in_order: bool = text(
+        "whether the objects are brought to their goals in the order of the list", default=False
+    )
     may_move: tuple[str, ...] = text(
         "names of objects without a goal that may be tapped out of the way", default=()
     )

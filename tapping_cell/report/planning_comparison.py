@@ -142,7 +142,7 @@ def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
         tap = _planner(method, settings).choose(1e-3 * distance, math.radians(turn))
         place, angle = 1e3 * float(tap.distance), math.degrees(float(tap.rotation))
         left.plot([0.0, place], [0.0, angle], marker="o", markersize=4, lw=1.0, label=method.label)
-    left.set_title("blue: one tap from the start; red: one tap to the goal", fontsize=9)
+    left.set_title("blue: reachable by one tap; red: one tap is left to the goal", fontsize=9)
     left.set_ylim(-2.0, max(1.3 * turn, 12.0))
     left.legend(fontsize=7, loc="upper left")
     _draw_chain(right, settings, distance, turn)

@@ -103,7 +103,8 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     after = [(at, m) for at, m in seen if at <= ended + _TRUTH_WITHIN_S]
     final = after[-1] if after else None
     taps = _taps(records, bag, truths, began)
-    # The goal's stamp is that of the observation it refers to, the time of sending, or zero.
+    # The stamp of the goal is the stamp of the observation to which the goal refers, the time of
+    # sending, or zero.
     start = _start(seen, _seconds(last.goal.header.stamp) or began, taps)
     goal = _pose(last.goal.pose) if _is_pose(last.goal.pose) else None
     tolerance = (_finite(last.position_tolerance), _finite(last.angle_tolerance))

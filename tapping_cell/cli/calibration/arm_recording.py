@@ -43,7 +43,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     """Record poses until the requested number is reached. Return False if interrupted.
 
     Raises:
-        CalibrationRefused: the cell or the camera is unsuitable, for the stated reason.
+        CalibrationRefused: the cell or the camera is unsuitable; the message states why.
         RecordError: the existing file cannot be continued.
     """
     own = cell.arm.ros2_control

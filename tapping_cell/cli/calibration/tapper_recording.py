@@ -43,7 +43,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     """Record taps until the requested number is reached. Return False if interrupted.
 
     Raises:
-        CalibrationRefused: the cell or the object is unsuitable, for the stated reason.
+        CalibrationRefused: the cell or the object is unsuitable; the message states why.
         RecordError: the existing file cannot be continued.
     """
     end_on_signals()
