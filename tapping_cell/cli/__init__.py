@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complete(os.environ.get("COMP_LINE", ""))
     if sys.version_info < OLDEST_PYTHON:
         version = ".".join(map(str, sys.version_info[:3]))
-        return _not_set_up(f"{sys.executable} is Python {version}, and the cell needs 3.10")
+        return _not_set_up(f"{sys.executable} is Python {version}; the cell needs 3.10 or later")
     try:
         parser, execute = _parser_of(argv)
         try:

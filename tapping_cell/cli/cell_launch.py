@@ -51,7 +51,7 @@ class LaunchedNode:
 
     name: str
     arguments: Mapping[str, str] = field(default_factory=dict)
-    """Parameter name for each launch argument."""
+    """Name of the node parameter that each launch argument sets."""
     respawn: bool = False
     parameters: Mapping[str, object] = field(default_factory=dict)
     """Fixed parameter values, used for every instance of this node in the graph."""

@@ -192,7 +192,8 @@ def _refusal(load: Any, path: Path) -> list[str]:
 
 
 def recognise(document: Any) -> str | None:
-    """Return the kind of a file from its keys; None if no kind, or more than one, matches."""
+    """Return the kind of a file, inferred from its keys; None if no kind or more than one kind
+    matches."""
     if not isinstance(document, Mapping) or not document:
         return None
     keys = {str(key) for key in document}

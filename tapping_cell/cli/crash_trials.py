@@ -143,7 +143,8 @@ class Observed:
                     )
 
     def _flight(self, at: float) -> float:
-        """Return the maximum time of flight in s of the tap that was commanded last by ``at``."""
+        """Return the maximum time of flight in s of the last tap commanded before the time
+        ``at``."""
         taps = [c for c in self.commands if c.request == TapCommand.TAP]
         speeds = [c.striker_speed for c in taps if seconds(c.header.stamp) <= at]
         return STROKE_FACTOR * load_cell().file.tapper.stroke / speeds[-1] if speeds else 0.0

@@ -205,7 +205,7 @@ def _metres(goal: Sequence[float]) -> tuple[float, float]:
 def _position(
     arguments: argparse.Namespace, graph: Graph, client: GoalClient, console: Console
 ) -> Path:
-    """Send the goal and follow it to its end. Return the folder of its record."""
+    """Send the goal and follow it to its end. Return the folder in which the run was recorded."""
     session.wait_until_ready(client, READY_TIMEOUT_S, graph.check, console)
     observed = client.object_state
     assert observed is not None

@@ -44,7 +44,7 @@ from tapping_cell.nodes.drivers.output_link import RosOutputLink
 from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
 
 TIMEOUT = 8.0
-"""Timeout in s for a port, and then for its device."""
+"""Timeout in s for opening a port, and again for the response of the device at that port."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
             "guard",
             "closed" if reply.interlock_closed else "open",
             reply.interlock_closed,
-            "" if reply.interlock_closed else "close the guard, or check its input",
+            "" if reply.interlock_closed else "close the guard, or check the input of the guard",
         ),
         Row(
             "tapper",

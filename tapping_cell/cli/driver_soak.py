@@ -50,7 +50,7 @@ class Soak:
 
 
 def soak(dialect: Dialect, hours: float, seed: int) -> Soak:
-    """Tap over faulty lines for ``hours`` of simulated time."""
+    """Make taps over faulty serial lines for ``hours`` of simulated time."""
     cell = TrialCell(dialect, seed)
     taps = 0
     samples: list[tuple[int, int, int, int]] = []

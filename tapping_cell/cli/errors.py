@@ -32,7 +32,7 @@ class ExitStatus(IntEnum):
 
 MEANINGS = {
     ExitStatus.DONE: "success",
-    ExitStatus.FAILED: "failure: the command was tried and the error states why it failed, or the "
+    ExitStatus.FAILED: "failure: the command could not be completed (the error states why), or the "
     "condition that it checks is false",
     ExitStatus.REFUSED: "refused: arguments or files are wrong, and nothing was started",
     ExitStatus.INTERRUPTED: "orderly end after Ctrl-C or a termination signal",

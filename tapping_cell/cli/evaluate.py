@@ -5,11 +5,12 @@ example:
   python -m tapping_cell evaluate --planner optimal --goal 10 0 10 --camera-noise 0.1 0.1
 
 Lengths are in mm, angles in degrees, shares in percent. With the model "abstract", a tap has the
-intended displacement plus scatter; the model "physics" simulates strike, impact and slide with true
+intended displacement plus scatter. The model "physics" simulates strike, impact and slide with true
 parameters that the planner does not receive (option --truth; also --truth-object if --object is a
-fitted file). With --table, the trials run on the cell's table, within the arm's reach, with edges
-and keep-outs; goals that are out of reach must be refused before the first tap. A cell with fixed
-tappers is evaluated on its own working area, with one row of results for each of --start-angles:
+fitted file). With --table, the trials run on the cell's table, with its edges and keep-outs, within
+the arm's reach. Goals that are out of reach must then be refused before the first tap. A cell with
+fixed tappers is evaluated on its own working area, with one row of results for each of
+--start-angles:
 
   python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
 
@@ -136,7 +137,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="begin with the smallest taps, which measure the object's friction (only with "
         "--table)",
     )
-    parser.add_argument("--adapt", action="store_true", help="learn the gains from tap to tap")
+    parser.add_argument(
+        "--adapt",
+        action="store_true",
+        help="learn the gains of distance and rotation from tap to tap",
+    )
     numbers(
         "--box",
         type=float,
@@ -384,11 +389,9 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
             clock = functools.partial(_arm_times, arguments.cell, arguments.object, arguments.truth)
             space = functools.partial(_cell_space, arguments.cell, arguments.object)
     if arguments.model == "abstract" and (arguments.round_position or arguments.round_angle):
-        raise PlanningError(
-            "rounding applies to the striker's pose: give --model physics or world with it"
-        )
+        raise PlanningError("--round-position and --round-angle need --model physics or world")
     if arguments.model != "physics" and arguments.true_friction is not None:
-        raise PlanningError("a true friction needs --model physics")
+        raise PlanningError("--true-friction needs --model physics")
     tasks = arguments.random_tasks
     if tasks is not None and len(tasks) not in (0, 2):
         raise PlanningError(
@@ -742,8 +745,8 @@ def _arrange(arguments: argparse.Namespace) -> int:
 
 
 def arrangement_kinds(arguments: argparse.Namespace) -> list[Any]:
-    """Return the kinds of scenes, with the cell's table and arm and the friction of the object
-    file."""
+    """Return one ``Kind`` (free space and planner) for each shape of object, with the table and the
+    arm of the cell and the friction of the object file."""
     from tapping_cell.configuration.assembly import make_strike_space, make_tap
     from tapping_cell.configuration.cell import load_cell
     from tapping_cell.planning import FreeSpace, PlannerSettings, make_planner

@@ -75,7 +75,7 @@ class Dialect(Enum):
 
 @dataclass
 class Tally:
-    """Counts of the results, which can be added."""
+    """Counts of the results. Two tallies can be added."""
 
     taps: int = 0
     fired: int = 0

@@ -69,7 +69,7 @@ class SeenObject:
     outline: OutlineSection | None = section(
         "appearance of an object without a marker", default=None
     )
-    name: str = text("name of the object, for people", default="")
+    name: str = text("display name of the object", default="")
 
     def seen(self) -> ObjectMarker | ObjectOutline:
         """Return the marker or outline for the tracker."""

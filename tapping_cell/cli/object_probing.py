@@ -40,7 +40,8 @@ class ProbingStopped(RuntimeError):
 
 
 def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, None, None]:
-    """Send ``arguments.goals`` goals, fewer if the caller stops. Yield the folder of each run.
+    """Send up to ``arguments.goals`` goals; the caller may stop earlier. Yield the folder of each
+    run.
 
     Raises:
         ConfigurationError: the cell's files are unusable, or another object is in the cell.

@@ -1,4 +1,4 @@
-"""Follow one goal in a running graph: text output, and rows for the run folder."""
+"""Send one goal to a running graph, show its progress as text, and wait for its run folder."""
 
 from __future__ import annotations
 

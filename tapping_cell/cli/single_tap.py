@@ -1,9 +1,9 @@
 """Measure an object by single taps at every combination of striker speed and incidence.
 
-Starts the simulated cell (or the hardware with --hardware, or joins a running graph with --attach),
-taps the object near the middle of the table, and records each tap: the object's pose in every
-image, the object's start and end poses, and the striker's speed. A tap that might move the object
-off the table or out of the camera's view is refused. Ctrl-C stops between or within trials;
+Starts the simulated cell (or the hardware with --hardware, or joins a running graph with --attach)
+and taps the object near the middle of the table. The record of each tap contains the object's pose
+in every image, the object's start and end poses, and the striker's speed. A tap that might move the
+object off the table or out of the camera's view is refused. Ctrl-C stops between or within trials;
 completed trials are kept, and --resume continues the experiment. The verb `fit` evaluates the
 recorded folder.
 
@@ -82,7 +82,7 @@ RANGES = (
     ("slow-motion", 1.0, 100.0),
     ("exposure", 0.0, 100.0),
 )
-"""Ranges of the options, in their own units."""
+"""Ranges of the options, each in the unit of its option."""
 STEP_OF_SEED = 1000
 """Difference between the seeds of two sessions of one experiment. With the same seed, the simulated
 world would repeat its scatter."""
@@ -191,7 +191,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_ranges(arguments: argparse.Namespace) -> None:
-    """Reject option values that no experiment can have.
+    """Reject option values that are out of range.
 
     Raises:
         ValueError: a value is out of range. The message names the option, value and range.
@@ -332,7 +332,7 @@ def _keep_header(folder: Path, header: ExperimentFile) -> None:
     """Write the header, or check that an existing header describes the same experiment.
 
     Raises:
-        RecordError: the existing header has another object, striker or source.
+        RecordError: the existing header describes another object, striker or source.
     """
     if not (folder / HEADER_FILE).exists():
         write_header(folder, header)

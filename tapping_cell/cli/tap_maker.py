@@ -80,7 +80,8 @@ class TapMaker:
         return result
 
     def _untapped(self, code: int, sentence: str) -> None:
-        """React to a tap that did not start."""
+        """Handle a tap that did not start: bring the object back if required, or raise
+        SeriesStopped."""
         self._failures += 1
         name = error_codes.name(code)
         if self._failures >= IN_A_ROW or code not in (*NO_CLEARANCE, *PASSING):

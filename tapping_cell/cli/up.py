@@ -265,7 +265,8 @@ class _Running:
         self._print_page()
 
     def _print_page(self) -> None:
-        """Print the address of the operator's page once its node has written it to its log."""
+        """Print the address of the operator's page once the page's node has written it to the
+        log."""
         if not self._page_log.exists():
             return
         text = self._page_log.read_bytes()[self._page_seen :].decode("utf-8", errors="replace")

@@ -49,8 +49,12 @@ JointName = Literal["shoulder", "elbow", "quill", "tool"]
 class TableSection:
     """The part of the table on which objects may lie."""
 
-    length: float = quantity("size of the area along x, centred on the origin", "m", 0.05, 10.0)
-    width: float = quantity("size of the area along y, centred on the origin", "m", 0.05, 10.0)
+    length: float = quantity(
+        "length of the area along x; the area is centred on the origin", "m", 0.05, 10.0
+    )
+    width: float = quantity(
+        "width of the area along y; the area is centred on the origin", "m", 0.05, 10.0
+    )
     edge_margin: float = quantity(
         "minimum distance between the object and a table edge", "m", 0.0, 0.5, default=0.005
     )
@@ -191,7 +195,9 @@ class ArmSection:
     strike_height: float = quantity(
         "height of the tip above the table during a strike", "m", 0.001, 0.2
     )
-    travel_height: float = quantity("height of the tip above the table in travel", "m", 0.01, 1.0)
+    travel_height: float = quantity(
+        "height of the tip above the table while the arm travels", "m", 0.01, 1.0
+    )
     travel_speed: float = quantity(
         "travel speed as a fraction of the maximum joint speeds", "", 0.01, 1.0
     )
@@ -430,7 +436,8 @@ class ArmSection:
         """
         if len(self.steps_per_unit) not in (0, 4):
             raise ValueError(
-                f"arm.steps_per_unit has {len(self.steps_per_unit)} values, must have four or none"
+                f"arm.steps_per_unit has {len(self.steps_per_unit)} values, but must have four or "
+                "none"
             )
         return needs_of(self.geometry(), self.steps_per_unit)
 
@@ -576,7 +583,7 @@ class TapperSection:
         if len(self.output_settings().pulses) != len(self.energies):
             raise ValueError(
                 f"tapper.output.pulses has {len(self.output_settings().pulses)} values, "
-                f"tapper.energies has {len(self.energies)}: give a pulse for each"
+                f"tapper.energies has {len(self.energies)}: give one pulse for each energy"
             )
 
     def striker(self) -> Striker:
@@ -811,7 +818,7 @@ class Cell:
         }
 
     def mounted_tappers(self) -> tuple[MountedTapper, ...]:
-        """Return the fixed tappers as bodies, for their URDF.
+        """Return the poses, dimensions and masses of the fixed tappers for their URDF.
 
         Raises:
             ConfigurationError: the cell has an arm.

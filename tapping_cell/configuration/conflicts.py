@@ -258,5 +258,5 @@ def _ports(cell: Cell) -> Iterator[str]:
         if port and not Path(port).expanduser().exists():
             yield (
                 f"{cell.path}: the port {port} of {', '.join(names)} does not exist (yet); "
-                "the simulated world creates it, a device must be plugged in"
+                "the simulated world creates it; a real device must be plugged in"
             )

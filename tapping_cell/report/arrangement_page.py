@@ -45,7 +45,8 @@ def write_page(run: ArrangementRun, folder: Path, pictures: Sequence[Picture] = 
 def page(run: ArrangementRun, pictures: Sequence[Picture] = ()) -> str:
     """Return the page of an arrangement, which loads no other files.
 
-    ``pictures``: camera images in the order of time; those before, between and after are shown.
+    ``pictures``: camera images in the order of time. The page shows the images taken before,
+    half-way through and after the moves.
     """
     moves = moves_of(run)
     parts = [

@@ -1,4 +1,5 @@
-"""Data of one arrangement of several objects for its report, and its file."""
+"""Data of one arrangement of several objects for its report, and the file that stores these
+data."""
 
 from __future__ import annotations
 

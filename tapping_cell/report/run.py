@@ -23,8 +23,8 @@ class Learnt:
 
     ``distance`` is the ratio of measured to modelled distance, and ``rotation`` the ratio of
     measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` and
-    ``offset_y`` are rotations per distance (rad/m) of taps through the middle towards -y and +x of
-    the object. NaN if unknown.
+    ``offset_y`` are the rotations per distance (rad/m) caused by taps through the middle of the
+    object in its -y and +x directions. NaN if unknown.
     """
 
     distance: float = math.nan

@@ -238,8 +238,8 @@ def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
 
 
 def _start(seen: list[tuple[float, Any]], asked: float, taps: Sequence[TapRow]) -> Pose | None:
-    """Return the resting pose at the beginning of a run, or the pose for which the first tap was
-    planned if the recorder connected to the camera's node only after that tap."""
+    """Return the resting pose at the beginning of a run. If the recorder connected to the camera's
+    node only after the first tap, return the pose for which that tap was planned."""
     if taps and taps[0].number == 1 and all(at > asked + _SAME_TIME_S for at, _ in seen):
         return taps[0].before
     return _pose_at(seen, asked)

@@ -44,7 +44,7 @@ def write_page(report: SingleTapReport, folder: Path) -> Path:
         _section("Prediction error of each run, percent", _errors(report.runs)),
         _section("Striker", _list(report.tapper)) if report.tapper else "",
         _section("Left out", _list(report.left_out)) if report.left_out else "",
-        _section("From", _facts(report)),
+        _section("Data", _facts(report)),
     ]
     page = folder / PAGE
     page.write_text(document(report.title, "".join(body)), encoding="utf-8")

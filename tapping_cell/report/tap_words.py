@@ -35,7 +35,7 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
         parts.append(f"Chosen because {tap.reason}.")
     effort = expected_effort(tap.expected_taps, tap.expected_seconds)
     if effort:
-        parts.append(f"Expected before the tap: {effort} to the goal.")
+        parts.append(f"Expected effort before the tap: {effort} to the goal.")
     return " ".join(part for part in parts if part)
 
 

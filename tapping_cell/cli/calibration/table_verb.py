@@ -249,7 +249,9 @@ def _placed(
         return in_frame(references, frame), notes
     if old is not None:
         frame, moved = frame_of_map(references, old)
-        notes.append(f"frame of {arguments.table.name}; markers moved by {moved * 1e3:.3f} mm rms")
+        notes.append(
+            f"frame kept from {arguments.table.name}; the markers moved by {moved * 1e3:.3f} mm rms"
+        )
         return in_frame(references, frame), notes
     return references, [*notes, "origin: centre of the markers; x axis: their mean direction"]
 

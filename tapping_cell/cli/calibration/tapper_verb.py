@@ -1,12 +1,12 @@
 """Calibrate the striker's speed at each energy, from the travel of the object after each tap.
 
 Each row is one tap: energy (J; or energy_mJ) and the distance travelled by the object (m; or
-distance_mm). Optional columns are the object's rotation (rad; or rotation_deg), the incidence of
-the striker relative to the contact normal (rad; or incidence_deg; default 0) and distance_std, the
-standard deviation of the camera's measurement of the distance (default 0.1 mm). Record about 30
-taps through the object's centre, at six or more energies from the smallest tap to the largest.
-Friction and restitution come from the object file. Writes a copy of the cell file with the new
-curve in its section tapper.
+distance_mm). Three columns are optional: rotation of the object (rad; or rotation_deg), incidence
+of the striker relative to the contact normal (rad; or incidence_deg; default 0) and distance_std,
+the standard deviation of the measured distance (default 0.1 mm). Record about 30 taps through the
+object's centre, at six or more energies from the smallest tap to the largest. Friction and
+restitution come from the object file. Writes a copy of the cell file with the new curve in its
+section tapper.
 
 With --record, the verb first makes and records the taps with the running cell. The taps are made
 near the middle of the table. They range from the smallest tap in the object file to the largest tap

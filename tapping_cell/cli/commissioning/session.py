@@ -1,4 +1,5 @@
-"""Commissioning session: its folder, its measurements, the person, and the running nodes."""
+"""Commissioning session: its folder, its measurements, the dialogue with the person, and the
+running nodes."""
 
 from __future__ import annotations
 
@@ -105,7 +106,7 @@ class Session:
         """Run a verb that prints one JSON object, and return this object.
 
         Raises:
-            StepFailed: with the verb's error message.
+            StepFailed: the verb failed; the message contains the verb's error message.
         """
         from tapping_cell.cli import main
 
