@@ -173,7 +173,7 @@ class CrashCell:
             "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
         }
-        # The planner's stored goal is kept separate from that of other cells.
+        # The planner's stored goal is kept separate from the stored goals of other cells.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("crash_trials")
         self.seen = Observed()

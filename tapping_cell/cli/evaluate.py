@@ -794,8 +794,8 @@ def _arrangement_text(method: str, figures: dict[str, Any]) -> str:
         f"{method}: {scenes} scenes",
         f"  all truly inside    {100 * figures['success_rate']:.1f} %, "
         f"wrongly reported as reached {figures['false_claims']}",
-        f"  contacts            objects in {figures['scenes_with_contact']} scenes, "
-        f"tool in {figures['scenes_with_tool_contact']}",
+        f"  contacts            between objects in {figures['scenes_with_contact']} scenes, "
+        f"with the tool in {figures['scenes_with_tool_contact']}",
         f"  taps                mean {figures['taps_mean']:.2f}, factor due to other objects "
         f"{figures['price_of_others']:.2f}, moves out of the way "
         f"{figures['made_way_mean']:.2f}",

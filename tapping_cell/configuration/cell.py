@@ -571,7 +571,7 @@ class TapperSection:
         return OutputTapperSettings(self.energies, self.output.pulses, self.output.latency)
 
     def check_dialect(self) -> None:
-        """Raise ValueError for keys that contradict each other."""
+        """Raise ValueError if keys contradict the dialect or each other."""
         if self.dialect == "board":
             if self.output is not None:
                 raise ValueError("tapper.output is not used by the dialect board: leave it out")

@@ -257,6 +257,6 @@ def _ports(cell: Cell) -> Iterator[str]:
     for port, names in boards.items():
         if port and not Path(port).expanduser().exists():
             yield (
-                f"{cell.path}: the port {port} of {', '.join(names)} does not exist (yet); "
-                "the simulated world creates it; a real device must be plugged in"
+                f"{cell.path}: the port {port} of {', '.join(names)} does not exist (yet): "
+                "a simulated port is created by sim_world; a real device must be plugged in"
             )

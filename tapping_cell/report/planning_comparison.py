@@ -178,7 +178,8 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
 
 
 def draw_fans(settings: PlannerSettings, goal: Goal, path: Path) -> None:
-    """Draw runs of every method in the distance-rotation plane, like figures 5 and 6."""
+    """Draw runs of every method in the distance-rotation plane, like figures 5 and 6 of the
+    paper."""
     chosen = methods()
     figure, axes = _figure(len(chosen), columns=4, size=(13.0, 3.0))
     distance, turn = math.hypot(goal[0], goal[1]), goal[2]

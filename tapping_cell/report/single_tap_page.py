@@ -19,9 +19,9 @@ _CAPTIONS = {
     "Crosses are calculated: displacements from the measured initial velocities, velocities from "
     "the measured displacements. Open marks: mean prediction from the striker's speed and "
     "incidence.",
-    figures.PROFILES: "Velocity profiles of single trials (as figure 4), predicted from the "
-    "displacement with the fitted torque factor. The fit itself compares the poses (right), not "
-    "the velocities.",
+    figures.PROFILES: "Velocity profiles of single trials (as figure 4 of the paper), "
+    "predicted from the displacement with the fitted torque factor. The fit itself compares the "
+    "poses (right), not the velocities.",
     figures.RESIDUALS: "Residuals of each trial: differences between measured and calculated "
     "values, and the friction of each trial alone.",
     figures.ERRORS: "Prediction error of each run's mean. The last two predictions include the "
