@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         complete(os.environ.get("COMP_LINE", ""))
     if sys.version_info < OLDEST_PYTHON:
         version = ".".join(map(str, sys.version_info[:3]))
-        return _not_set_up(f"{sys.executable} is Python {version}, and the cell needs 3.10")
+        return _not_set_up(f"{sys.executable} is Python {version}; the cell needs 3.10 or later")
     try:
         parser, execute = _parser_of(argv)
         try:
@@ -98,8 +98,8 @@ def _not_set_up(why: str) -> int:
 
 
 def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
-    """Return the parser and the run function of the verb in the first word. If that word is not
-    a verb, print an error and exit."""
+    """Return the parser and the run function of the verb that the first word names. If it names no
+    verb, print an error and exit."""
     from tapping_cell.cli.errors import Parser, suggestion
 
     verb = argv[0] if argv else ""

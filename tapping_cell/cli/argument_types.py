@@ -1,4 +1,5 @@
-"""Argument types of several verbs. Each rejects an invalid value with a readable message."""
+"""Argument types that several verbs use. Each type rejects an invalid value with a readable
+message."""
 
 from __future__ import annotations
 

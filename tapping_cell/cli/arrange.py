@@ -51,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset",
         choices=PRESETS,
-        help="layout of all objects of the cell, instead of a layout file: a line, circle or grid "
-        "in the middle of the table, or places exchanged in pairs (swap)",
+        help="layout of all objects of the cell, used instead of a layout file: a line, a circle "
+        "or a grid in the middle of the table, or swap: the objects exchange places in pairs",
     )
     parser.add_argument(
         "--cell",
@@ -152,7 +152,7 @@ def follow(
                 for one in event.objects:
                     console.print(f"  {end_text(one)}, {one.taps} taps", highlight=False)
                 return event
-    raise AssertionError("events end only with the arrangement")
+    raise AssertionError("the event stream ended before the arrangement")
 
 
 def end_text(one: ObjectEnd) -> str:
@@ -166,7 +166,7 @@ def end_text(one: ObjectEnd) -> str:
 
 
 def result_of(ended: ArrangementEnded) -> dict[str, object]:
-    """Return the end of an arrangement for JSON output, in mm and degrees; unknown values are
+    """Return the result of an arrangement for JSON output, in mm and degrees; unknown values are
     None."""
 
     def known(value: float, factor: float) -> float | None:

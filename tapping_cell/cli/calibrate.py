@@ -2,8 +2,8 @@
 
 Each calibration reads images, a CSV file or run folders, and writes a file that the nodes read. The
 file contains residuals, standard deviations, date and inputs. An existing file is replaced only
-with --force. If its residuals or uncertainty are smaller than the new ones, --accept-worse is
-required as well.
+with --force. If the existing file has smaller residuals or a smaller uncertainty than the new
+result, --accept-worse is required as well.
 
   python -m tapping_cell calibrate print --paper a4 --output sheet.pdf
   python -m tapping_cell calibrate camera photos/*.png --target chessboard --squares 9x7 \\
@@ -46,8 +46,8 @@ SUBVERBS = {
     "camera": "focal lengths and lens distortion, from photographs of a target",
     "table": "poses of the reference markers, from images or a printed sheet",
     "arm": "pose of the arm and zero offset of its elbow, from a record of poses",
-    "mounts": "line and speed of each fixed tapper, from single taps",
-    "tapper": "speed of the striker at each energy, from the distances of taps",
+    "mounts": "line of travel and speed of each fixed tapper, from single taps",
+    "tapper": "speed of the striker at each energy, from the distances that objects travel",
     "photographs": "rendered photographs of a target or table, for testing the other sub-verbs",
     "print": "true-to-scale sheets: targets, reference markers, object markers",
 }

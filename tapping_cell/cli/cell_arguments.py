@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def with_cell(arguments: argparse.Namespace, act: Callable[[CellClient], int]) -> int:
-    """Call a function with a client. Convert errors to a message and an exit code."""
+    """Call a function with a client of the cell. Convert errors to a message and an exit code."""
     end_on_signals()
     try:
         with CellClient(arguments.namespace) as client:

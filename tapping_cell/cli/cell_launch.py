@@ -51,7 +51,7 @@ class LaunchedNode:
 
     name: str
     arguments: Mapping[str, str] = field(default_factory=dict)
-    """Parameter name for each launch argument."""
+    """Name of the node parameter that each launch argument sets."""
     respawn: bool = False
     parameters: Mapping[str, object] = field(default_factory=dict)
     """Fixed parameter values, used for every instance of this node in the graph."""
@@ -69,7 +69,7 @@ PAGE = LaunchedNode(
     },
     respawn=True,
 )
-"""The operator's page, if requested. It moves nothing on its own."""
+"""The operator's page, if requested. The page starts no motion unless an operator requests it."""
 
 
 def cell_launch(
@@ -95,7 +95,8 @@ def cell_launch(
 def _start(
     context: LaunchContext, nodes: Sequence[LaunchedNode], hardware: bool
 ) -> list[Node | LogInfo]:
-    """Return the nodes once the arguments are known."""
+    """Return the nodes to start. The launch system calls this function when the values of the
+    launch arguments are known."""
     given = context.launch_configurations
     refuse = refuse_simulated_ports if hardware else refuse_own_drivers
     cell = load_cell(given["cell_file"] or None)
@@ -146,12 +147,13 @@ def _start(
 def _describe(
     namespace: str, cell: Cell, shared: list[dict[str, object] | str]
 ) -> list[Node | LogInfo]:
-    """Return the nodes that publish the URDF of the arm or of the fixed tappers, and the arm's
-    links on /tf from its joint states, for RViz and Foxglove."""
+    """Return the robot_state_publisher for RViz and Foxglove. It publishes the URDF of the arm or
+    of the fixed tappers. It also publishes the arm's links on /tf, computed from the joint
+    states."""
     if not _has_state_publisher():
         return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
     if cell.file.arm is not None and cell.arm.chain() is not None:
-        return [LogInfo(msg="the arm has a URDF of its own, which its own driver publishes")]
+        return [LogInfo(msg="the arm has its own URDF, which the arm's own driver publishes")]
     text = (
         mounted_tappers_urdf(cell.mounted_tappers())
         if cell.file.arm is None
@@ -177,5 +179,6 @@ def _has_state_publisher() -> bool:
 
 
 def _own_frames(namespace: str) -> list[tuple[str, str]]:
-    """Return remappings of /tf and /tf_static into the namespace. All cells use the same frames."""
+    """Return remappings of /tf and /tf_static into the namespace. They are needed because all cells
+    use the same frame names."""
     return [("/tf", "tf"), ("/tf_static", "tf_static")] if namespace else []

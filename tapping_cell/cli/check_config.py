@@ -1,8 +1,8 @@
 """Report every error in configuration files, without starting any node.
 
-For a cell file, the files that it names are checked too. All of them must be consistent: marker
-ids, heights, joint limits, the tapper's speeds, the arm's reach over the table, the planner. The
-kind of a file is recognised from its keys.
+For a cell file, the files that it names are checked too. The values in all these files must be
+consistent: marker ids, heights, joint limits, the tapper's speeds, the arm's reach over the table,
+the planner. The kind of a file is recognised from its keys.
 
     python -m tapping_cell check-config config/cell.yaml
     python -m tapping_cell check-config my/objects/*.yaml --kind object --json
@@ -121,7 +121,7 @@ def _draw(files: list[Path], drawing: Path) -> list[Findings]:
 
 def _print(findings: list[Findings], console: Console) -> None:
     for entry in findings:
-        text = f"{entry.file} ({entry.kind or 'of no known kind'})"
+        text = f"{entry.file} ({entry.kind or 'unknown kind'})"
         console.print(f"{text}: {'wrong' if entry.errors else 'ok'}", highlight=False, markup=False)
         for title, colour, sentences in (
             ("error", "red", entry.errors),
@@ -159,7 +159,8 @@ def check(path: Path, kind: str | None = None) -> list[Findings]:
 
 
 def _check_named(document: Mapping[Any, Any], path: Path, found: Findings) -> list[Findings]:
-    """Return the files that a cell file names, with the errors in and between them."""
+    """Return the files that a cell file names, with the errors in each file and the contradictions
+    between files."""
     named: list[Findings] = []
     for key, kind in (
         ("reference_markers", "table"),
@@ -191,7 +192,8 @@ def _refusal(load: Any, path: Path) -> list[str]:
 
 
 def recognise(document: Any) -> str | None:
-    """Return the kind of a file from its keys; None if no kind, or more than one, matches."""
+    """Return the kind of a file, inferred from its keys; None if no kind or more than one kind
+    matches."""
     if not isinstance(document, Mapping) or not document:
         return None
     keys = {str(key) for key in document}
@@ -207,7 +209,8 @@ def recognise(document: Any) -> str | None:
 
 
 def _holds_parameters(value: Any) -> bool:
-    """Return whether a value of a ROS parameter file contains ``ros__parameters`` at any depth."""
+    """Return whether a value of a document contains ``ros__parameters`` at any depth, as in a ROS
+    parameter file."""
     if not isinstance(value, Mapping):
         return False
     return "ros__parameters" in value or (

@@ -16,7 +16,7 @@ from tapping_cell.nodes.clients.cell_client import CellClient
 
 TIMEOUT_S = 10.0
 BUTTON_S = 1.0
-"""Upper limit of the time for which the simulated button is pressed."""
+"""Maximum time in s for which the simulated button is pressed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

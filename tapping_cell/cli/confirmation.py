@@ -33,13 +33,13 @@ class Person:
         self._asked = 0
 
     def on_event(self, event: Event | None) -> None:
-        """Process an event, or None if there was none, and read the typed input.
+        """Process an event (None if there is none) and read the typed input.
 
         Raises:
             KeyboardInterrupt: the person cancels the goal, or the input has ended.
         """
         if isinstance(event, PhaseChanged):
-            self._asked = 0  # obsolete: answered by another client, or planned again
+            self._asked = 0  # the proposal is obsolete: answered by another client, or replanned
         elif isinstance(event, TapProposed):
             self._asked = event.tap.tap_id
             if os.isatty(self._answers):

@@ -2,9 +2,9 @@
 safely.
 
 A simulated cell runs as processes, and a goal is sent. At a chosen phase of a tap, one node
-receives ``SIGKILL`` and is restarted. A trial checks the true final pose of the object, and that
-the object moved only while the arm held the striker in position, once for each tap that may have
-been fired.
+receives ``SIGKILL`` and is restarted. A trial checks the true final pose of the object. It also
+checks that the object moved only while the arm held the striker in position, and at most once for
+each commanded tap.
 """
 
 from __future__ import annotations
@@ -38,12 +38,15 @@ LOW = 0.030
 STILL = 2e-4
 """Minimum displacement in m that counts as a motion of the object."""
 SILENCE_MARGIN_S = 0.4
-"""Maximum time by stamps between the arm's last report that it is in position and a strike."""
+"""Maximum time in s between the stamp of the arm's last report that it is in position and the stamp
+of a strike."""
 RELEASE_AFTER_SILENCE_S = 0.65
-"""Maximum time from the last message of planner or camera to a release: ``silence_limit`` of the
-tapper (0.45 s), a message under way, and the firing window."""
+"""Maximum time in s from the last message of the planner or the camera to a release: the
+``silence_limit`` of the tapper (0.45 s), the transmission time of a message, and the firing
+window."""
 STROKE_FACTOR = 1.1
-"""Maximum time of flight, as a multiple of the stroke divided by the commanded speed."""
+"""Maximum time of flight of the striker, as a multiple of the stroke divided by the commanded
+speed."""
 TIMEOUT_S = 240.0
 PHASE_S = 120.0
 """Maximum wait for a phase of a tap."""
@@ -123,8 +126,9 @@ class Observed:
         self.lain = pose
 
     def judge_strikes(self) -> None:
-        """Add the strikes for which the arm was not in position. They are judged at the end of a
-        trial by their stamps, because messages of two topics are received in any order."""
+        """Add the strikes for which the arm was not in position to the unsafe events. Strikes are
+        judged by their stamps at the end of a trial, because messages of two topics can arrive in
+        any order."""
         for at in self.struck:
             silent = at - max((stamp for stamp in self.settled if stamp <= at), default=-math.inf)
             if silent > SILENCE_MARGIN_S:
@@ -139,13 +143,14 @@ class Observed:
                     )
 
     def _flight(self, at: float) -> float:
-        """Return the maximum time of flight in s of the tap that was commanded last by ``at``."""
+        """Return the maximum time of flight in s of the last tap commanded before the time
+        ``at``."""
         taps = [c for c in self.commands if c.request == TapCommand.TAP]
         speeds = [c.striker_speed for c in taps if seconds(c.header.stamp) <= at]
         return STROKE_FACTOR * load_cell().file.tapper.stroke / speeds[-1] if speeds else 0.0
 
     def judge(self) -> None:
-        """Add the other unsafe events that are visible only at the end of a trial."""
+        """Add the other unsafe events that can be detected only at the end of a trial."""
         ids = [c.tap_id for c in self.commands if c.request == TapCommand.TAP]
         if len(ids) != len(set(ids)):
             self.unsafe.append("a tap id was commanded twice")
@@ -168,7 +173,7 @@ class CrashCell:
             "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
         }
-        # The planner's stored goal is kept separate from that of other cells.
+        # The planner's stored goal is kept separate from the stored goals of other cells.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("crash_trials")
         self.seen = Observed()
@@ -230,13 +235,14 @@ class CrashCell:
         os.kill(self.graph.process_ids[node], signal.SIGKILL)
         time.sleep(DOWN_S)
         if node == WORLD:
-            # A restarted sim_world puts the object at another place. This motion is not a strike.
+            # A restarted sim_world moves the object back to its initial pose. This motion is not a
+            # strike.
             self.seen.watching = False
         self.graph.restart(node)
 
     def freeze(self, node: str, duration: float) -> None:
-        """Stop the process of a node for ``duration`` s (SIGSTOP). A strike while the node has been
-        silent for longer than the last check allows is an unsafe event."""
+        """Stop the process of a node for ``duration`` s (SIGSTOP). A strike is an unsafe event if
+        the node had been silent for longer than the last check before firing allows."""
         began = time.time()
         os.kill(self.graph.process_ids[node], signal.SIGSTOP)
         try:
@@ -276,7 +282,7 @@ class CrashCell:
         return Crash(node, phase, "reached", seconds, "", tuple(seen.unsafe))
 
     def ended(self) -> PlanState | None:
-        """Return the planner's message that the goal has ended, or None."""
+        """Return the planner's message that the goal has ended, or None if it has not ended."""
         ends = (PlanState.REACHED, PlanState.FAILED)
         return next((p for p in tuple(self.seen.plans) if p.state in ends), None)
 
@@ -285,7 +291,8 @@ class CrashCell:
         seen, plan = self.seen, self.seen.plans[-1] if self.seen.plans else PlanState()
         arm, tapper = seen.arm, seen.tapper
         low = arm.tip_pose.position.z < LOW
-        # This is the first tap, or the next one if the first was given up.
+        # Id of the last commanded tap: the goal's first tap, or a later one if earlier taps were
+        # aborted.
         tap = next((c.tap_id for c in reversed(seen.commands) if c.request == TapCommand.TAP), 0)
         mine = tap > 0 and arm.tap_id == tap
         phases: dict[str, bool] = {
@@ -311,7 +318,8 @@ class CrashCell:
         future = self._reset.call_async(ResetWorld.Request(object_pose=to_message(START)))
         if not self.wait(future.done, 60.0):
             raise TimeoutError("sim_world does not answer reset_world")
-        # The true pose may arrive later than the camera's message; its change is not a strike.
+        # Also wait for the true pose, which may arrive later than the camera's message: the reset
+        # must not count as a strike.
         self.wait(
             lambda: (
                 self.client.object_state is not None
@@ -353,7 +361,7 @@ class CrashCell:
 def run_crashes(
     folder: Path, nodes: Sequence[str], phases: Sequence[str], report: Callable[[Crash], None]
 ) -> list[Crash]:
-    """Run the trials of every node at every phase, one after another in one running cell."""
+    """Run one trial for every node and every phase, one after another in one running cell."""
     crashes: list[Crash] = []
     with CrashCell(folder) as cell:
         for node in nodes:

@@ -198,14 +198,14 @@ def _run_folder(out: Path | None) -> Path:
 
 
 def _metres(goal: Sequence[float]) -> tuple[float, float]:
-    """Return x and y in m of a goal in mm, mm and degrees."""
+    """Convert x and y of a goal from mm to m."""
     return goal[0] / 1000, goal[1] / 1000
 
 
 def _position(
     arguments: argparse.Namespace, graph: Graph, client: GoalClient, console: Console
 ) -> Path:
-    """Send the goal and follow it to its end. Return the folder of its record."""
+    """Send the goal and follow it to its end. Return the folder in which the run was recorded."""
     session.wait_until_ready(client, READY_TIMEOUT_S, graph.check, console)
     observed = client.object_state
     assert observed is not None

@@ -47,7 +47,7 @@ def arrange(
     pose of every object is within its tolerance, otherwise 1.
 
     Raises:
-        NotReadyInTime, GraphError: the cell did not get ready, or a node ended.
+        NotReadyInTime, GraphError: the cell did not become ready, or a node ended.
     """
     names = frozenset(goal.object for goal in layout.goals)
     with ArrangeClient("demo") as client:
@@ -195,7 +195,8 @@ def _draw(
     goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
     outlines = {name: np.asarray(each.outline()) for name, each in cells_of(cell).items()}
     table = cell.file.table
-    # Imported here, because matplotlib delays the refusal of wrong options by half a second.
+    # Imported here, because importing matplotlib takes half a second and would delay error messages
+    # about wrong options.
     from tapping_cell.report.arrangement_figures import draw_scene
 
     draw_scene(
@@ -217,7 +218,7 @@ HEAD = ("object", "goal", "outcome", "taps", "residual, measured", "residual, tr
 def _outcome(
     one: ObjectEnd, goal: Pose | None, true: tuple[float, float] | None
 ) -> tuple[str, ...]:
-    """Return the outcome of one object as texts, in the order of ``HEAD``."""
+    """Return the outcome of one object as a row of texts, with the columns of ``HEAD``."""
     place = "only moved out of the way"
     if goal is not None:
         angle = math.degrees(goal.theta)

@@ -24,7 +24,7 @@ from tapping_cell.se2 import Pose
 FIRST_MARKER = 20
 """Marker id of the first generated object. The supplied table and objects use other ids."""
 DISKS_M, SQUARES_M = (0.030, 0.026), (0.024, 0.028)
-"""Alternating radii of the disks and half side lengths of the squares."""
+"""Radii of the disks and half side lengths of the squares, in m, used alternately."""
 DENSITY = 2700 * 0.012
 """Mass per area of 12 mm of aluminium, kg/m^2, as in the supplied objects."""
 GAP_M = 0.04
@@ -52,10 +52,10 @@ def write_scene(
     truth: Path | None,
     goals: str = "random",
 ) -> DemoScene:
-    """Write the files of a scene of ``count`` objects: the object of the cell file (or of ``own``,
-    if given) and generated disks and squares. The start poses are random poses at which the arm can
-    tap. ``goals`` is one of ``GOALS``: random poses, or the places of the objects exchanged in
-    pairs.
+    """Write the files of a scene of ``count`` objects: the object of the cell file (or of the
+    object file ``own``, if given) and generated disks and squares. The start poses are random poses
+    at which the arm can tap the objects. ``goals`` is one of ``GOALS``: random poses, or objects
+    that exchange places in pairs.
 
     Raises:
         ConfigurationError: a file cannot be used, or the objects do not fit on the table.

@@ -44,7 +44,7 @@ from tapping_cell.nodes.drivers.output_link import RosOutputLink
 from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
 
 TIMEOUT = 8.0
-"""Timeout in s for a port, and then for its device."""
+"""Timeout in s for opening a port, and again for the response of the device at that port."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,14 +170,14 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
             "guard",
             "closed" if reply.interlock_closed else "open",
             reply.interlock_closed,
-            "" if reply.interlock_closed else "close the guard, or check its input",
+            "" if reply.interlock_closed else "close the guard, or check the input of the guard",
         ),
         Row(
             "tapper",
             "remark",
             "the output reads back as off"
             if section.read_back
-            else "the output is not read back: every outcome is unknown until the camera sees it",
+            else "the output is not read back: only the camera can confirm that a shot was fired",
             True,
         ),
     ]
@@ -226,7 +226,9 @@ def _check_board(name: str, given_port: str, baud: int) -> list[Row]:
             "interlock",
             "closed" if reply.interlock_closed else "open",
             reply.interlock_closed,
-            "" if reply.interlock_closed else "close the guard, or check the loop on D2",
+            ""
+            if reply.interlock_closed
+            else "close the guard, or check the interlock loop on pin D2",
         ),
         Row(
             name,

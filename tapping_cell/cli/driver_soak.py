@@ -28,7 +28,7 @@ class Soak:
     hours: float
     taps: int
     blocks: tuple[int, ...]
-    """Allocated blocks of Python at each measurement, after the witness has discarded its
+    """Allocated blocks of Python at each measurement, after the test has discarded its own
     records."""
     resident: tuple[int, ...]
     """Resident memory in bytes at each measurement."""
@@ -50,7 +50,7 @@ class Soak:
 
 
 def soak(dialect: Dialect, hours: float, seed: int) -> Soak:
-    """Tap over faulty lines for ``hours`` of simulated time."""
+    """Make taps over faulty serial lines for ``hours`` of simulated time."""
     cell = TrialCell(dialect, seed)
     taps = 0
     samples: list[tuple[int, int, int, int]] = []

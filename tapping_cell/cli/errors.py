@@ -32,7 +32,7 @@ class ExitStatus(IntEnum):
 
 MEANINGS = {
     ExitStatus.DONE: "success",
-    ExitStatus.FAILED: "failure: the command was tried and the error states why it failed, or the "
+    ExitStatus.FAILED: "failure: the command could not be completed (the error states why), or the "
     "condition that it checks is false",
     ExitStatus.REFUSED: "refused: arguments or files are wrong, and nothing was started",
     ExitStatus.INTERRUPTED: "orderly end after Ctrl-C or a termination signal",
@@ -62,7 +62,7 @@ def print_refusal(error: Exception) -> int:
 def suggestion(word: str, known: Iterable[str]) -> str:
     """Return the known word closest to a misspelt one, as part of a sentence; empty if none is
     close."""
-    # The dashes of options are the same in all of them and would make any two options similar.
+    # All options begin with the same dashes, which would make any two options look similar.
     bare = {name.lstrip("-"): name for name in known}
     near = difflib.get_close_matches(word.lstrip("-"), bare, 1, 0.6)
     return f"; did you mean '{bare[near[0]]}'?" if near else ""

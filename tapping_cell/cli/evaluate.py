@@ -5,10 +5,10 @@ example:
   python -m tapping_cell evaluate --planner optimal --goal 10 0 10 --camera-noise 0.1 0.1
 
 Lengths are in mm, angles in degrees, shares in percent. With the model "abstract", a tap has the
-intended displacement plus scatter; the model "physics" simulates strike, impact and slide with true
-parameters that the planner does not receive (--truth, and --truth-object if the planner uses a
-fitted --object). With --table, the trials run on the cell's table, within the arm's reach, with
-edges and keep-outs; goals that are out of reach must be refused before the first tap. A cell with
+intended displacement plus scatter. The model "physics" simulates strike, impact and slide with true
+parameters that the planner does not receive (option --truth; also --truth-object if --object is a
+fitted file). With --table, the trials run on the cell's table, with its edges and keep-outs, within
+the arm's reach. Goals that are out of reach must then be refused before the first tap. A cell with
 fixed tappers is evaluated on its own working area, with one row of results for each of
 --start-angles:
 
@@ -109,8 +109,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("D", "R"),
-        help="constant errors of distance and rotation in percent, with random signs in each "
-        "trial (default: 0 0)",
+        help="constant errors of the distance and the rotation of all taps of a trial, in percent, "
+        "with random signs for each trial (default: 0 0)",
     )
     numbers(
         "--unknown",
@@ -118,16 +118,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(1.0, 1.0),
         metavar=("D", "R"),
-        help="largest factors by which the gains of the distance and of the rotation per distance "
-        "are too large or too small, random in each trial (default: 1 1)",
+        help="largest ratios of the true to the assumed gain (D: of the distance, R: of the "
+        "rotation per distance); each trial draws ratios from 1/D to D and from 1/R to R "
+        "(default: 1 1)",
     )
     numbers(
         "--off-centre",
         type=float,
         default=0.0,
         metavar="DEG_PER_MM",
-        help="standard deviation, over the trials, of the rotation per distance that an off-centre "
-        "object adds, in degrees per mm (default: 0)",
+        help="standard deviation of the additional rotation per distance of an object whose centre "
+        "of mass or friction is not at its middle, drawn for each trial, in degrees per mm "
+        "(default: 0)",
     )
     parser.add_argument(
         "--probe",
@@ -135,13 +137,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="begin with the smallest taps, which measure the object's friction (only with "
         "--table)",
     )
-    parser.add_argument("--adapt", action="store_true", help="learn the gains from tap to tap")
+    parser.add_argument(
+        "--adapt",
+        action="store_true",
+        help="learn the gains of distance and rotation from tap to tap",
+    )
     numbers(
         "--box",
         type=float,
         metavar="SHARE",
-        help="fraction of the tolerance within which to stop (default: the largest that the "
-        "camera noise allows)",
+        help="stop when the measured error is within this fraction of the tolerance (default: the "
+        "largest fraction that the camera noise allows)",
     )
     numbers(
         "--variant",
@@ -243,7 +249,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_fixed_arguments(parser)
     several = parser.add_argument_group(
         "several objects",
-        "options for several objects, each with its own goal; --trials is the number of scenes",
+        "options for moving several objects to their own goals; --trials is the number of scenes",
     )
     several.add_argument(
         "--arrange",
@@ -287,7 +293,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=100,
         metavar="N",
-        help="number of taps after which a trial counts as endless (default: 100)",
+        help="number of taps after which a trial is aborted and counted as endless (default: 100)",
     )
     numbers("--seed", type=argument_types.seed, default=0, help="random seed (default: 0)")
     numbers(
@@ -383,11 +389,9 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
             clock = functools.partial(_arm_times, arguments.cell, arguments.object, arguments.truth)
             space = functools.partial(_cell_space, arguments.cell, arguments.object)
     if arguments.model == "abstract" and (arguments.round_position or arguments.round_angle):
-        raise PlanningError(
-            "rounding applies to the striker's pose: give --model physics or world with it"
-        )
+        raise PlanningError("--round-position and --round-angle need --model physics or world")
     if arguments.model != "physics" and arguments.true_friction is not None:
-        raise PlanningError("a true friction needs --model physics")
+        raise PlanningError("--true-friction needs --model physics")
     tasks = arguments.random_tasks
     if tasks is not None and len(tasks) not in (0, 2):
         raise PlanningError(
@@ -418,7 +422,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
 
 
 def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, Any]:
-    """Run one evaluation. Return its results with the inputs and the speed."""
+    """Run one evaluation. Return the results, the inputs, and the number of trials per second."""
     from tapping_cell.planning import make_planner
     from tapping_cell.planning.evaluation import evaluate, summarise
     from tapping_cell.planning.multi import MultiPlanner
@@ -579,7 +583,7 @@ def _progress(
 def _text(planner: str, figures: dict[str, Any]) -> str:
     taps, box = figures["taps"], figures["box"]
     lines = [
-        f"{planner}: {figures['trials']} trials, {figures['trials_per_second']:.0f} a second",
+        f"{planner}: {figures['trials']} trials, {figures['trials_per_second']:.0f} per second",
         f"  taps              mean {taps['mean']:.3f} "
         f"(95 % interval {taps['mean_interval'][0]:.3f} to {taps['mean_interval'][1]:.3f})",
         f"                    median {taps['p50']}, 90 % within {taps['p90']}, "
@@ -595,8 +599,8 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         )
     if "planned_taps" in figures:
         lines.append(
-            f"  within its plan   {100 * figures['within_planned_rate']:.2f} % "
-            f"({figures['planned_taps']} taps)"
+            f"  as planned        {100 * figures['within_planned_rate']:.2f} % "
+            f"(within {figures['planned_taps']} taps)"
         )
     for key, label in (
         ("refused_before", "refused early"),
@@ -741,8 +745,8 @@ def _arrange(arguments: argparse.Namespace) -> int:
 
 
 def arrangement_kinds(arguments: argparse.Namespace) -> list[Any]:
-    """Return the kinds of scenes, with the cell's table and arm and the friction of the object
-    file."""
+    """Return one ``Kind`` (free space and planner) for each shape of object, with the table and the
+    arm of the cell and the friction of the object file."""
     from tapping_cell.configuration.assembly import make_strike_space, make_tap
     from tapping_cell.configuration.cell import load_cell
     from tapping_cell.planning import FreeSpace, PlannerSettings, make_planner
@@ -765,7 +769,7 @@ def arrangement_kinds(arguments: argparse.Namespace) -> list[Any]:
 
 
 def _shapes(content: Any, arguments: argparse.Namespace) -> list[Any]:
-    """Return variants of the given object file: disks and squares of other sizes."""
+    """Return variants of the given object: disks and squares of the requested sizes."""
     radii = [1e-3 * radius for radius in arguments.radius]
     if arguments.goals == "grid":
         radii = radii[:1]
@@ -790,8 +794,8 @@ def _arrangement_text(method: str, figures: dict[str, Any]) -> str:
         f"{method}: {scenes} scenes",
         f"  all truly inside    {100 * figures['success_rate']:.1f} %, "
         f"wrongly reported as reached {figures['false_claims']}",
-        f"  contacts            objects in {figures['scenes_with_contact']} scenes, "
-        f"tool in {figures['scenes_with_tool_contact']}",
+        f"  contacts            between objects in {figures['scenes_with_contact']} scenes, "
+        f"with the tool in {figures['scenes_with_tool_contact']}",
         f"  taps                mean {figures['taps_mean']:.2f}, factor due to other objects "
         f"{figures['price_of_others']:.2f}, moves out of the way "
         f"{figures['made_way_mean']:.2f}",

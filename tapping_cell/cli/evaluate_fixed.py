@@ -44,8 +44,8 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=(10.0, 30.0, 90.0),
         metavar="DEG",
-        help="largest rotations of the start relative to the goal, in degrees; each value gives "
-        "one row of the table (only for a cell with fixed tappers; default: 10 30 90)",
+        help="largest angles between start pose and goal pose, in degrees; each value gives one "
+        "row of the table (only for a cell with fixed tappers; default: 10 30 90)",
     )
     numbers(
         "--goal-pose",
@@ -62,9 +62,9 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
-        help="standard deviations of the true position and direction of each tapper's line, in mm"
-        " and degrees, drawn for each trial (only for a cell with fixed tappers; default: 0 "
-        "0)",
+        help="standard deviations of the position error and the direction error of each tapper's "
+        "line, in mm and degrees; the errors are drawn for each trial (only for a cell with fixed "
+        "tappers; default: 0 0)",
     )
 
 
@@ -72,7 +72,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
     """Evaluate the cell at each start angle and print the table. Return 0.
 
     Raises:
-        PlanningError: an option does not apply to such a cell.
+        PlanningError: an option does not apply to a cell with fixed tappers.
     """
     without_meaning = {
         "--all": arguments.all,

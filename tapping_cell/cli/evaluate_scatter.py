@@ -16,8 +16,8 @@ def add_scatter_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         default=(5.0, 15.0, 1.0),
         metavar=("D", "R", "A"),
-        help="standard deviations of a tap: distance in percent, rotation in percent, direction "
-        "in degrees (default: 5 15 1)",
+        help="standard deviations of the result of a tap: distance in percent, rotation in "
+        "percent, direction in degrees (default: 5 15 1)",
     )
     parser.add_argument(
         "--scatter-floor",
@@ -25,8 +25,8 @@ def add_scatter_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
-        help="standard deviations of a tap that remain for small taps: position in mm, rotation in "
-        "degrees (default: 0 0)",
+        help="parts of the standard deviations that do not depend on the size of the tap: position "
+        "in mm, rotation in degrees (default: 0 0)",
     )
 
 

@@ -1,5 +1,5 @@
-"""Taps of the real drivers on emulated devices behind faulty lines, checked against the devices'
-true states.
+"""Taps made by the real drivers with emulated devices over faulty serial lines, checked against the
+devices' true states.
 
 A tap consists of the jobs of the drivers' state machines (``logic.arm_jobs``,
 ``logic.tapper_jobs``):
@@ -50,7 +50,8 @@ from tapping_cell.simulation.virtual_line import HangError, VirtualClock, Virtua
 HOME = (0.0, np.pi / 2, 0.0, 0.0)
 PARK = (0.6, 1.2, -0.020, 0.0)
 TRUE_TOLERANCE = np.array([2e-3, 2e-3, 2e-4, 2e-3])
-"""Maximum difference between true joints and strike pose at a release: rad, rad, m, rad."""
+"""Maximum difference between the true joints and the joints of the strike pose when the striker is
+released: rad, rad, m, rad."""
 EXPIRY_NS = 600_000_000_000
 """Time limit in ns for the motion to the strike pose."""
 CALL_LIMIT = 600.0
@@ -74,7 +75,7 @@ class Dialect(Enum):
 
 @dataclass
 class Tally:
-    """Counts of the results, which can be added."""
+    """Counts of the results. Two tallies can be added."""
 
     taps: int = 0
     fired: int = 0
@@ -85,7 +86,7 @@ class Tally:
     hangs: int = 0
     false_reports: int = 0
     board_resets_asked: int = 0
-    """Number of times that the arm's driver asked a person to press the reset button."""
+    """Number of times that the arm's driver requested a person to press the reset button."""
     faults_struck: int = 0
     cell_seconds: float = 0.0
     by_fault: dict[str, Counter[str]] = field(default_factory=dict)
@@ -140,7 +141,7 @@ class _Direct:
     transport: Transport
 
     def now(self) -> Now:
-        """Return the line's time for both clocks."""
+        """Return the serial line's time as the time of both clocks, steady and ROS."""
         steady = self.transport.now()
         return Now(steady, round(1e9 * steady))
 
@@ -156,12 +157,13 @@ class _Direct:
         """Discard the progress message."""
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """Evaluate the query at the current time."""
+        """Return the result of the query at the current time."""
         return query(self.now())
 
 
 class TrialCell:
-    """Two emulated devices behind faulty lines, their drivers, and a witness of the true states."""
+    """Two emulated devices behind faulty serial lines, their drivers, and checks of the devices'
+    true states."""
 
     def __init__(self, dialect: Dialect, seed: int, clock: Clock | None = None) -> None:
         self.dialect = dialect
@@ -250,7 +252,7 @@ class TrialCell:
         try:
             outcome = self._tap()
         except HardwareFault as fault:
-            # Every fault that raises an exception occurred before FIRE could be sent.
+            # If a fault raises an exception, it occurred before FIRE could be sent.
             outcome = FireOutcome.NOT_FIRED
             self.tally.reasons[fault.reason.value] += 1
         self._report(self.shot, outcome)
@@ -294,12 +296,13 @@ class TrialCell:
         return withdraw_path(self.geometry, here, self.motion)
 
     def check(self, release_by: float, now: Now) -> None:
-        """Store the deadline of the release. This is the last check before FIRE."""
+        """Store the deadline of the release. The driver calls this function as the last check
+        before FIRE."""
         self.release_by = release_by
 
     def recover(self) -> None:
-        """Make both devices accept commands again, with simulated help of a person at the
-        button."""
+        """Make both devices accept commands again. Simulate a person who presses the buttons that
+        the devices require."""
         last = ""
         for _ in range(RECOVERIES):
             try:
@@ -329,7 +332,7 @@ class TrialCell:
             self.arm.home(HomingStrategy.FIRMWARE)
 
     def _turn_tool_to_its_mark(self) -> None:
-        """Turn an axis without a switch to its mark, as a person does before homing."""
+        """Turn an axis without a home switch to its mark, as a person does before homing."""
         assert isinstance(self.arm_device, GrblEmulator)
         with self._arm_held():
             now = self.clock.now
@@ -360,7 +363,7 @@ class TrialCell:
         return bool(np.all(np.abs(np.subtract(joints, goal)) <= TRUE_TOLERANCE))
 
     def _true_place(self, now: float) -> tuple[Joints, bool]:
-        """Return the true joints of the emulated arm, and whether it moves."""
+        """Return the true joints of the emulated arm, and whether the arm is moving."""
         with self._arm_held():
             return Joints(*self.arm_device.joints(now)), self.arm_device.moving(now)
 
@@ -375,7 +378,7 @@ class TrialCell:
             self._note(f"the arm's driver reports {reading.joints}, but the arm is at {truth}")
 
     def _record_fire(self, shot: int, energy: float, now: float) -> float:
-        """Check a true release of the striker."""
+        """Check an actual release of the striker. Return the striker's speed."""
         earlier = [s for s, _, _ in self.tapper_device.fires[:-1]]
         if shot in earlier:
             self.tally.double_fires += 1

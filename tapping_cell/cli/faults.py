@@ -52,8 +52,8 @@ from tapping_cell.verification.campaign import GOALS_A_RUN
 from tapping_cell.verification.faults import ALL, Mix
 
 CHUNK = 100
-"""Number of taps that a process runs on one new cell. The results do not depend on the number of
-processes."""
+"""Number of taps that a process runs before it creates a new cell. The fixed number makes the
+results independent of the number of processes."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,9 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--goals",
         type=int,
         metavar="N",
-        help="number of goals to simulate in the whole cell (logic, drivers, boards, camera and "
-        "people) with random faults; with --mutants, the maximum number of goals (default: "
-        "1000 with --mutants, 10 with --replay)",
+        help="number of goals to simulate with random faults in the whole cell (logic, drivers, "
+        "boards, camera and people); with --mutants, the maximum number of goals for each mutant "
+        "(default: 1000 with --mutants, 10 with --replay)",
     )
     parser.add_argument(
         "--only",
@@ -122,7 +122,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replay",
         type=int,
         metavar="SEED",
-        help="seed of a run of --goals to repeat, printing its trace",
+        help="seed of a --goals run to repeat; its trace is printed",
     )
     instead.add_argument(
         "--mutants",
@@ -132,7 +132,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     instead.add_argument(
         "--every-byte",
         action="store_true",
-        help="restart or unplug a board at every byte sent in a tap, instead of random faults",
+        help="restart or disconnect a board at every byte of a tap's messages, instead of random "
+        "faults",
     )
     instead.add_argument(
         "--soak",
@@ -297,7 +298,7 @@ def _crashes(arguments: argparse.Namespace) -> int:
                 flush=True,
             )
 
-    domain = own_domain()  # its reservation ends with this function
+    domain = own_domain()  # the domain stays reserved until this function returns
     domain.use()
     with tempfile.TemporaryDirectory() as folder:
         crashes = crash_trials.run_crashes(Path(folder), nodes, phases, report)

@@ -6,8 +6,8 @@ reported with file and row, and ignored.
 
 Shape and mass are taken from --object, or from the object in the records' header. With --output,
 the fitted values are written to an object file that the planner reads; without --output, no object
-file is written. An existing file is replaced only with --force. If its residuals or uncertainty are
-smaller than the new ones, --accept-worse is required as well.
+file is written. An existing file is replaced only with --force. If the existing file has smaller
+residuals or a smaller uncertainty than the new result, --accept-worse is required as well.
 
   python -m tapping_cell fit records/ --output config/objects/my_disk.yaml --report fit_report
   python -m tapping_cell fit mine.csv --object config/objects/aluminium_disk.yaml --json
@@ -117,7 +117,9 @@ def _content(experiments: Sequence[Experiment], path: Path | None) -> ObjectFile
             f"{experiments[0].folder}: the header names no object; give --object FILE"
         )
     if any(other is None or other.shape != first.shape for other in headers):
-        raise RecordError("the records are of objects of different shapes; fit them separately")
+        raise RecordError(
+            "the records are of objects with different shapes; fit each object separately"
+        )
     return first
 
 
@@ -170,8 +172,8 @@ def lines(fit: ObjectFit) -> list[str]:
     ]
     text.extend(_row(entry) for entry in fit.estimates)
     text.append(
-        f"  by the paper's criterion: friction {fit.paper.friction:.4f}, torque factor "
-        f"{fit.paper.torque_factor:.3f}"
+        f"  with the fit criterion of Huang and Mason: friction {fit.paper.friction:.4f}, "
+        f"torque factor {fit.paper.torque_factor:.3f}"
     )
     text += ["", "  prediction error of each run's mean in percent:"]
     text.extend(_run_rows(fit))

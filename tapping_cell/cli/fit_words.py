@@ -34,7 +34,7 @@ def speed_lines(fit: ObjectFit) -> list[str]:
         setting = (
             f"commanded {1e3 * point.commanded:.0f} mm/s"
             if math.isnan(point.draw)
-            else f"draw {1e3 * point.draw:.2f} mm"
+            else f"spring deflection {1e3 * point.draw:.2f} mm"
         )
         found.append(
             f"{setting}: {1e3 * point.measured:.1f} mm/s, scatter {1e3 * point.scatter:.1f} mm/s "
@@ -44,7 +44,8 @@ def speed_lines(fit: ObjectFit) -> list[str]:
 
 
 def shown(entry: Estimate) -> tuple[str, float]:
-    """Return the text for an estimate, and the factor to the unit in the text."""
+    """Return the label of an estimate, and the factor that converts its value to the unit in the
+    label."""
     factor = 1.0
     if entry.name.startswith("scatter"):
         factor = {"rad": 180 / math.pi, "m": 1e3}.get(entry.unit, 100.0)

@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def result_of(finished: Finished) -> dict[str, object]:
-    """Return the end of a goal for JSON output, in mm and degrees; unknown values are None."""
+    """Return the result of a goal for JSON output, in mm and degrees; unknown values are None."""
     known = math.isfinite(finished.residual_distance)
     return {
         "reached": finished.error_code == 0,

@@ -26,7 +26,7 @@ GOALS_IN_A_STEP = 100
 
 
 def run_goals(goals: int, seed: int, jobs: int, as_json: bool, mix: Mix = ALL) -> int:
-    """Run a campaign. Return exit code 0 only without any violation."""
+    """Run a campaign. Return exit code 0 only if no invariant was violated."""
     known = tuple(FIXED_MAKERS) if mix.fixed else KINDS
     unknown = sorted(set(mix.only) - set(known))
     if unknown:
@@ -95,9 +95,9 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
 
 
 def hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
-    """Search for a violation with an active mutant, in ``jobs`` processes at a time. Return the
-    mutant's name and finding, the number of goals, and the violated invariant (empty if the mutant
-    was not detected).
+    """Simulate goals with an active mutant, in ``jobs`` processes at a time, until an invariant is
+    violated. Return the mutant's name, the review finding that it reverts, the number of goals, and
+    the violated invariant (empty if the mutant was not detected).
     """
     done = 0
     while done < goals:

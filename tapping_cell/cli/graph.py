@@ -27,7 +27,8 @@ SIMULATED = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_tri
 HARDWARE = ("overhead_camera", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
 
 RECORDER = "run_recorder"
-"""Recorder of every goal. The cell works without it, so its end does not end the graph."""
+"""Recorder of every goal. If the recorder ends, the graph continues, because the cell works without
+it."""
 
 TIMEOUT_S = 5.0
 """Time for a node to exit before it is killed."""
@@ -39,7 +40,7 @@ LAST_DOMAIN = 232
 """Highest ROS domain for which the middleware has valid port numbers."""
 
 MAX_PARTICIPANTS = 20
-"""Number of participants of a domain that are looked for; a cell has 8."""
+"""Number of participant ports that are checked in a domain; a cell has 8 participants."""
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is the shared
 default."""
@@ -86,7 +87,7 @@ class Ended:
 
     @property
     def refused(self) -> bool:
-        """Whether the node rejected its parameters or files, which it would do again after a
+        """Whether the node rejected its parameters or files; it would reject them again after a
         restart."""
         return self.status > 0 and self.output.rpartition(" | ")[2].startswith("error: ")
 

@@ -1,5 +1,5 @@
-"""Home the arm of a running cell, and wait until homing is complete. First check that its path is
-free.
+"""Home the arm of a running cell, and wait until homing is complete. Before you call it, check that
+the arm's path is free.
 
 python -m tapping_cell home
 """

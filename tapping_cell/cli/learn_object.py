@@ -1,9 +1,9 @@
 """Learn an object's friction, torque factor, smallest tap and scatter by tapping it.
 
 Starts the simulated cell (or the hardware with --hardware, or joins a running cell with --attach)
-with the object file. Then sends goals near the object's position, the first with a probe of tiny
-taps, until the values are known well enough or --goals goals have been sent, and fits the taps.
-`new-object` makes the object file from an image.
+with the object file. Then sends goals near the object's position; the first goal begins with a
+probe of tiny taps. When the values are known well enough, or --goals goals have been sent, the
+values are fitted to the taps. `new-object` makes the object file from an image.
 
   python -m tapping_cell learn-object --object bracket.yaml --output bracket_learnt.yaml
 
@@ -39,7 +39,7 @@ MAX_GOALS = 9
 MIN_TAPS = 15
 FRICTION_KNOWN, FACTOR_KNOWN = 0.02, 0.1
 """Sufficient relative standard deviations of friction and torque factor. They are well below the
-scatter of a tap, which then limits the next goals."""
+scatter of a tap, so that more accurate values would hardly improve the next goals."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -202,7 +202,7 @@ def _taps(folder: Path, name: str) -> list[Moves]:
     object's axes.
 
     Raises:
-        RecordError: the run is of another object.
+        RecordError: the run was made with another object.
     """
     from tapping_cell.cli.measured_taps import measured_taps
     from tapping_cell.se2 import Pose

@@ -1,10 +1,10 @@
 """Find objects in image files: their poses on the table, the uncertainty and the computing time.
 
 Every image is processed independently, by the same pipeline as the live camera's frames. With
---sequence, the images are consecutive frames of one fixed camera, so the table's pose is averaged,
-and frames in which the object is at rest are fused. Several objects (--object given more than once)
-are distinguished by their marker ids or by their outlines. Lengths are in mm, angles in degrees, in
-the frame `table`. The exit code is 1 if no object was found in any image.
+--sequence, the images are consecutive frames of one fixed camera: the table's pose is averaged over
+the frames, and frames in which the object is at rest are fused. Several objects (--object given
+more than once) are distinguished by their marker ids or by their outlines. Lengths are in mm,
+angles in degrees, in the frame `table`. The exit code is 1 if no object was found in any image.
 
   python -m tapping_cell locate shot1.png shot2.png --camera config/camera_info.yaml \\
       --table config/table.yaml --object config/objects/aluminium_disk.yaml --annotate pictures
@@ -69,7 +69,7 @@ class SeenObject:
     outline: OutlineSection | None = section(
         "appearance of an object without a marker", default=None
     )
-    name: str = text("name of the object, for people", default="")
+    name: str = text("display name of the object", default="")
 
     def seen(self) -> ObjectMarker | ObjectOutline:
         """Return the marker or outline for the tracker."""

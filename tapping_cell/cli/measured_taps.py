@@ -15,14 +15,14 @@ def measured_taps(folder: Path, object_name: str) -> list[TapRow]:
     """Return the fired taps of a run whose result was measured.
 
     Raises:
-        RecordError: the run is of another object.
-        tapping_cell.report.run_folder.RunError: the folder is damaged.
+        RecordError: the run was made with another object. tapping_cell.report.run_folder.RunError:
+        the folder is damaged.
     """
     run = read_run(folder)
     if run.object_name and run.object_name != object_name:
         raise RecordError(
-            f"{folder} is a run of '{run.object_name}', but the object file is of '{object_name}'; "
-            "give the file of the object that was tapped (--object)"
+            f"{folder} is a run with '{run.object_name}', but the object file is of "
+            f"'{object_name}'; give the file of the object that was tapped (--object)"
         )
     # An unmeasured pose is NaN.
     return [tap for tap in run.taps if tap.outcome == "fired" and math.isfinite(tap.measured.x)]

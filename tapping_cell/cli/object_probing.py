@@ -25,8 +25,9 @@ from tapping_cell.se2 import Pose, wrap_angle
 READY_TIMEOUT_S = 60.0
 RECORD_TIMEOUT_S = 60.0
 REACH, TURN = 0.025, math.radians(20.0)
-"""Radius (m) of the circle of goals about the object's first position, and their rotation in either
-direction (rad): large enough to measure friction, small enough that the object keeps clearance."""
+"""Radius (m) of the circle of goals about the object's first position, and rotation (rad) of the
+goals in either direction. The values are large enough to measure friction, and small enough that
+the object stays clear of the table edges."""
 BETWEEN = math.radians(137.5)
 """Angle (rad) between the directions of successive goals, which spreads any number of goals
 evenly."""
@@ -35,15 +36,17 @@ IN_A_ROW = 3
 
 
 class ProbingStopped(RuntimeError):
-    """No further goal can be made, for the stated reason. Recorded runs are kept."""
+    """No further goal can be sent; the message states why. Recorded runs are kept."""
 
 
 def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, None, None]:
-    """Send ``arguments.goals`` goals, fewer if the caller stops. Yield the folder of each run.
+    """Send up to ``arguments.goals`` goals; the caller may stop earlier. Yield the folder of each
+    run.
 
     Raises:
         ConfigurationError: the cell's files are unusable, or another object is in the cell.
-        GraphError, NotReadyInTime, NotRecorded, ProbingStopped: the cell does not work.
+        GraphError, NotReadyInTime, NotRecorded, ProbingStopped: the cell did not start, record a
+        run or continue.
     """
     cell = load_cell(arguments.cell, object_path=arguments.object)
     if arguments.hardware:

@@ -11,8 +11,8 @@ from tapping_cell.calibration.keep import Output
 def add_output_arguments(
     parser: argparse.ArgumentParser, default: str | None = None, required: bool = True
 ) -> None:
-    """Declare --output, --force and --accept-worse. If --output is neither given nor ``required``,
-    it is None."""
+    """Declare --output, --force and --accept-worse. If --output is not ``required`` and not given,
+    its value is None."""
     parser.add_argument(
         "--output",
         type=Path,
@@ -25,7 +25,7 @@ def add_output_arguments(
     parser.add_argument(
         "--accept-worse",
         action="store_true",
-        help="replace the file even if its residual or uncertainty is smaller than the new one "
+        help="replace the file even if the new result has a larger residual or uncertainty "
         "(only with --force)",
     )
 
@@ -33,7 +33,7 @@ def add_output_arguments(
 def output_of(
     arguments: argparse.Namespace, record_at: tuple[str, ...] = ("calibration",)
 ) -> Output:
-    """Return the calibration's output file and its overwrite permissions. ``record_at`` is the
+    """Return the calibration's output file and whether it may be overwritten. ``record_at`` is the
     key path of the calibration record in that file."""
     path = arguments.output.expanduser()
     return Output(path, arguments.force, arguments.accept_worse, record_at)

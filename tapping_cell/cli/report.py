@@ -3,9 +3,9 @@
 A run is a folder written by the recorder or the demo, or only the bag of a run. For each run
 folder, summary.json, taps.csv, cell.png and report.html are rebuilt from its bag. If the bag is
 missing, only cell.png and report.html are rebuilt, from summary.json and taps.csv. For an
-arrangement of several objects, arrangement.json and report.html are rebuilt from its bag, or if
-that is missing, report.html from arrangement.json. For several runs, a
-page comparison.html is also written.
+arrangement of several objects, arrangement.json and report.html are rebuilt from its bag. If that
+bag is missing, only report.html is rebuilt, from arrangement.json. For several runs, a page
+comparison.html is also written.
 
     python -m tapping_cell report runs/2026-11-21_15-10-00_to_20_10_0
     python -m tapping_cell report runs/* --output comparison

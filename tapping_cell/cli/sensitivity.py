@@ -1,12 +1,12 @@
 """Compute the sensitivity of a tap's result to errors of the striker's pose (paper, section 5.1).
 
-Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees, its product with an error
-of the striker's pose, its norm, and the fraction of the reachable range with a norm below one.
-Columns: displacement of the striker's ball along i (the contact normal, away from the object) and j
-(the tangent), and rotation of its axis by beta. Rows: the displacement along and across the
-direction of travel, and the rotation, clockwise as in the paper. The y row follows the paper, in
-which the direction of travel rotates with the striker; the y row of the impact model is printed
-next to it.
+Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees. Also prints its product
+with an error of the striker's pose, its norm, and the fraction of the reachable taps with a norm
+below one. The columns are the displacements of the striker's ball along i (the contact normal, away
+from the object) and j (the tangent), and the rotation beta of the striker's axis. The rows are the
+displacements of the object along and across the direction of travel, and its rotation, clockwise as
+in the paper. The paper assumes that the direction of travel rotates with the striker; a second
+Jacobian uses the direction of travel from the impact model.
 
     python -m tapping_cell sensitivity --distance 10 --rotation 3
     python -m tapping_cell sensitivity --figures docs/images

@@ -1,4 +1,4 @@
-"""Follow one goal in a running graph: text output, and rows for the run folder."""
+"""Send one goal to a running graph, show its progress as text, and wait for its run folder."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def follow(
                 console.print(tap_text(event))
             elif isinstance(event, Finished):
                 return event
-    raise AssertionError("events end only with the goal")
+    raise AssertionError("the event stream ended before the goal")
 
 
 def wait_for_record(

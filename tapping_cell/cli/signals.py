@@ -1,6 +1,6 @@
 """Ctrl-C and SIGTERM end a verb in order.
 
-This module imports nothing of the cell, so that `stop` starts fast.
+This module imports no other module of the package, so that the verb `stop` starts fast.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import signal
 def end_on_signals() -> None:
     """Make Ctrl-C and SIGTERM raise KeyboardInterrupt, so that the verb ends in order.
 
-    Both handlers are set, because a shell starts background jobs with SIGINT ignored, and Python
-    keeps ignoring it.
+    The SIGINT handler is set explicitly, because a shell starts background jobs with SIGINT
+    ignored, and Python then keeps ignoring this signal.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)

@@ -1,10 +1,11 @@
 """Measure an object by single taps at every combination of striker speed and incidence.
 
-Starts the simulated cell (or the hardware with --hardware, or joins a running graph with --attach),
-taps the object near the middle of the table, and records each tap: the object's pose in every
-image, its start and end poses, the striker's speed. A tap that might move the object off the table
-or out of the camera's view is refused. Ctrl-C stops between or within trials; completed trials are
-kept, and --resume continues the experiment. The verb `fit` reads the folder.
+Starts the simulated cell (or the hardware with --hardware, or joins a running graph with --attach)
+and taps the object near the middle of the table. The record of each tap contains the object's pose
+in every image, the object's start and end poses, and the striker's speed. A tap that might move the
+object off the table or out of the camera's view is refused. Ctrl-C stops between or within trials;
+completed trials are kept, and --resume continues the experiment. The verb `fit` evaluates the
+recorded folder.
 
     python -m tapping_cell single-tap
     python -m tapping_cell single-tap --speeds 600 900 1200 --incidences 15 -40 --trials 5
@@ -81,10 +82,10 @@ RANGES = (
     ("slow-motion", 1.0, 100.0),
     ("exposure", 0.0, 100.0),
 )
-"""Ranges of the options, in their own units."""
+"""Ranges of the options, each in the unit of its option."""
 STEP_OF_SEED = 1000
-"""Difference between the seeds of two sessions of one experiment, because a world with the same
-seed would repeat its scatter."""
+"""Difference between the seeds of two sessions of one experiment. With the same seed, the simulated
+world would repeat its scatter."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -190,7 +191,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_ranges(arguments: argparse.Namespace) -> None:
-    """Reject option values that no experiment can have.
+    """Reject option values that are out of range.
 
     Raises:
         ValueError: a value is out of range. The message names the option, value and range.
@@ -263,7 +264,8 @@ def _measure(
     trials: list[Trial],
     console: Console,
 ) -> None:
-    """Make the remaining trials of the design. Each trial is on disk before the next starts."""
+    """Make the remaining trials of the design. Each trial is written to disk before the next one
+    starts."""
     sessions = sum(1 for entry in folder.glob("session_*") if entry.is_dir())
     name = f"session_{sessions + 1:02d}"
     seed = design.seed + STEP_OF_SEED * sessions
@@ -330,7 +332,7 @@ def _keep_header(folder: Path, header: ExperimentFile) -> None:
     """Write the header, or check that an existing header describes the same experiment.
 
     Raises:
-        RecordError: the existing header has another object, striker or source.
+        RecordError: the existing header describes another object, striker or source.
     """
     if not (folder / HEADER_FILE).exists():
         write_header(folder, header)

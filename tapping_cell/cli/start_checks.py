@@ -83,7 +83,8 @@ def require_address(place: tuple[str, int], option: str) -> None:
 
 
 def off_table(cell: Cell, x: float, y: float) -> str:
-    """Return why a goal, in m, is refused, or an empty text if it lies on the table."""
+    """Return the reason why a goal (x and y in m) is refused; empty if the goal lies on the
+    table."""
     table = cell.file.table
     if abs(x) <= 0.5 * table.length and abs(y) <= 0.5 * table.width:
         return ""

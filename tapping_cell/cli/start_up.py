@@ -42,7 +42,7 @@ class Line:
 
     node: str
     word: str
-    """starting, waits, ready, warns (works, but not as it should), fault or ended."""
+    """starting, waits, ready, warns (works, but reports a warning), fault or ended."""
     sentence: str = ""
 
     def __str__(self) -> str:
@@ -57,7 +57,7 @@ class Start:
     ready: bool
     """Whether the cell would accept a goal now."""
     person: str = ""
-    """Required action of a person, if everything has started and only this action is missing."""
+    """Action required of a person, if all nodes have started and only this action is missing."""
     reason: str = ""
     """Reason why the cell would not accept a goal; empty when ready."""
 
@@ -65,8 +65,8 @@ class Start:
 def judge(nodes: Sequence[str], state: dict[str, Any], ended: dict[str, str]) -> Start:
     """Determine the start-up state from the state of the cell.
 
-    ``nodes``: started nodes; ``state``: state from the cell's client; ``ended``: reasons of ended
-    nodes.
+    ``nodes``: names of the started nodes; ``state``: the client's view of the cell; ``ended``:
+    reason for each node that has ended.
     """
     rows = {row["name"]: row for row in state["nodes"]}
     world = rows.get("sim_world", {}).get("life") == "active"

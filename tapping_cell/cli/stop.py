@@ -1,4 +1,5 @@
-"""Stop arm, tapper and planner of a running cell immediately; the stop stays until it is cleared.
+"""Stop arm, tapper and planner of a running cell immediately. The stop remains in effect until it
+is cleared.
 
 Only the wired emergency stop is a safety function: this command depends on computer and network.
 

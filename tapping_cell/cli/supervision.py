@@ -9,11 +9,12 @@ from tapping_cell.cli.graph import RECORDER, Ended, Graph, NodeDied
 
 MAX_RESTARTS = 3
 WINDOW_S = 120.0
-"""Time window in s. A node that ends for the fourth time within it is not restarted."""
+"""Time window in s. A node that ends for the fourth time within this window is not restarted."""
 DELAY_S = 1.0
 """Delay in s between the end of a node and its restart."""
 ASIDE = (RECORDER, "operator_page")
-"""Nodes that the cell does not need for positioning. Their end never ends the other nodes."""
+"""Nodes that the cell does not need for positioning. If one of them ends, the other nodes
+continue."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,7 @@ class Incident:
 
     node: str
     sentence: str
-    """Description of the event, the node's last output, and the reaction."""
+    """The event, the node's last output, and how the supervisor reacts."""
     given_up: bool = False
 
 
@@ -64,8 +65,12 @@ class Supervisor:
                 f"{ended.sentence}; it is restarted ({len(recent)} of {MAX_RESTARTS})",
             )
         if ended.name not in ASIDE:
-            often = "" if ended.refused else f" {MAX_RESTARTS + 1} times in {WINDOW_S:.0f} s"
-            raise NodeDied(f"the cell cannot work without {ended.name}:{often} {ended.sentence}")
+            often = (
+                ""
+                if ended.refused
+                else f", which ended {MAX_RESTARTS + 1} times in {WINDOW_S:.0f} s"
+            )
+            raise NodeDied(f"the cell cannot work without {ended.name}{often}: {ended.sentence}")
         self.left_alone[ended.name] = ended.sentence
         return Incident(
             ended.name,

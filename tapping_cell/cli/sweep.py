@@ -2,8 +2,8 @@
 
 Each point of the grid is one evaluation. The points share the cores of this computer, or the
 workers of a Dask cluster (``--cluster``). Completed points are stored in the report's folder, so
-that the same command resumes after an interruption. The options that all points have in common must
-be unchanged.
+that the same command resumes after an interruption. To resume a sweep, the options that all its
+points have in common must not change.
 """
 
 from __future__ import annotations

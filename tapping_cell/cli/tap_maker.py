@@ -30,7 +30,7 @@ NO_CLEARANCE = (
     ErrorCode.NO_TAP_FOUND,
     ErrorCode.NO_CONTACT_FOUND,
 )
-"""Refusals that another position of the object may resolve."""
+"""Error codes of refusals that may not occur at another position of the object."""
 PASSING = (
     ErrorCode.OBJECT_NOT_SEEN,
     ErrorCode.OBJECT_NOT_AT_REST,
@@ -41,7 +41,7 @@ PASSING = (
     ErrorCode.GOAL_REPLACED,
     ErrorCode.PLANNER_BUSY,
 )
-"""Temporary failures, after which the trial is repeated when the cell is ready again."""
+"""Error codes of temporary failures. The trial is repeated when the cell is ready again."""
 IN_A_ROW = 3
 
 
@@ -80,7 +80,8 @@ class TapMaker:
         return result
 
     def _untapped(self, code: int, sentence: str) -> None:
-        """React to a tap that did not start."""
+        """Handle a tap that did not start: bring the object back if required, or raise
+        SeriesStopped."""
         self._failures += 1
         name = error_codes.name(code)
         if self._failures >= IN_A_ROW or code not in (*NO_CLEARANCE, *PASSING):
@@ -124,8 +125,9 @@ class TapMaker:
 def trial_of(
     client: SingleTapClient, tap: Tap, record: TapRecord, camera_rate: float, problem: str
 ) -> Trial:
-    """Return a measured tap as a trial, ``lost`` if the object was not visible afterwards.
-    ``camera_rate`` is in Hz and may be NaN; ``problem`` is the planner's message on the tap."""
+    """Convert a measured tap to a trial; its outcome is ``lost`` if the object was not visible
+    afterwards. ``camera_rate`` is in Hz and may be NaN; ``problem`` is the planner's message on the
+    tap."""
     start, end = from_message(record.object_pose), from_message(record.measured_pose.pose)
     lost = not math.isfinite(end.x)
     tip = client.tip_of(int(record.tap_id)) or from_message(record.strike_pose)
@@ -149,8 +151,9 @@ def trial_of(
         end_x=end.x,
         end_y=end.y,
         end_theta=end.theta,
-        # Standard deviation along one axis. One observation has the mean of the variances in x and
-        # y, and the difference of two observations has twice this variance.
+        # Standard deviation along one axis. The variance of one observation is the mean of the
+        # variances in x and y; a displacement is the difference of two observations and has twice
+        # this variance.
         displacement_std=math.nan if lost else math.sqrt(spread[0, 0] + spread[1, 1]),
         rotation_std=math.nan if lost else math.sqrt(2 * spread[2, 2]),
         camera_rate_hz=camera_rate,

@@ -53,7 +53,8 @@ class TapSeries:
         self._maker = TapMaker(self.client, self.check)
 
     def run(self) -> Iterator[Done]:
-        """Make the missing trials of the design. Each trial is on disk when it is yielded.
+        """Make the missing trials of the design. Each trial is written to disk before it is
+        yielded.
 
         Raises:
             SeriesStopped: the experiment cannot continue.

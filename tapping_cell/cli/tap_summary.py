@@ -38,8 +38,8 @@ def print_summary(
     *,
     as_json: bool,
 ) -> None:
-    """Print the summary: one row per run, and the end (code and message; 0 and empty if
-    complete)."""
+    """Print the summary: one row per run, and the reason for the end (``end``: error code and
+    message; 0 and empty if the experiment is complete)."""
     rows = [_row(design, trials, number) for number in range(len(design.runs))]
     code, sentence = end
     if as_json:

@@ -1,9 +1,9 @@
 """Start the node graph from a configuration, simulated or on hardware, and keep it running.
 
 Shows the condition that each node waits for, and "ready" once the cell would accept a goal. A node
-that ends unexpectedly is restarted, up to three times in two minutes. If arm, tapper, planner,
-camera or simulated world end more often, all nodes are ended. Ctrl-C ends every node. Goals are
-sent from another terminal, or from the operator's page.
+that ends unexpectedly is restarted, up to three times in two minutes. If the node of the arm,
+tapper, planner, camera or simulated world ends more often, all nodes are ended. Ctrl-C ends every
+node. Goals are sent from another terminal, or from the operator's page.
 
     python -m tapping_cell up
     python -m tapping_cell up --page
@@ -265,7 +265,8 @@ class _Running:
         self._print_page()
 
     def _print_page(self) -> None:
-        """Print the address of the operator's page once its node has written it to its log."""
+        """Print the address of the operator's page once the page's node has written it to the
+        log."""
         if not self._page_log.exists():
             return
         text = self._page_log.read_bytes()[self._page_seen :].decode("utf-8", errors="replace")

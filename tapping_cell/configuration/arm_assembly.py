@@ -27,7 +27,8 @@ def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> 
 
 
 def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
-    """Return the decelerations of the joints of an arm with its own driver, rad/s^2 or m/s^2."""
+    """Return the decelerations of the arm's joints in a braking stop, rad/s^2 or m/s^2: those of
+    the kinematic chain if the cell file has one, otherwise those of the SCARA."""
     own = arm.ros2_control
     if own is None or own.chain is None:
         return arm.max_acceleration

@@ -66,7 +66,7 @@ def make_strike_settings(cell: Cell) -> StrikeSettings:
 def make_arm_reach(cell: Cell) -> ArmReach:
     """Create the function that tests which tip poses (..., 3) in ``table`` the arm can reach.
 
-    The result has one column for each side of the elbow.
+    The function returns one Boolean column for each side of the elbow.
     """
     geometry = cell.arm.geometry()
     into_base = cell.arm_base.inverse()
@@ -100,8 +100,8 @@ def make_fixed_space(
 ) -> FixedStrikeSpace:
     """Create the space of feasible taps of the cell's fixed tappers.
 
-    ``scatter`` replaces the scatter of the object file, and ``objective``, if it is not empty, the
-    one of the cell file.
+    ``scatter`` replaces the scatter of the object file. ``objective``, if not empty, replaces the
+    objective of the cell file.
 
     Raises:
         ConfigurationError: the cell has an arm.

@@ -49,8 +49,12 @@ JointName = Literal["shoulder", "elbow", "quill", "tool"]
 class TableSection:
     """The part of the table on which objects may lie."""
 
-    length: float = quantity("size of the area along x, centred on the origin", "m", 0.05, 10.0)
-    width: float = quantity("size of the area along y, centred on the origin", "m", 0.05, 10.0)
+    length: float = quantity(
+        "length of the area along x; the area is centred on the origin", "m", 0.05, 10.0
+    )
+    width: float = quantity(
+        "width of the area along y; the area is centred on the origin", "m", 0.05, 10.0
+    )
     edge_margin: float = quantity(
         "minimum distance between the object and a table edge", "m", 0.0, 0.5, default=0.005
     )
@@ -58,7 +62,11 @@ class TableSection:
         "minimum distance of object and striker from keep-out zones", "m", 0.0, 0.5, default=0.005
     )
     overhang: float = quantity(
-        "maximum distance of the striker beyond the table edges", "m", 0.0, 2.0, default=0.15
+        "maximum distance by which the striker may extend beyond a table edge",
+        "m",
+        0.0,
+        2.0,
+        default=0.15,
     )
 
 
@@ -88,14 +96,17 @@ class ChainSection:
     base_link: str = text("link of the URDF at which the chain begins")
     tip_link: str = text("link of the URDF that carries the tapper")
     tool: tuple[float, float, float, float, float, float] = quantity(
-        "pose of the striker's tip in tip_link (x, y, z in m, roll, pitch, yaw in rad), with the x "
-        "axis along the line of travel and the z axis up",
+        "pose of the striker's tip in tip_link (x, y, z in m, roll, pitch, yaw in rad); the x axis "
+        "of the tip points along the line of travel, and its z axis up",
         "",
         -7.0,
         7.0,
     )
     max_acceleration: tuple[float, ...] = quantity(
-        "deceleration of each joint of the arm when braking: rad/s^2 or m/s^2", "", 0.001, 1000.0
+        "deceleration of each joint of the arm in a braking stop: rad/s^2 or m/s^2",
+        "",
+        0.001,
+        1000.0,
     )
     mount: tuple[float, float, float, float, float, float] = quantity(
         "pose of base_link in arm_base: x, y, z in m, roll, pitch, yaw in rad",
@@ -121,7 +132,7 @@ class Ros2ControlSection:
         "full name of the arm's joint_trajectory_controller, such as /scara_controller"
     )
     joints: tuple[str, ...] = text(
-        "names of the joints in the arm's driver, in the order of the arm's kinematics (SCARA: "
+        "names of the joints in the arm's driver, in the order of the kinematic chain (SCARA: "
         "shoulder, elbow, quill, tool)"
     )
     joint_states: str = text(
@@ -129,14 +140,14 @@ class Ros2ControlSection:
     )
     interface: str = choice(
         "interface for sending trajectories: auto uses the action if control_msgs is installed and "
-        "the controller offers it, otherwise the topic",
+        "the controller offers the action, otherwise the topic",
         "auto",
         "topic",
         "action",
         default="topic",
     )
     state_timeout: float = quantity(
-        "timeout of the joint states, after which the arm counts as lost",
+        "time without joint states after which the connection to the arm counts as lost",
         "s",
         0.05,
         1.0,
@@ -164,10 +175,10 @@ class ArmSection:
     )
     upper_arm: float = quantity("distance from shoulder axis to elbow axis", "m", 0.02, 3.0)
     forearm: float = quantity("distance from elbow axis to quill axis", "m", 0.02, 3.0)
-    tip_forward: float = quantity("offset of the tip ahead of the quill axis", "m", -0.5, 0.5)
+    tip_forward: float = quantity("offset of the tip forward of the quill axis", "m", -0.5, 0.5)
     tip_side: float = quantity("offset of the tip to the left of the quill axis", "m", -0.5, 0.5)
     tip_yaw: float = quantity(
-        "angle from the tool's heading to the line of travel", "rad", -7.0, 7.0
+        "angle from the tool's heading to the striker's line of travel", "rad", -7.0, 7.0
     )
     tip_height: float = quantity("height of the tip when the quill is at zero", "m", 0.0, 2.0)
     lower: FourNumbers = quantity("lower joint limits: rad, rad, m, rad", "", -20.0, 20.0)
@@ -178,11 +189,15 @@ class ArmSection:
     max_acceleration: FourNumbers = quantity(
         "maximum joint accelerations: rad/s^2, rad/s^2, m/s^2, rad/s^2", "", 0.001, 1000.0
     )
-    singularity_margin: float = quantity("minimum bend angle of the elbow", "rad", 0.0, 0.5)
+    singularity_margin: float = quantity(
+        "minimum angle of the elbow from the stretched and the folded position", "rad", 0.0, 0.5
+    )
     strike_height: float = quantity(
         "height of the tip above the table during a strike", "m", 0.001, 0.2
     )
-    travel_height: float = quantity("height of the tip above the table in travel", "m", 0.01, 1.0)
+    travel_height: float = quantity(
+        "height of the tip above the table while the arm travels", "m", 0.01, 1.0
+    )
     travel_speed: float = quantity(
         "travel speed as a fraction of the maximum joint speeds", "", 0.01, 1.0
     )
@@ -190,7 +205,8 @@ class ArmSection:
         "speed near the object as a fraction of the maximum joint speeds", "", 0.01, 1.0
     )
     back_off: float = quantity(
-        "distance by which the tip retreats along the line of travel before it is raised",
+        "distance by which the tip retreats along the line of travel after a tap, before the arm "
+        "raises it",
         "m",
         0.0,
         0.1,
@@ -294,7 +310,7 @@ class ArmSection:
         default=False,
     )
     joint_offset: FourNumbers = quantity(
-        "true joint positions minus those of the controller, calibrated: rad, rad, m, rad",
+        "calibrated joint offsets, true position minus the controller's position: rad, rad, m, rad",
         "",
         -1.0,
         1.0,
@@ -311,7 +327,8 @@ class ArmSection:
         default=(),
     )
     grbl_settings: tuple[tuple[float, float], ...] = quantity(
-        "required $$ settings besides $13 = 0: number and value, such as [[23, 3], [27, 1.0]]",
+        "required Grbl settings ($$) in addition to $13 = 0: number and value, such as [[23, 3], "
+        "[27, 1.0]]",
         "",
         -1e7,
         1e7,
@@ -362,14 +379,16 @@ class ArmSection:
         section = self.ros2_control
         if self.dialect != "ros2_control":
             if section is not None:
-                raise ValueError(f"arm.ros2_control has no meaning for the dialect {self.dialect}")
+                raise ValueError(
+                    f"arm.ros2_control is not used by the dialect {self.dialect}: leave it out"
+                )
             if not self.port:
                 raise ValueError(f"key 'arm.port' is missing: the dialect {self.dialect} needs it")
             return
         if section is None:
             raise ValueError("key 'arm.ros2_control' is missing: the dialect ros2_control needs it")
         if self.port:
-            raise ValueError("arm.port has no meaning for the dialect ros2_control: leave it out")
+            raise ValueError("arm.port is not used by the dialect ros2_control: leave it out")
         if section.chain is None and len(section.joints) != len(self.lower):
             raise ValueError(
                 f"arm.ros2_control.joints has {len(section.joints)} names, the arm has"
@@ -395,7 +414,7 @@ class ArmSection:
         if len(chain.max_acceleration) != len(section.joints):
             raise ValueError(
                 f"arm.ros2_control.chain.max_acceleration has {len(chain.max_acceleration)}"
-                f" values, .joints has {len(section.joints)}: give one for each"
+                f" values, but .joints has {len(section.joints)}; give one value for each joint"
             )
         try:
             return chain_from_urdf(
@@ -417,7 +436,8 @@ class ArmSection:
         """
         if len(self.steps_per_unit) not in (0, 4):
             raise ValueError(
-                f"arm.steps_per_unit has {len(self.steps_per_unit)} values, must have four or none"
+                f"arm.steps_per_unit has {len(self.steps_per_unit)} values, but must have four or "
+                "none"
             )
         return needs_of(self.geometry(), self.steps_per_unit)
 
@@ -444,8 +464,8 @@ class ArmSection:
 
 
 LONGEST_SHOT = 0.1
-"""Maximum time from the last check before a pulse until the output is off, in s. This time and the
-striker's flight must end before the arm is allowed to move again."""
+"""Maximum time from the last check before a pulse until the output is off, in s. This time plus the
+striker's time of flight must pass before the arm is allowed to move again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,7 +494,7 @@ class OutputSection:
         default="",
     )
     latency: float = quantity(
-        "maximum measured delay from sending a level until the output has that level",
+        "maximum delay, as measured, from sending a command until the output has switched",
         "s",
         0.001,
         0.045,
@@ -551,19 +571,19 @@ class TapperSection:
         return OutputTapperSettings(self.energies, self.output.pulses, self.output.latency)
 
     def check_dialect(self) -> None:
-        """Raise ValueError for keys that contradict each other."""
+        """Raise ValueError if keys contradict the dialect or each other."""
         if self.dialect == "board":
             if self.output is not None:
-                raise ValueError("tapper.output has no meaning for the dialect board")
+                raise ValueError("tapper.output is not used by the dialect board: leave it out")
             if not self.port:
                 raise ValueError("key 'tapper.port' is missing: the dialect board needs it")
             return
         if self.port:
-            raise ValueError("tapper.port has no meaning for the dialect io: leave it out")
+            raise ValueError("tapper.port is not used by the dialect io: leave it out")
         if len(self.output_settings().pulses) != len(self.energies):
             raise ValueError(
                 f"tapper.output.pulses has {len(self.output_settings().pulses)} values, "
-                f"tapper.energies has {len(self.energies)}: give a pulse for each"
+                f"tapper.energies has {len(self.energies)}: give one pulse for each energy"
             )
 
     def striker(self) -> Striker:
@@ -798,7 +818,7 @@ class Cell:
         }
 
     def mounted_tappers(self) -> tuple[MountedTapper, ...]:
-        """Return the fixed tappers as bodies, for their URDF.
+        """Return the poses, dimensions and masses of the fixed tappers for their URDF.
 
         Raises:
             ConfigurationError: the cell has an arm.

@@ -1,4 +1,5 @@
-"""Check that an arm that is not a SCARA can follow the SCARA that its cell file describes."""
+"""Check that an arm that is not a SCARA reaches the strike poses of the SCARA that its cell file
+describes."""
 
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ def chain_reach(cell: Cell) -> Iterator[str]:
 
 
 def _stations(cell: Cell) -> Iterator[Array]:
-    """Yield tip poses in ``arm_base`` that the SCARA reaches, in the order of a grid."""
+    """Yield the tip poses of a grid that the SCARA reaches, in ``arm_base``."""
     table, geometry, to_base = cell.file.table, cell.arm.geometry(), cell.arm_base.inverse()
     for x in np.linspace(-table.length / 2, table.length / 2, PLACES):
         for y in np.linspace(-table.width / 2, table.width / 2, PLACES):

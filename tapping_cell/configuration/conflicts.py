@@ -53,7 +53,8 @@ def _markers(cell: Cell) -> Iterator[str]:
     if off + half > reach + 1e-9:
         yield (
             f"{cell.object_path}: the marker of {1e3 * marker.size:.1f} mm at {1e3 * off:.1f} mm "
-            f"from the centre sticks out of the object ({1e3 * reach:.1f} mm); use a smaller marker"
+            "from the centre extends beyond the object's outline, whose largest radius is "
+            f"{1e3 * reach:.1f} mm; use a smaller marker"
         )
 
 
@@ -170,7 +171,8 @@ def _planner(cell: Cell) -> Iterator[str]:
 
 
 def _reach(cell: Cell) -> tuple[list[str], list[str]]:
-    """Check in how much of the usable area the arm can tap objects, with the planner's own map."""
+    """Check in what fraction of the usable area the arm can tap objects, using the planner's map of
+    the free space."""
     space = make_strike_space(cell)
     free = FreeSpace(space)
     fits = space.workspace.object_clearance(free.centres) >= space.object_radius
@@ -255,6 +257,6 @@ def _ports(cell: Cell) -> Iterator[str]:
     for port, names in boards.items():
         if port and not Path(port).expanduser().exists():
             yield (
-                f"{cell.path}: the port {port} of {', '.join(names)} does not exist (yet); "
-                "the simulated world creates it, a device must be plugged in"
+                f"{cell.path}: the port {port} of {', '.join(names)} does not exist (yet): "
+                "a simulated port is created by sim_world; a real device must be plugged in"
             )

@@ -19,10 +19,18 @@ class LayoutGoal:
         7.0,
     )
     position_tolerance: float = quantity(
-        "position tolerance of the goal; 0 for that of the cell file", "m", 0.0, 1.0, default=0.0
+        "position tolerance of the goal; 0 means the tolerance of the cell file",
+        "m",
+        0.0,
+        1.0,
+        default=0.0,
     )
     angle_tolerance: float = quantity(
-        "angle tolerance of the goal; 0 for that of the cell file", "rad", 0.0, 3.2, default=0.0
+        "angle tolerance of the goal; 0 means the tolerance of the cell file",
+        "rad",
+        0.0,
+        3.2,
+        default=0.0,
     )
 
 
@@ -31,19 +39,23 @@ class LayoutFile:
     """Contents of a layout file: one arrangement of objects."""
 
     goals: tuple[LayoutGoal, ...] = section("goals, each for a different object")
-    in_order: bool = text("whether to finish the objects in the order of the list", default=False)
+    in_order: bool = text(
+        "whether the objects are brought to their goals in the order of the list", default=False
+    )
     may_move: tuple[str, ...] = text(
         "names of objects without a goal that may be tapped out of the way", default=()
     )
     max_taps: int = quantity(
-        "maximum number of taps for all objects together; 0 for goal.max_taps times the goals",
+        "maximum number of taps for all objects together; 0 means goal.max_taps times the number "
+        "of goals",
         "",
         0,
         10000,
         default=0,
     )
     time_limit: float = quantity(
-        "time limit for all objects together; 0 for the planner's time limit times the goals",
+        "time limit for all objects together; 0 means the planner's time limit times the number "
+        "of goals",
         "s",
         0.0,
         86400.0,

@@ -97,7 +97,8 @@ class OutlineSection:
         "brightness of the object's top compared with the table", "darker", "brighter"
     )
     dot: DotSection | None = section(
-        "dot off the centre, required if the outline does not determine the angle", default=None
+        "dot away from the centre, required if the outline does not determine the angle",
+        default=None,
     )
 
 
@@ -131,7 +132,8 @@ def seen_as(
 def position_floor_key() -> Any:
     """Declare the key ``position_floor`` of the scatter of a tap."""
     return quantity(
-        "standard deviation of the end of a tap, along and across, that remains for small taps",
+        "part of the standard deviation of the object's final position, along and across the tap, "
+        "that does not depend on the size of the tap",
         "m",
         0.0,
         0.05,
@@ -142,7 +144,8 @@ def position_floor_key() -> Any:
 def angle_floor_key() -> Any:
     """Declare the key ``angle_floor`` of the scatter of a tap."""
     return quantity(
-        "standard deviation of the rotation by a tap that remains for small rotations",
+        "part of the standard deviation of the rotation by a tap that does not depend on the size "
+        "of the rotation",
         "rad",
         0.0,
         0.5,
@@ -194,14 +197,14 @@ class ObjectFile:
         "appearance of an object without a marker", default=None
     )
     impact_scale: tuple[float, float, float] = quantity(
-        "calibrated factors of the impact constants B1, B2 and B3",
+        "calibrated factors of the constants B1, B2 and B3 of the impact model",
         "",
         0.01,
         100.0,
         default=(1.0, 1.0, 1.0),
     )
     smallest_tap: float = quantity(
-        "minimum distance that the tapper produces reliably", "m", 0.0001, 0.1, default=0.0017
+        "shortest displacement that the tapper produces reliably", "m", 0.0001, 0.1, default=0.0017
     )
     scatter: ScatterSection = section("scatter of a tap", default=ScatterSection())
     calibration: Provenance | None = section(

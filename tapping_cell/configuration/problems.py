@@ -14,7 +14,8 @@ from tapping_cell.configuration.schema import ConfigurationError, build
 def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[str]:
     """Return all errors in a document that should be a section of class ``kind``.
 
-    The messages are those of :func:`tapping_cell.configuration.schema.build` for each key alone.
+    Each key is checked separately; the messages are those of
+    :func:`tapping_cell.configuration.schema.build`.
     """
     if not isinstance(document, Mapping):
         return _errors(kind, document, source, key)

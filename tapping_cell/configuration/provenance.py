@@ -1,4 +1,5 @@
-"""The record of a calibration: the section ``calibration`` of the files that it writes."""
+"""The record of a calibration: the section ``calibration`` in the files that a calibration
+writes."""
 
 from __future__ import annotations
 
@@ -17,13 +18,15 @@ class Provenance:
     """Inputs, residual and uncertainty of a calibration.
 
     ``residual`` is the error that remains after the fit, and ``uncertainty`` is the standard
-    deviation of the result. A later calibration is compared with the record by these two values
-    (see calibration/keep.py).
+    deviation of the result. These two values are compared when a later calibration would replace
+    the file (see calibration/keep.py).
     """
 
     by: str = text("verb that wrote the record, such as 'calibrate arm'")
     made: str = text("date and time, ISO 8601")
-    inputs: tuple[str, ...] = text("names of the input files, with the start of their SHA-256")
+    inputs: tuple[str, ...] = text(
+        "names of the input files, each with the first digits of its SHA-256 hash"
+    )
     observations: int = quantity("number of observations used", "", 0, 1_000_000_000)
     left_out: int = quantity("number of observations rejected", "", 0, 1_000_000_000)
     residual: float = quantity("root mean square of the residuals", "", 0.0, 1e12)
@@ -37,7 +40,7 @@ class Provenance:
 
 
 def provenance_yaml(record: Provenance, indent: int = 0) -> str:
-    """Format the section as YAML text, with the key ``calibration``, every line indented."""
+    """Format the record as YAML text under the key ``calibration``, with every line indented."""
     content = {name: _plain(value) for name, value in asdict(record).items()}
     dumped = yaml.safe_dump({"calibration": content}, sort_keys=False, width=96 - indent)
     return "".join(" " * indent + line + "\n" for line in dumped.splitlines())

@@ -27,8 +27,8 @@ _PLAN_CONFIRMING, _PLAN_LOOKING = 10, 2
 
 
 def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:
-    """Return the activities from ``began`` to ``ended`` in s; empty without ``arm_state`` and
-    without the state of fixed tappers."""
+    """Return the activities from ``began`` to ``ended`` in s; empty if neither ``arm_state`` nor
+    the state of fixed tappers was recorded."""
     messages: list[tuple[float, str, Any]] = []
     for topic in ("arm_state", "object_state", "plan_state", "tapper_state"):
         messages += [(_seconds(m.header.stamp), topic, m) for _, m in bag.of(topic)]

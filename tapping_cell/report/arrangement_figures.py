@@ -23,7 +23,7 @@ _COLOURS = 10
 
 
 def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]:
-    """Draw the first scenes, failed ones first, into ``folder``; return the files."""
+    """Draw up to ``MAX_SCENES`` scenes into ``folder``, failed scenes first; return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     order = sorted(range(len(trials)), key=lambda number: trials[number].end == "done")
     files = []
@@ -37,7 +37,8 @@ def write_scenes(folder: Path, trials: Sequence[ArrangementTrial]) -> list[Path]
 def draw_scene(trial: ArrangementTrial, file: Path, table: Sequence[Sequence[str]] = ()) -> None:
     """Draw one scene in three panels: at the start, half-way and at the end.
 
-    ``table``: rows of texts below the panels, the first of them the head; empty for none.
+    ``table``: rows of text below the panels, with the column names in the first row; empty for no
+    table.
     """
     below = ROW_INCHES * len(table)
     figure = Figure(figsize=(13.0, 4.0 + below), layout="constrained")

@@ -17,7 +17,7 @@ def write_arrangement_folder(
 ) -> ArrangementRun:
     """Write the files of an arrangement from its bag, replacing existing files.
 
-    ``page``: also write the report. ``source``: the bag; None: the one in the folder.
+    ``page``: also write the report. ``source``: path of the bag; None means the bag in the folder.
 
     Raises:
         tapping_cell.report.bag.BagError: the bag is unreadable or contains no arrangement.

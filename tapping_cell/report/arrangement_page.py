@@ -45,7 +45,8 @@ def write_page(run: ArrangementRun, folder: Path, pictures: Sequence[Picture] = 
 def page(run: ArrangementRun, pictures: Sequence[Picture] = ()) -> str:
     """Return the page of an arrangement, which loads no other files.
 
-    ``pictures``: camera images in the order of time; those before, between and after are shown.
+    ``pictures``: camera images in the order of time. The page shows the images taken before,
+    half-way through and after the moves.
     """
     moves = moves_of(run)
     parts = [
@@ -67,7 +68,7 @@ def headline(run: ArrangementRun) -> str:
     if not run.error_code:
         return f"Arrangement reached: {counted(reached, 'object')}, {counted(len(run.taps), 'tap')}"
     return (
-        f"Arrangement given up: {reached} of {counted(len(goals), 'object')} at the goal after "
+        f"Arrangement failed: {reached} of {counted(len(goals), 'object')} at the goal after "
         f"{counted(len(run.taps), 'tap')}"
     )
 
@@ -99,7 +100,7 @@ def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
             worst = f"{1000 * far:.2f} mm, {math.degrees(turned):.2f} deg"
             cards.append((f"largest {word} residual", worst, limit))
     cards.append(("taps", str(len(run.taps)), f"in {counted(len(moves), 'move')}"))
-    each = f"{run.seconds / len(run.taps):.1f} s a tap" if run.taps else ""
+    each = f"{run.seconds / len(run.taps):.1f} s per tap" if run.taps else ""
     cards.append(("time", f"{run.seconds:.0f} s", each))
     if run.contacts is not None:
         touched = ", ".join(f"'{one}' and '{other}'" for one, other in run.contacts)
@@ -186,7 +187,7 @@ def _objects(run: ArrangementRun) -> str:
         (
             f"{number + 1} {one.name}",
             _place(one.start),
-            _place(one.goal) if one.goal is not None else "none; it may make way",
+            _place(one.goal) if one.goal is not None else "none; it may be moved out of the way",
             _tolerance(one),
             _residual(one.end, one.goal),
             _residual(one.end_true, one.goal),

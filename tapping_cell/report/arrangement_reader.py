@@ -20,7 +20,8 @@ NOT_MOVED = "not moved"
 """Outcome of an object that was neither tapped nor had a goal."""
 _SAME_TIME_S = 1e-6
 _TRUTH_WITHIN_S = 0.2
-"""Time after the end of the arrangement up to which a true pose is taken as the last one, s."""
+"""Maximum time in s after the end of the arrangement at which a true pose counts as the last true
+pose."""
 
 
 def holds_arrangement(path: Path) -> bool:

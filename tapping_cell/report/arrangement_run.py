@@ -1,4 +1,5 @@
-"""Data of one arrangement of several objects for its report, and its file."""
+"""Data of one arrangement of several objects for its report, and the file that stores these
+data."""
 
 from __future__ import annotations
 
@@ -20,9 +21,10 @@ SUMMARY = "arrangement.json"
 class ArrangedObject:
     """One object of an arrangement. Poses in ``table``, m and rad; None if unknown.
 
-    ``outline``: corners in the object's frame, m. ``goal`` is None for an object that only makes
-    way. ``end`` is the last measured pose, ``end_true`` the ground truth. ``outcome``: state of
-    the object at the end, in words. ``tolerance`` of the goal in m and rad; None without a goal.
+    ``outline``: corners in the object's frame, m. ``goal`` is None for an object that is only moved
+    out of the way. ``end`` is the last measured pose, ``end_true`` the ground truth. ``outcome``:
+    state of the object at the end, in words. ``tolerance`` of the goal in m and rad; None without a
+    goal.
     """
 
     name: str
@@ -62,8 +64,8 @@ class ArrangedTap:
 class ArrangementRun:
     """One arrangement from its request to its end.
 
-    ``began``: s since 1970; ``seconds``: duration. ``table_size`` in m.
-    ``contacts``: names of the objects in each true contact; None if they are unknown.
+    ``began``: s since 1970; ``seconds``: duration. ``table_size`` in m. ``contacts``: names of the
+    two objects in each true contact; None if the ground truth is unknown.
     """
 
     name: str

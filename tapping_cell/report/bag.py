@@ -1,8 +1,8 @@
 """Bags: recordings of a cell's topics as a rosbag2 folder with one MCAP file.
 
-``ros2 bag info``, ``ros2 bag play`` and Foxglove can open it: it contains messages as CDR bytes,
-all message definitions, and the quality of service of each topic, so that a transient local topic
-is played back as transient local.
+``ros2 bag info``, ``ros2 bag play`` and Foxglove can open a bag. A bag contains messages as CDR
+bytes, all message definitions, and the quality of service of each topic. A transient local topic is
+therefore played back as transient local.
 
 A bag is written in MCAP chunks. Each chunk is complete in the file once :meth:`flush` returns. If
 the writer is killed, the file contains all flushed chunks but no index. :func:`read_bag` can read
@@ -188,7 +188,7 @@ class BagWriter:
 
 @dataclass(frozen=True, slots=True)
 class Bag:
-    """Contents of a bag. ``whole`` is False if its writer was killed before the end."""
+    """Contents of a bag. ``whole`` is False if the writer of the bag was killed before the end."""
 
     path: Path
     messages: tuple[Recorded, ...]

@@ -26,7 +26,7 @@ def write_page(folder: Path, titles: Sequence[tuple[str, str]], proofs: Mapping[
         f'<header class="{"good" if whole else "bad"}"><h1>Commissioning</h1>'
         f"<p>{state}; {seconds / 60:.1f} min of work. The files are in <code>config/</code>.</p>"
         "</header><section><h2>Steps</h2><table><thead><tr><th>step</th><th>measurement</th>"
-        "<th>figures</th><th>s</th><th>when</th></tr></thead>"
+        "<th>values</th><th>s</th><th>when</th></tr></thead>"
         f"<tbody>{rows}</tbody></table></section>"
     )
     page = folder / PAGE

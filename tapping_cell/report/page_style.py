@@ -109,7 +109,7 @@ def cards_section(cards: Iterable[tuple[str, str, str]]) -> str:
 
 
 def scrolling_table(name: str, content: str, kind: str = "wide") -> str:
-    """Return a table that can be scrolled, also with the keyboard, if it is wider than the screen.
+    """Return a table that can be scrolled, with the keyboard too, if it is wider than the screen.
 
     ``name``: what the table shows, for screen readers. ``content``: rows; ``kind``: style classes.
     """

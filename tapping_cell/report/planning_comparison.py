@@ -28,7 +28,8 @@ Goal = tuple[float, float, float]
 class Method:
     """A planning method with the settings of one of its variants.
 
-    ``error_line`` is in percent; None means the method's default.
+    ``error_line``: assumed rotation error in percent of the tap's rotation; None means the method's
+    default.
     """
 
     label: str
@@ -141,7 +142,7 @@ def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
         tap = _planner(method, settings).choose(1e-3 * distance, math.radians(turn))
         place, angle = 1e3 * float(tap.distance), math.degrees(float(tap.rotation))
         left.plot([0.0, place], [0.0, angle], marker="o", markersize=4, lw=1.0, label=method.label)
-    left.set_title("blue: one tap from the start; red: one tap to the goal", fontsize=9)
+    left.set_title("blue: reachable by one tap; red: one tap is left to the goal", fontsize=9)
     left.set_ylim(-2.0, max(1.3 * turn, 12.0))
     left.legend(fontsize=7, loc="upper left")
     _draw_chain(right, settings, distance, turn)
@@ -169,14 +170,16 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
     )
     axis.set_ylim(0.0, max(2.5 * turn, 12.0))
     axis.set_title(
-        f"remaining error: cones of multi, error lines of {100 * planner.error_line:.0f} %",
+        "remaining error: cones of the method multi, error lines at "
+        f"{100 * planner.error_line:.0f} %",
         fontsize=9,
     )
     axis.legend(fontsize=7, loc="upper left")
 
 
 def draw_fans(settings: PlannerSettings, goal: Goal, path: Path) -> None:
-    """Draw runs of every method in the distance-rotation plane, like figures 5 and 6."""
+    """Draw runs of every method in the distance-rotation plane, like figures 5 and 6 of the
+    paper."""
     chosen = methods()
     figure, axes = _figure(len(chosen), columns=4, size=(13.0, 3.0))
     distance, turn = math.hypot(goal[0], goal[1]), goal[2]

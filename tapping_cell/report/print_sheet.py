@@ -28,8 +28,8 @@ Loop = NDArray[np.float64]
 class PrintedPage:
     """A page of ``width`` x ``height``, with its origin in the lower left corner; all in m.
 
-    It has black ``shapes`` (lists of loops (N, 2), black on their left), thin ``lines`` (x0, y0,
-    x1, y1) and ``labels`` (x, y, height of a capital letter, text).
+    ``shapes``: black areas, each a list of closed loops (N, 2) with the black on their left.
+    ``lines``: thin lines (x0, y0, x1, y1). ``labels``: x, y, height of a capital letter, and text.
     """
 
     width: float

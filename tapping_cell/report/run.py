@@ -21,9 +21,10 @@ FAILED, CANCELED, REFUSED, UNFINISHED = "failed", "canceled", "refused", "unfini
 class Learnt:
     """Estimated properties of the object after a tap: expected values and standard deviations.
 
-    ``distance`` and ``rotation`` are ratios of measured to modelled values (of the distance, and of
-    the rotation per distance). ``direction`` is in rad. ``offset_x`` and ``offset_y`` are rotations
-    per distance (rad/m) of taps through the middle towards -y and +x of the object. NaN if unknown.
+    ``distance`` is the ratio of measured to modelled distance, and ``rotation`` the ratio of
+    measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` and
+    ``offset_y`` are the rotations per distance (rad/m) caused by taps through the middle of the
+    object in its -y and +x directions. NaN if unknown.
     """
 
     distance: float = math.nan
@@ -43,8 +44,8 @@ class TapRow:
     """One tap of a run. Poses in ``table``; displacements in table axes; m, rad, m/s.
 
     ``true_pose`` is None if unknown (on hardware). ``commanded_at``, ``fired_at`` and
-    ``at_rest_at`` are in s since the start of the run; they and ``measured_speed`` are NaN if
-    unknown.
+    ``at_rest_at`` are in s since the start of the run. These times and ``measured_speed`` are NaN
+    if unknown.
     """
 
     number: int

@@ -284,7 +284,8 @@ def read_run(folder: Path) -> Run:
 
 @contextlib.contextmanager
 def run_errors(path: Path, place: str) -> Iterator[None]:
-    """Convert the errors of reading a file of a run. ``place``: the kind of folder that holds it.
+    """Convert the exceptions raised while a file of a run is read. ``place``: kind of folder that
+    should contain the file, for the message.
 
     Raises:
         RunError: the file is missing or damaged.

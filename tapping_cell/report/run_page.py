@@ -62,8 +62,8 @@ from tapping_cell.se2 import Array, Pose
 
 SHORTEST_SHOWN_S = 0.05
 _HEADLINES = {
-    NOT_TRULY_REACHED: "Measured at the goal, but not truly there",
-    FAILED: "Goal given up",
+    NOT_TRULY_REACHED: "Measured at the goal, but the true pose is outside the tolerance",
+    FAILED: "Goal failed",
     CANCELED: "Goal canceled",
     REFUSED: "Goal refused",
 }
@@ -162,7 +162,7 @@ def _figures(run: Run) -> str:
 
 
 def _each(run: Run) -> str:
-    return f"{run.wall_time / len(run.taps):.1f} s each" if run.taps else "none was needed or made"
+    return f"{run.wall_time / len(run.taps):.1f} s per tap" if run.taps else "no tap was made"
 
 
 def _outline(run: Run) -> Array:
@@ -302,7 +302,7 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
         else ""
     )
     rows = [
-        ("wanted", _move(tap.commanded)),
+        ("commanded", _move(tap.commanded)),
         ("predicted", _between(tap.before, tap.predicted)),
         ("measured", _between(tap.before, tap.measured)),
         ("measured - predicted", f"{missed:.2f} mm, {turned:+.2f} deg"),
@@ -429,7 +429,7 @@ def _configuration(run: Run) -> str:
     return (
         f"<section><h2>Configuration</h2>{files}<p>{seed}Versions: {escape(versions)}.</p>"
         f'<p class="quiet">The bag in the folder of this page contains every topic of this '
-        "run: open the <code>.mcap</code> file in Foxglove, or call <code>ros2 bag play bag</code>."
-        " To write this page again, call <code>python -m tapping_cell report</code> with the "
+        "run: open the <code>.mcap</code> file in Foxglove, or run <code>ros2 bag play bag</code>."
+        " To write this page again, run <code>python -m tapping_cell report</code> with the "
         "folder.</p></section>"
     )

@@ -103,7 +103,8 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     after = [(at, m) for at, m in seen if at <= ended + _TRUTH_WITHIN_S]
     final = after[-1] if after else None
     taps = _taps(records, bag, truths, began)
-    # The goal's stamp is that of the observation it refers to, the time of sending, or zero.
+    # The stamp of the goal is the stamp of the observation to which the goal refers, the time of
+    # sending, or zero.
     start = _start(seen, _seconds(last.goal.header.stamp) or began, taps)
     goal = _pose(last.goal.pose) if _is_pose(last.goal.pose) else None
     tolerance = (_finite(last.position_tolerance), _finite(last.angle_tolerance))
@@ -237,8 +238,8 @@ def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
 
 
 def _start(seen: list[tuple[float, Any]], asked: float, taps: Sequence[TapRow]) -> Pose | None:
-    """Return the resting pose at the beginning of a run, or the pose for which the first tap was
-    planned if the recorder connected to the camera's node only after that tap."""
+    """Return the resting pose at the beginning of a run. If the recorder connected to the camera's
+    node only after the first tap, return the pose for which that tap was planned."""
     if taps and taps[0].number == 1 and all(at > asked + _SAME_TIME_S for at, _ in seen):
         return taps[0].before
     return _pose_at(seen, asked)

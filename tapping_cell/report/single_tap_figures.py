@@ -72,8 +72,8 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
             axes.plot(x[run], y[run], mark, color=colour, ms=6, alpha=0.75, label=f"run {label}")
             axes.plot(slide_x[run], slide_y[run], "+", color=INK, ms=9, mew=1.0)
             if np.isfinite(tap_x[run]).any():
-                # Average taps of positive and negative rotation separately, because their common
-                # mean is no real tap.
+                # Average taps with positive and with negative rotation separately, because the mean
+                # of both corresponds to no real tap.
                 for side in (y[run] > 0, y[run] <= 0):
                     if np.isfinite(tap_x[run][side]).any():
                         middle = np.nanmean(tap_x[run][side]), np.nanmean(tap_y[run][side])
@@ -90,7 +90,7 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
         Line2D([], [], marker="+", color=INK, ls="", ms=9),
         Line2D([], [], marker="o", mfc="white", mec=INK, mew=2.2, ls="", ms=10),
     ]
-    labels += ["calculated from the other, each trial", "predicted from the striker, mean"]
+    labels += ["calculated from the other plot, each trial", "predicted from the striker, mean"]
     figure.legend(handles, labels, loc=_BELOW, ncols=6, fontsize=8, frameon=False)
 
 
@@ -142,7 +142,7 @@ def _residuals(figure: Figure, report: SingleTapReport) -> None:
     columns = (
         (left, _percent(seen.speed, slid.speed), "initial speed: measured over calculated"),
         (middle, _percent(seen.spin, slid.spin), "initial spin: measured over calculated"),
-        (right, 100 * (report.own_friction - 1), "friction of the trial relative to all"),
+        (right, 100 * (report.own_friction - 1), "friction: single trial over fit to all trials"),
     )
     for axes, values, title in columns:
         for label, (colour, mark) in _styles(report).items():

@@ -17,10 +17,11 @@ PAGE = "report.html"
 _CAPTIONS = {
     figures.RUNS: "Displacements and initial velocities of all trials (as figure 3 of the paper). "
     "Crosses are calculated: displacements from the measured initial velocities, velocities from "
-    "the measured displacements. Open marks: mean prediction from striker's speed and incidence.",
-    figures.PROFILES: "Velocity profiles of single trials (as figure 4), predicted from the "
-    "displacement with the fitted torque factor. The fit itself compares the poses (right), not "
-    "the velocities.",
+    "the measured displacements. Open marks: mean prediction from the striker's speed and "
+    "incidence.",
+    figures.PROFILES: "Velocity profiles of single trials (as figure 4 of the paper), "
+    "predicted from the displacement with the fitted torque factor. The fit itself compares the "
+    "poses (right), not the velocities.",
     figures.RESIDUALS: "Residuals of each trial: differences between measured and calculated "
     "values, and the friction of each trial alone.",
     figures.ERRORS: "Prediction error of each run's mean. The last two predictions include the "
@@ -43,7 +44,7 @@ def write_page(report: SingleTapReport, folder: Path) -> Path:
         _section("Prediction error of each run, percent", _errors(report.runs)),
         _section("Striker", _list(report.tapper)) if report.tapper else "",
         _section("Left out", _list(report.left_out)) if report.left_out else "",
-        _section("From", _facts(report)),
+        _section("Data", _facts(report)),
     ]
     page = folder / PAGE
     page.write_text(document(report.title, "".join(body)), encoding="utf-8")

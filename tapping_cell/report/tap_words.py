@@ -35,7 +35,7 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
         parts.append(f"Chosen because {tap.reason}.")
     effort = expected_effort(tap.expected_taps, tap.expected_seconds)
     if effort:
-        parts.append(f"Expected before the tap: {effort} to the goal.")
+        parts.append(f"Expected effort before the tap: {effort} to the goal.")
     return " ".join(part for part in parts if part)
 
 
@@ -85,8 +85,8 @@ def _purpose(tap: TapRow, goal: Pose) -> str:
         )
     if length < SHORTER * away:
         return (
-            f"The tap moves the object to {1000 * (away - length):.1f} mm before the goal on "
-            "purpose: a shorter tap scatters less, and the last tap can still turn the object."
+            f"The tap stops {1000 * (away - length):.1f} mm short of the goal on purpose: a "
+            "shorter tap scatters less, and the last tap can still turn the object."
         )
     return "The tap is aimed straight at the goal."
 

@@ -27,23 +27,23 @@ HEADER = ("shoulder", "elbow", "tool", "x", "y", "theta")
 SPEED = 0.6
 """Speed of the fastest joint, rad/s."""
 SPARE = 2
-"""Number of candidate postures per required pose, because the marker is outside the image in
-some."""
+"""Number of candidate postures per required pose. In some postures the marker is outside the
+image."""
 BLIND = 6
 """Number of consecutive postures without a visible marker after which the recording is aborted."""
 READY_TIMEOUT_S = 30.0
 _SAME_TIP = 0.001
-"""Maximum distance in m between the tip positions according to the given cell file and according
-to the running cell."""
+"""Maximum distance in m between the tip position computed with the given cell file and the tip
+position reported by the running cell."""
 _SAME = 0.03
-"""Maximum difference of each joint, in rad, up to which a posture counts as already recorded."""
+"""Maximum difference of each joint, in rad, at which a posture counts as already recorded."""
 
 
 def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     """Record poses until the requested number is reached. Return False if interrupted.
 
     Raises:
-        CalibrationRefused: the cell or the camera is unsuitable, for the stated reason.
+        CalibrationRefused: the cell or the camera is unsuitable; the message states why.
         RecordError: the existing file cannot be continued.
     """
     own = cell.arm.ros2_control
@@ -90,7 +90,7 @@ def _visit(
     left = [joints for joints in places if not _among(joints, done)]
     number, blind = len(done), 0
     console.print(
-        f"the arm moves to {arguments.poses - number} postures above the table at its present "
+        f"the arm moves to {arguments.poses - number} postures above the table at its current "
         "height; Ctrl-C stops it after the current move"
     )
     for joints in left:

@@ -1,16 +1,17 @@
-"""Calibrate the pose of the arm's base and the zero of its elbow from a CSV record of poses.
+"""Calibrate the pose of the arm's base and the zero offset of its elbow from a CSV record of poses.
 
-Each row is one pose: the controller's joints (columns shoulder, elbow, tool in rad, or shoulder_deg
-and so on) and the camera's measurement of a marker held by the arm (x, y in m or x_mm, y_mm; theta
-or theta_deg) in the frame table. Without theta, the rows are points of the table that the tip
-touched. Record 20 poses over the whole table, with the elbow bent to both sides by different
-angles, and with different tool angles. Writes a copy of the cell file with the new values in its
-section arm.
+Each row is one pose. Columns shoulder, elbow and tool (rad; or shoulder_deg and so on) are the
+joint positions reported by the controller. Columns x, y and theta (m and rad; or x_mm, y_mm,
+theta_deg) are the camera's measurement, in the frame table, of a marker held by the arm. Without
+theta, each row is a point on the table that the tip touched. Record 20 poses over the whole table,
+with the elbow bent to both sides by different angles, and with different tool angles. Writes a copy
+of the cell file with the new values in its section arm.
 
-With --record, the running cell first makes the record. The arm must hold a marker, and the cell
-must have been started with the object file of that marker (the height in the file is the height of
-the marker above the table). The arm moves above the table at its current height, and the camera's
-measurements are recorded pose by pose. Ctrl-C stops the recording; --resume continues it.
+With --record, the verb first records the poses with the running cell. The arm must hold a marker,
+and the cell must have been started with the object file of that marker (the height in the file is
+the height of the marker above the table). The arm moves above the table at its current height, and
+the camera's measurements are recorded pose by pose. Ctrl-C stops the recording; --resume continues
+it.
 
   python -m tapping_cell calibrate arm poses.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell up --hardware --object held_marker.yaml    # in another terminal, and then
@@ -104,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def record_of(table: CsvTable) -> ArmRecord:
-    """Return the poses of the valid rows, with angles only if every row has one."""
+    """Return the poses of the valid rows, with angles only if every row has an angle."""
     angles = table.values.get("theta")
     if angles is not None and not np.isfinite(angles).all():
         angles = None

@@ -219,7 +219,7 @@ def _find(
     views = []
     console = Console(stderr=True)
     hidden = quiet or not console.is_terminal
-    for path in track(images, "looking for the target", console=console, disable=hidden):
+    for path in track(images, "detecting the target", console=console, disable=hidden):
         image = read_grey(path)
         if image is None:
             continue  # the file was deleted after it had been listed

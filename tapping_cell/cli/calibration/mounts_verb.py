@@ -1,10 +1,10 @@
-"""Calibrate line and speed of each fixed tapper from single taps measured by the camera.
+"""Calibrate the line and speed of each fixed tapper from single taps measured by the camera.
 
 The taps are read from run folders, or from a CSV file with one row per tap. The columns are tapper
 (the name in the cell file), speed (m/s; or speed_mm_s) and the object's poses at rest before and
 after the tap: x_before, y_before, theta_before, x_after, y_after, theta_after (m and rad; or with
-the suffixes _mm and _deg). Strike the object at several positions along each tapper's line, usually
-with twelve taps per tapper. Writes a copy of the cell file with the measured positions and
+the suffixes _mm and _deg). Strike the object at several positions along each tapper's line; twelve
+taps per tapper are usually enough. Writes a copy of the cell file with the measured positions and
 directions. A tapper without taps keeps its values.
 
   python -m tapping_cell calibrate mounts runs/* --cell config/positioning_cell/cell.yaml \\
@@ -111,8 +111,8 @@ def read_taps(paths: Sequence[Path], cell: Cell) -> Taps:
     """Read the taps of one CSV file, or of the goals in run folders.
 
     Raises:
-        RecordError: a file and folders are mixed, a run is of another object, or there are no taps.
-        tapping_cell.report.run_folder.RunError: a run folder is damaged.
+        RecordError: a file and folders are mixed, a run was made with another object, or there are
+        no taps. tapping_cell.report.run_folder.RunError: a run folder is damaged.
     """
     if all(path.is_dir() for path in paths):
         return _taps_of_runs(paths, cell)
@@ -158,8 +158,8 @@ def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
     about each tapper that has too few.
 
     Raises:
-        RecordError: a tap is of a tapper that the cell does not have.
-        CalibrationRefused: no tapper has enough taps.
+        RecordError: a tap was made by a tapper that the cell does not have. CalibrationRefused: no
+        tapper has enough taps.
     """
     entries = cell.fixed_tappers.tappers
     unknown = sorted(set(taps.tapper.tolist()) - {entry.name for entry in entries})
@@ -205,13 +205,13 @@ def _provenance(fits: list[MountFit], taps: Taps, cell: Cell) -> Provenance:
         observations=sum(fit.taps for fit in fits),
         left_out=sum(fit.left_out for fit in fits) + len(taps.faults),
         residual=math.sqrt(sum(fit.residual**2 for fit in fits) / len(fits)),
-        residual_of="residuals relative to the scatter in the object file",
+        residual_of="root mean square residual relative to the scatter in the object file",
         uncertainty=max(fit.line_deviation for fit in fits),
-        uncertainty_of="position of the line at the object, least certain tapper, m",
+        uncertainty_of="lateral position of the least certain tapper's line at the object, m",
         deviations={f"{fit.name}_direction": fit.angle_deviation for fit in fits},
         notes=tuple(
-            f"{fit.name}: speed differs from the curve by {100 * (fit.speed_factor - 1):+.1f} %, "
-            "if the friction in the object file is correct"
+            f"{fit.name}: the speed differs from the calibration curve by "
+            f"{100 * (fit.speed_factor - 1):+.1f} %, if the friction in the object file is correct"
             for fit in fits
         ),
     )

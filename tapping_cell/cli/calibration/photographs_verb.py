@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="FOLDER",
-        help="folder for the images, empty or new",
+        help="folder for the images; it must be empty or new",
     )
     parser.add_argument(
         "--what",

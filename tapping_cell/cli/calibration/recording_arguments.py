@@ -15,7 +15,7 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "--record",
         action="store_true",
         dest="record_first",
-        help="first make the record with the running cell (started with the verb `up`)",
+        help="first record the data with the running cell (started with the verb `up`)",
     )
     parser.add_argument(
         "--resume", action="store_true", help="continue an existing record (only with --record)"

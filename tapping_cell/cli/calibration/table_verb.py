@@ -152,7 +152,7 @@ def _from_sheet(arguments: argparse.Namespace) -> tuple[ReferenceMap, Provenance
         residual=0.0,
         residual_of="none (a single reading of a ruler)",
         uncertainty=0.0002 / RULER * farthest,
-        uncertainty_of="position of the farthest marker, m, for a ruler read to 0.2 mm",
+        uncertainty_of="position of the farthest marker if the ruler is read to 0.2 mm, m",
         deviations={},
         notes=(f"the sheet's 100 mm ruler measures {arguments.ruler:g} mm",),
     )
@@ -249,7 +249,9 @@ def _placed(
         return in_frame(references, frame), notes
     if old is not None:
         frame, moved = frame_of_map(references, old)
-        notes.append(f"frame of {arguments.table.name}; markers moved by {moved * 1e3:.3f} mm rms")
+        notes.append(
+            f"frame kept from {arguments.table.name}; the markers moved by {moved * 1e3:.3f} mm rms"
+        )
         return in_frame(references, frame), notes
     return references, [*notes, "origin: centre of the markers; x axis: their mean direction"]
 

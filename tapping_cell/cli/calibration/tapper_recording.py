@@ -28,7 +28,8 @@ from tapping_cell.nodes.clients.single_tap_client import NoAnswer, SingleTapClie
 
 HEADER = ("energy", "distance", "rotation", "incidence", "distance_std")
 LONGEST = 0.090
-"""Maximum travel in m of the largest tap. The travel of the smallest is defined by the object."""
+"""Maximum travel in m of the largest tap. The object file defines the travel of the smallest
+tap."""
 _STEP = 0.93
 """Factor by which the largest speed is reduced until the tap has enough clearance on the table."""
 _USELESS = 4
@@ -42,7 +43,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     """Record taps until the requested number is reached. Return False if interrupted.
 
     Raises:
-        CalibrationRefused: the cell or the object is unsuitable, for the stated reason.
+        CalibrationRefused: the cell or the object is unsuitable; the message states why.
         RecordError: the existing file cannot be continued.
     """
     end_on_signals()
@@ -52,7 +53,7 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     left = list(order(energies, arguments.taps, done))
     console.print(
         f"{len(left)} taps of {1e3 * energies[0]:.3g} to {1e3 * energies[-1]:.3g} mJ near the "
-        "middle of the table; Ctrl-C stops them"
+        "middle of the table; Ctrl-C stops the recording"
     )
     try:
         with SingleTapClient("calibrate_tapper", arguments.namespace) as client:
@@ -67,8 +68,8 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
 
 
 def energies_of(cell: Cell) -> list[float]:
-    """Return energies in J, evenly spaced in ln E, from a short travel to the longest with enough
-    clearance.
+    """Return tap energies in J, evenly spaced on a logarithmic scale: from the object's smallest
+    tap to the largest tap with enough clearance.
 
     Raises:
         CalibrationRefused: there is not enough clearance, or the tapper's range is too narrow.

@@ -1,17 +1,17 @@
 """Calibrate the striker's speed at each energy, from the travel of the object after each tap.
 
 Each row is one tap: energy (J; or energy_mJ) and the distance travelled by the object (m; or
-distance_mm). Optional columns are the object's rotation (rad; or rotation_deg), the incidence of
-the striker relative to the contact normal (rad; or incidence_deg; default 0) and distance_std, the
-standard deviation of the camera's measurement of the distance (default 0.1 mm). Record about 30
-taps through the object's centre, at six or more energies from the smallest tap to the largest.
-Friction and restitution come from the object file. Writes a copy of the cell file with the new
-curve in its section tapper.
+distance_mm). Three columns are optional: rotation of the object (rad; or rotation_deg), incidence
+of the striker relative to the contact normal (rad; or incidence_deg; default 0) and distance_std,
+the standard deviation of the measured distance (default 0.1 mm). Record about 30 taps through the
+object's centre, at six or more energies from the smallest tap to the largest. Friction and
+restitution come from the object file. Writes a copy of the cell file with the new curve in its
+section tapper.
 
-With --record, the running cell first makes the record. The taps are made near the middle of the
-table. They range from the smallest tap in the object file to the largest tap after which the object
-certainly stays on the table and in view. Most taps are at the two ends of this range. Ctrl-C stops
-the recording; --resume continues it.
+With --record, the verb first makes and records the taps with the running cell. The taps are made
+near the middle of the table. They range from the smallest tap in the object file to the largest tap
+after which the object certainly stays on the table and in view. Most taps are at the two ends of
+this range. Ctrl-C stops the recording; --resume continues it.
 
   python -m tapping_cell calibrate tapper taps.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell up --hardware                              # in another terminal, and then
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
     old = cell.file.tapper.curve()
     if old.slowest < 0.99 * result.speeds[0] or old.fastest > 1.01 * result.speeds[-1]:
         found["notes"].append(
-            f"the old curve went from {old.slowest * 1e3:.0f} to {old.fastest * 1e3:.0f} mm/s; the"
+            f"the old curve covered {old.slowest * 1e3:.0f} to {old.fastest * 1e3:.0f} mm/s; the"
             f" planner now uses {result.speeds[0] * 1e3:.0f} to {result.speeds[-1] * 1e3:.0f} mm/s,"
             " the range of the recorded taps"
         )
@@ -144,7 +144,7 @@ def _provenance(result: TapperCalibration, table: CsvTable, object_path: Path) -
         residual=result.scatter,
         residual_of="relative scatter of a tap's speed",
         uncertainty=result.uncertainty,
-        uncertainty_of="relative error of the curve's speeds, without errors of the object file",
+        uncertainty_of="relative error of the curve's speeds, excluding errors of the object file",
         deviations=dict(zip(names, spread.tolist(), strict=True)),
         notes=(
             f"smallest reliable tap: {result.least_energy * 1e3:.4g} mJ,"
@@ -197,5 +197,8 @@ def lines(found: dict[str, Any]) -> list[str]:
         f" {1e3 * found['least_travel']:.1f} mm"
     )
     if not math.isclose(found["by_friction"], 0.5, abs_tol=0.02):
-        rows.append(f"speeds are proportional to friction to the power {found['by_friction']:.2f}")
+        rows.append(
+            "the speeds are proportional to the object's friction coefficient to the power of "
+            f"{found['by_friction']:.2f}"
+        )
     return [*rows, *(f"note: {text}" for text in found["notes"]), f"written: {found['output']}"]

@@ -1,4 +1,5 @@
-"""Commissioning session: its folder, its measurements, the person, and the running nodes."""
+"""Commissioning session: its folder, its measurements, the dialogue with the person, and the
+running nodes."""
 
 from __future__ import annotations
 
@@ -105,7 +106,7 @@ class Session:
         """Run a verb that prints one JSON object, and return this object.
 
         Raises:
-            StepFailed: with the verb's error message.
+            StepFailed: the verb failed; the message contains the verb's error message.
         """
         from tapping_cell.cli import main
 
@@ -130,8 +131,8 @@ class Session:
     ) -> Iterator[Graph]:
         """Run the cell's nodes with the files of this session until the end of the block.
 
-        ``truth``: other simulation parameters. ``only_world``: start only ``sim_world``. Both apply
-        only to the simulated cell.
+        ``truth``: file of other simulation parameters. ``only_world``: start only ``sim_world``.
+        Both arguments apply only to the simulated cell.
         """
         files = {"cell_file": self.cell_file}
         parameters: dict[str, dict[str, object]] = {
@@ -187,7 +188,7 @@ def wait(condition: Any, patience: float, what: str, graph: Graph) -> None:
     """Wait until a condition holds.
 
     Raises:
-        StepFailed: it does not hold within ``patience`` s.
+        StepFailed: the condition does not hold within ``patience`` s.
     """
     deadline = time.monotonic() + patience
     while not condition():

@@ -185,7 +185,7 @@ def homing(session: Session) -> Proof:
 
 
 def _home(session: Session, client: CellClient, graph: Graph) -> float:
-    """Home the arm and wait until the cell may continue. Return the duration in s."""
+    """Home the arm and wait until it is idle. Return the duration in s."""
 
     def arm() -> str:
         return str(client.state()["arm"]["state"])
@@ -310,7 +310,8 @@ def object_at_rest(session: Session) -> Proof:
         )
     last = places[-1]
     return Proof(
-        f"seen at x {1e3 * last.x:.1f} mm, y {1e3 * last.y:.1f} mm, scatter {1e3 * spread:.4f} mm",
+        f"measured at x {1e3 * last.x:.1f} mm, y {1e3 * last.y:.1f} mm, "
+        f"scatter {1e3 * spread:.4f} mm",
         {
             "x_mm": round(1e3 * last.x, 2),
             "y_mm": round(1e3 * last.y, 2),

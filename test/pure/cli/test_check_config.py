@@ -85,7 +85,7 @@ def test_the_files_that_a_cell_names_are_looked_at_too(folder: Path) -> None:
     [
         ("objects/aluminium_disk.yaml", "marker.id", 104, "reference marker"),
         ("objects/aluminium_disk.yaml", "height", 0.004, "passes over the object"),
-        ("objects/aluminium_disk.yaml", "marker.size", 0.09, "sticks out"),
+        ("objects/aluminium_disk.yaml", "marker.size", 0.09, "extends beyond"),
         ("cell.yaml", "arm.strike_height", 0.004, "scrapes the table"),
         ("cell.yaml", "tapper.stroke", 0.05, "for 'tapper.stroke'"),
         ("cell.yaml", "arm.travel_height", 0.011, "above the object"),

@@ -58,8 +58,8 @@ def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> N
     ("changes", "words"),
     [
         ({"output": None}, "'tapper.output' is missing"),
-        ({"port": "/dev/ttyUSB0"}, "tapper.port has no meaning"),
-        ({"dialect": "board", "port": "/dev/a"}, "no meaning for the dialect board"),
+        ({"port": "/dev/ttyUSB0"}, "tapper.port is not used"),
+        ({"dialect": "board", "port": "/dev/a"}, "not used by the dialect board"),
         ({"dialect": "board", "output": None}, "'tapper.port' is missing"),
         ({"output": SECTION | {"pulses": [0.01, 0.02]}}, "2 values, tapper.energies has 3"),
         ({"output": SECTION | {"pulses": [0.01, 0.01, 0.02]}}, "must increase"),

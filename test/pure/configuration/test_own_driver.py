@@ -47,13 +47,13 @@ def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> N
     [
         ({"ros2_control": None}, "'arm.ros2_control' is missing"),
         ({"homing": "firmware"}, "must be none"),
-        ({"port": "/dev/ttyUSB0"}, "arm.port has no meaning"),
+        ({"port": "/dev/ttyUSB0"}, "arm.port is not used"),
         ({"ros2_control": SECTION | {"joints": ["a", "b", "c"]}}, "3 names, the arm has 4"),
         ({"ros2_control": SECTION | {"joints": ["a", "b", "c", "a"]}}, "a name of its own"),
         ({"ros2_control": SECTION | {"controller": "scara"}}, "must be a full name"),
         ({"ros2_control": SECTION | {"state_timeout": 3.0}}, "0.05 to 1 s"),
         ({"ros2_control": SECTION | {"interface": "servo"}}, "auto, topic, action"),
-        ({"dialect": "grbl", "homing": "firmware", "port": "/dev/a"}, "no meaning for the dialect"),
+        ({"dialect": "grbl", "homing": "firmware", "port": "/dev/a"}, "not used by the dialect"),
         ({"dialect": "grbl", "homing": "firmware", "ros2_control": None}, "'arm.port' is missing"),
     ],
 )

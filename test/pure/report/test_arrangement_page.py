@@ -109,7 +109,7 @@ def test_an_arrangement_that_failed_says_why(run: ArrangementRun) -> None:
         objects=(run.objects[0], replace(run.objects[1], outcome="not reached", end=None)),
         taps=run.taps[:3],
     )
-    assert headline(failed) == "Arrangement given up: 1 of 2 objects at the goal after 3 taps"
+    assert headline(failed) == "Arrangement failed: 1 of 2 objects at the goal after 3 taps"
     text = page(failed)
     assert "TOO_FEW_FRAMES" in text and "only 4 images" in text and "What to do" in text
 

@@ -143,7 +143,7 @@ def test_the_table_of_an_earlier_version_is_read_without_what_was_learnt(tmp_pat
 @pytest.mark.parametrize(
     ("made", "outcome", "words"),
     [
-        (MadeRun(STOPS, truth_off=0.002), "not truly reached", "not truly there"),
+        (MadeRun(STOPS, truth_off=0.002), "not truly reached", "true pose is outside"),
         (MadeRun(STOPS, truth=False), "reached", "Goal reached in 2 taps"),
         (MadeRun(STOPS, state=8, code=503, sentence="alarm 2"), "failed", "ARM_ALARM"),
         (MadeRun(STOPS[:2], state=9, code=111, sentence="canceled"), "canceled", "Goal canceled"),
@@ -168,7 +168,7 @@ def test_the_table_of_an_earlier_version_is_read_without_what_was_learnt(tmp_pat
             "GOAL_NOT_FINITE",
         ),
         (MadeRun(STOPS[:2], end_reported=False), "unfinished", "the recording ended"),
-        (MadeRun(STOPS[:1]), "not truly reached", "not truly there"),
+        (MadeRun(STOPS[:1]), "not truly reached", "true pose is outside"),
         (MadeRun(STOPS, namespace="/left/cell"), "reached", "Goal reached in 2 taps"),
     ],
     ids=[

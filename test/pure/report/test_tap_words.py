@@ -49,7 +49,7 @@ def test_a_tap_of_a_cell_with_several_tappers_names_its_own() -> None:
 
 def test_the_expected_effort_is_told_if_the_planner_knew_it() -> None:
     text = tap_sentence(tap(expected_taps=2.23, expected_seconds=5.94), Pose(0.04, 0.0, 0.2))
-    assert text.endswith("Expected before the tap: 2.2 taps, 5.9 s to the goal.")
+    assert text.endswith("Expected effort before the tap: 2.2 taps, 5.9 s to the goal.")
     assert "1.0 taps to the goal" in tap_sentence(tap(expected_taps=1.0), None)
     assert "to the goal" not in tap_sentence(tap(), None)
 
@@ -60,7 +60,7 @@ def test_the_expected_effort_is_told_if_the_planner_knew_it() -> None:
         (Pose(0.04, 0.0, 0.2), "The tap is aimed straight at the goal."),
         (Pose(0.01, 0.0, 0.2), "The tap moves the object past the goal on purpose: a rotation"),
         (Pose(-0.01, 0.0, 0.2), "The tap moves the object away from the goal on purpose"),
-        (Pose(0.09, 0.0, 0.2), "The tap moves the object to 50.0 mm before the goal on purpose"),
+        (Pose(0.09, 0.0, 0.2), "The tap stops 50.0 mm short of the goal on purpose"),
     ],
 )
 def test_the_purpose_of_a_tap_is_told(goal: Pose, words: str) -> None:
