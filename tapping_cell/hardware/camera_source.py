@@ -134,7 +134,7 @@ class Playback:
         if picture is None and self._settings.loop:
             self._pictures = self._all()
             picture = self._next(left_out)
-        # A looping source cannot end: if it has no image, the source or its images were removed.
+        # A looping source never ends. If it returns no image, the images were removed.
         if picture is None and (self._delivered == 0 or self._settings.loop):
             raise CameraSourceError(
                 f"{self._name} contains no image that can be decoded; replace it"
@@ -207,7 +207,7 @@ def _video_pictures(file: Path) -> Iterator[Picture]:
 
 
 def eight_bit(picture: NDArray[Any]) -> Picture:
-    """Convert an image to 8 bits per channel; of 16 bits the upper 8 are kept."""
+    """Convert an image to 8 bits per channel; 16-bit values keep their upper 8 bits."""
     if picture.dtype == np.uint16:
         return np.asarray(picture >> 8, dtype=np.uint8)
     if picture.dtype != np.uint8:

@@ -26,12 +26,12 @@ MIN_TIME = 0.02
 MIN_PIECE = 1e-3
 """Minimum duration of a segment of a move, s; shorter segments are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
-"""Minimum cosine of the angle between two moves that are passed without a stop."""
+"""Minimum cosine of the angle between two moves for the arm not to stop between them."""
 
 COURSE_SAMPLES = 200
 """Number of samples of a trajectory in the search for the point nearest to the arm."""
 COURSE_WIDTH = 0.05
-"""Maximum distance between an arm and a trajectory that it is following, rad or m."""
+"""Maximum distance from a trajectory at which the arm is assumed to follow it, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
     corners = [0.0] * (len(legs) + 1)
     for index, (before, after) in enumerate(pairwise(legs), start=1):
         along = sum(a * b for a, b in zip(before.direction, after.direction, strict=True))
-        # Very short moves get the minimum duration, from rest to rest.
+        # Very short moves begin and end at rest and take the minimum duration.
         short = min(leg.length / leg.speed for leg in (before, after)) < MIN_TIME
         if along > STRAIGHT and not short:
             corners[index] = min(before.speed, after.speed)
@@ -156,7 +156,8 @@ class Course:
 def brake_point(
     positions: Sequence[float], velocities: Sequence[float], max_acceleration: Sequence[float]
 ) -> TrajectoryPoint:
-    """Return the point where all joints stop together, after the longest braking time of any."""
+    """Return the point at which all joints come to rest at the same time. The duration is the
+    longest braking time of any joint."""
     slowest = max(abs(v) / a for v, a in zip(velocities, max_acceleration, strict=True))
     duration = max(slowest, MIN_TIME)
     return TrajectoryPoint(

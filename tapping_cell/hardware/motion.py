@@ -1,4 +1,5 @@
-"""Arm moves around a tap as pure functions: raise, travel, lower, then back off, raise, park.
+"""Planning of the arm's moves before a tap (raise, travel, lower) and after it (back off, raise,
+park).
 
 Every move is straight in joint space, so a move between two waypoints on the same elbow side never
 passes the singular pose with a straight elbow. If a pose is reachable only with the other elbow
@@ -80,7 +81,7 @@ def strike_path(
     fast = settings.travel_speed
     slow_from = goal._replace(quill=goal.quill + settings.near_height)
     brief = slow_from.quill >= above.quill - 1e-9
-    # If the command of the fast step is lost, the whole descent is slow; this is harmless.
+    # If the command of the fast step is lost, the whole descent is slow, which is harmless.
     lower = Waypoint(goal, near, "lower", None if brief else slow_from, None if brief else fast)
     return _moves(
         Joints(*current),
@@ -93,8 +94,8 @@ def strike_path(
 def strike_durations(
     geometry: ScaraGeometry, current: ArrayLike, tips: ArrayLike, settings: MotionSettings
 ) -> Array:
-    """Return ``path_duration`` of many strike paths from joints (..., 4) to tip poses (..., 4),
-    which broadcast; infinite for unreachable poses."""
+    """Return ``path_duration`` of many strike paths from joints (..., 4) to tip poses (..., 4). The
+    two arrays are broadcast; the duration is infinite for an unreachable pose."""
     start, tip = np.broadcast_arrays(
         np.asarray(current, dtype=float), np.asarray(tips, dtype=float)
     )
@@ -147,8 +148,9 @@ def raise_step(
 ) -> Waypoint:
     """Return the waypoint from joints ``current`` backwards, then up to travel height.
 
-    Backing off along the line of travel keeps an extended rod from rubbing along the object. This
-    step is left out if the tip is already above travel height or the pose behind is out of reach.
+    Backing off along the line of travel keeps an extended rod from rubbing along the object. The
+    step backwards is left out if the tip is already above travel height, or if the pose behind is
+    out of reach.
     """
     start = Joints(*current)
     here = geometry.forward(start)
@@ -160,10 +162,11 @@ def raise_step(
         )
         solution = geometry.inverse(behind, geometry.branch_of(start), near=start)
         if solution.joints is not None:
-            # If the command of this step is lost, the striker rises vertically; this is harmless.
+            # If the command of this step is lost, the striker only rises vertically, which is
+            # harmless.
             low = via = solution.joints
     raised = low._replace(quill=max(start.quill, _clear_quill(geometry, settings)))
-    # Only the step backwards is near the object, so raising may be fast.
+    # Only the step backwards is close to the object, so the arm may be raised fast.
     return Waypoint(raised, settings.travel_speed, "raise", via, settings.near_speed)
 
 
