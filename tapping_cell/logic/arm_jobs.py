@@ -93,8 +93,8 @@ def place(
 def withdraw(
     context: JobContext, plan: Callable[[Joints], Sequence[Waypoint]], not_before: float
 ) -> MotionEnd:
-    """Leave the strike pose along a path planned from the present joints. ``not_before``: earliest
-    start on the steady clock, s."""
+    """Leave the strike pose along the path that ``plan`` returns for the present joints.
+    ``not_before``: earliest start on the steady clock, s."""
     driver: ArmDriver = context.driver
     here = driver.read_joints()
     path = plan(here)
