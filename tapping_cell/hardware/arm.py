@@ -35,7 +35,8 @@ from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.transport import Connection
 
 MOVE_ATTEMPTS = 3
-"""Maximum number of times a move is sent. A move is repeated only while the arm has not moved."""
+"""Maximum number of attempts to send a move. A move is repeated only while the arm has not
+moved."""
 
 FRESHNESS = 0.05
 """Maximum age of a reading that is reused at the start of a move, s."""

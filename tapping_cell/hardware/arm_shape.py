@@ -22,7 +22,7 @@ class ArmShape:
     link_half_width: float = 0.03
     link_thickness: float = 0.04
     link_clearance: float = 0.03
-    """Height of the links' undersides above the tip with the quill at zero."""
+    """Height of the links' undersides above the tip when the quill is at zero."""
     tool_half_width: float = 0.009
     tool_length: float = 0.12
     """Length of the tool from the tip backwards along the line of travel."""
@@ -64,7 +64,8 @@ def arm_bars(geometry: ScaraGeometry, shape: ArmShape, joints: ArrayLike) -> Bar
 
 
 def _levels(shape: ArmShape) -> int:
-    """Return the number of bars per link, spaced at most half the link's width apart."""
+    """Return the number of bars per link at which their spacing is at most half the link's
+    width."""
     return 2 + int(shape.link_thickness / shape.link_half_width)
 
 

@@ -44,8 +44,8 @@ class ChainSettings:
     """Park pose, and limits of the striker's pose."""
 
     park: tuple[float, ...]
-    """SCARA joints of the park pose: rad, rad, m, rad. The first inverse solution is the one
-    nearest to them."""
+    """SCARA joints of the park pose: rad, rad, m, rad. The first solution must be the one nearest
+    to this pose."""
     tilt: float = 0.01
     """Largest angle between the striker's z axis and the vertical, rad."""
     travel_height: float = 0.06

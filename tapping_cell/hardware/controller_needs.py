@@ -14,7 +14,8 @@ from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.scara import ScaraGeometry
 
 TOLERANCE = 1e-3
-"""Maximum relative difference between a setting and a required value that count as equal."""
+"""Maximum relative difference between a setting and its required value at which they count as
+equal."""
 
 Four = tuple[float, float, float, float]
 

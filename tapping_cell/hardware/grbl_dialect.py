@@ -46,7 +46,7 @@ POWERLESS = ("Alarm", "Sleep")
 DEFAULT_LETTERS = "XYZABCUVW"
 """Axis order in the reports of controllers that do not list their axes."""
 HOMED_TOLERANCE = 0.05
-"""Maximum difference between the machine position after homing and the expected one, units."""
+"""Maximum difference between the actual and the expected machine position after homing, units."""
 RESETS = 3
 """Maximum number of soft resets sent while waiting for the banner."""
 RESET_TIME = 1.5
@@ -369,8 +369,8 @@ class GrblDialect:
     def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
         """Send one line, wait for its ``ok``, and return the frames received before it.
 
-        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, it is
-        awaited first, so that it is not mistaken for the answer to this line.
+        An ``ok`` does not state which line it answers. If the ``ok`` of an earlier line is
+        outstanding, it is awaited first, so that it is not mistaken for the answer to this line.
         """
         if self._unanswered:
             self._resynchronise(deadline)
@@ -766,7 +766,7 @@ class GrblDialect:
                     )
 
     def _check_homed(self, status: grbl.Status) -> None:
-        """Raise HOMING_FAILED unless every axis that homes is at its position after homing."""
+        """Raise HOMING_FAILED unless every axis that homing moves is at its expected position."""
         place = self._in_order(status.machine or ())
         wrong = [
             f"{letter} at {found:g} instead of {wanted:g}"

@@ -1,4 +1,4 @@
-"""Moves as timed points for a controller that interpolates in time.
+"""Conversion of moves to timed points, for a controller that interpolates between these points.
 
 A controller that receives positions and velocities interpolates between points with cubics. The
 points of a move are the corners of its trapezoidal velocity profile. Between two corners the
@@ -46,12 +46,13 @@ class TrajectoryPoint:
 def straight_points(
     start: Sequence[float], moves: Sequence[StraightMove], max_acceleration: Sequence[float]
 ) -> tuple[TrajectoryPoint, ...]:
-    """Return the points, without the start, of straight moves that begin and end at rest.
+    """Return the points of straight moves that begin and end at rest; the start is not included.
 
-    Between two moves in the same direction the arm does not stop. Its speed there is the lower
-    speed of the two moves, or less if the lengths of the adjacent moves require it. ``moves``:
-    targets in rad and m; the feed along the line is in the same unit per minute.
-    ``max_acceleration``: of each joint, in rad/s^2 or m/s^2. Moves of zero length are left out.
+    The arm does not stop between two moves in the same direction. It passes this point at the lower
+    speed of the two moves, or more slowly if the lengths of the adjacent moves require it.
+    ``moves``: targets in rad and m; the feed along the line is in the same unit per minute.
+    ``max_acceleration``: limit of each joint, in rad/s^2 or m/s^2. Moves of zero length are left
+    out.
     """
     legs = _legs(start, moves, max_acceleration)
     points: list[TrajectoryPoint] = []
@@ -130,7 +131,8 @@ class Course:
         self._track, _ = self.at(self._samples)
 
     def at(self, times: Array) -> tuple[Array, Array]:
-        """Return positions and velocities, one row per time in s from the start."""
+        """Return positions and velocities, with one row for each of ``times`` (s from the
+        start)."""
         times = np.clip(times, 0.0, self._times[-1])
         after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
         before = after - 1

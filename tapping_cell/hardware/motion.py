@@ -28,7 +28,8 @@ class MotionSettings:
     """Heights, speeds and the park pose of the tap moves, in SI units."""
 
     travel_height: float = 0.060
-    """Height of the travelling tip above the table, above every object and camera marker, m."""
+    """Height of the tip above the table while travelling, m; higher than every object and camera
+    marker."""
     travel_speed: float = 0.8
     """Fraction of the maximum joint speeds while raised."""
     near_speed: float = 0.4
@@ -184,7 +185,8 @@ def move_duration(
 def move_durations(
     geometry: ScaraGeometry, start: ArrayLike, goal: ArrayLike, speed: float
 ) -> Array:
-    """Return ``move_duration`` of many moves: joints (..., 4) that broadcast; NaN remains NaN."""
+    """Return ``move_duration`` of many moves. ``start`` and ``goal`` (..., 4) are broadcast; NaN
+    remains NaN."""
     distances = np.abs(np.asarray(goal, dtype=float) - np.asarray(start, dtype=float))
     at_speed = np.max(distances / (np.array(geometry.max_speed) * speed), axis=-1)
     # Reciprocal of the acceleration along the line, in s^2 (the unit of length is the whole line).

@@ -201,7 +201,7 @@ class OutputTapperDriver:
 
         ``window`` applies to boards with their own clock and is ignored. ``still_allowed`` receives
         the time of the steady clock at which the output is off again if each level takes effect
-        within ``latency``. Before UNKNOWN is returned, the call waits until that time.
+        within ``latency``. The call returns UNKNOWN only after this time.
         """
         self._require()
         self._refuse_spent(shot)

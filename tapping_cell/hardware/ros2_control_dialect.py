@@ -110,7 +110,7 @@ class Ros2ControlDialect:
             remarks.append(
                 "the joint states contain no velocities, so rest is detected from positions alone"
             )
-        # False: nothing proves that the arm's driver or its motor drives were not restarted
+        # `continued` is False: the arm's driver or its motor drives may have been restarted
         # meanwhile.
         firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))
         return firmware, findings

@@ -7,9 +7,10 @@ shoulder angle zero, z up. The joint order is always shoulder in rad, elbow in r
     w = L1 (cos q1, sin q1) + L2 (cos(q1 + q2), sin(q1 + q2)).
 
 The tool's heading is h = q1 + q2 + q4. The tip is at w + R(h) (tip_forward, tip_side), and its line
-of travel points along h + tip_yaw. All joint values are the controller's; the true q is their sum
-with ``joint_offset``, which a calibration determines. The inverse is the two-circle construction of
-the planar two-link arm (Craig, *Introduction to Robotics*, section 4.4, algebraic solution).
+of travel points along h + tip_yaw. All joint values are those of the controller. The true value q
+is the controller's value plus ``joint_offset``, which a calibration determines. The inverse is the
+two-circle construction of the planar two-link arm (Craig, *Introduction to Robotics*, section 4.4,
+algebraic solution).
 """
 
 from __future__ import annotations

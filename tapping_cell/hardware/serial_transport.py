@@ -31,7 +31,7 @@ class SerialTransport:
     """One serial port, opened exclusively by its path or a symlink (``/dev/serial/by-id/...``).
 
     The path is resolved at each opening, so a device that returns under another number is found.
-    Deadlines are on the steady clock.
+    Deadlines are times of the steady clock.
     """
 
     def __init__(self, path: str, baud: int = 115200) -> None:
@@ -74,8 +74,8 @@ class SerialTransport:
                     self._path, self._baud, timeout=0, write_timeout=0, exclusive=True
                 )
             except (OSError, ValueError, termios.error) as error:
-                # If a port is unplugged between opening and configuration, pyserial raises
-                # exceptions that are not OSErrors (SerialException is one).
+                # If a port is unplugged between opening and configuration, pyserial may raise an
+                # exception that is not an OSError. Its SerialException is an OSError.
                 if self.now() + REOPEN_PERIOD > deadline:
                     raise self._open_fault(error) from error
                 time.sleep(REOPEN_PERIOD)
@@ -167,8 +167,8 @@ class SerialTransport:
     def _write_some(self, port: serial.Serial, data: memoryview) -> int:
         """Write without blocking; return the number of bytes written, 0 if the port is full."""
         try:
-            # pyserial busy-waits while the output buffer is full, so it is called only if the port
-            # is writable.
+            # pyserial's `write` busy-waits while the output buffer is full, so it is called only if
+            # the port is writable.
             _, writable, _ = select.select([], [port], [], 0)
             return int(port.write(data) or 0) if writable else 0
         except (OSError, ValueError, TypeError) as error:

@@ -9,8 +9,9 @@ operating system or the line, the board fires before the deadline or not at all.
 A shot is never fired twice. The board answers a repeated request, which has the same sequence
 number, from memory. This driver never retries a shot whose FIRE may have been sent. If the reply to
 FIRE is missing, a later request determines the outcome: the board accepts no older sequence number
-after a newer one, and each reply contains the last shot fired. If that reply is missing too, or the
-boot number has changed, the outcome is UNKNOWN: check with the camera, do not fire again.
+after a newer one, and each reply contains the last shot fired. If the reply to the later request is
+missing too, or the boot number has changed, the outcome is UNKNOWN: check with the camera, do not
+fire again.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ PROTOCOL_VERSION = "2"
 """Major version of the protocol that this driver supports. A board with version 1 is rejected: its
 FIRE has no deadline, so the board could fire long after the last check."""
 CLOCK_TOLERANCE = 0.01
-"""Maximum relative difference in rate between the board's clock and this computer's clock. A
-ceramic resonator is accurate to 0.5 %."""
+"""Maximum relative difference in rate between the board's clock and this computer's clock. The
+board's ceramic resonator is accurate to 0.5 %."""
 RETURNING = frozenset({State.RELEASING, State.DISCHARGING, State.HOMING})
 """Transient states that lead to a state in which the board can charge."""
 
@@ -183,9 +184,10 @@ class TapperDriver:
 
     @property
     def release_impossible_after(self) -> float:
-        """Time of the host's steady clock, in s, after which no shot sent so far can be released.
+        """Time of the host's steady clock, in s, after which no shot sent so far can still be
+        fired.
 
-        This includes shots of an earlier process, and lost frames do not change it.
+        The time also covers shots of an earlier process. Lost frames do not change it.
         """
         return self._release_by
 
@@ -311,9 +313,10 @@ class TapperDriver:
         last frame. A carriage at an unknown position is homed first; if the carriage is returning,
         the call waits. ``go_on`` is called every few milliseconds. When ``go_on`` returns False,
         DISCHARGE is sent immediately, and the reply is returned with a state other than CHARGED.
-        ``shot`` must be above every shot charged before, by at most ``MAXIMUM_JUMP``. Raises
-        HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED,
-        DISCONNECTED, HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH, NEEDS_PERSON.
+        ``shot`` must be greater than every shot number charged before, by at most ``MAXIMUM_JUMP``.
+        Raises HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET,
+        REJECTED, DISCONNECTED, HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH,
+        NEEDS_PERSON.
         """
         if not 0 <= channel < self._channels:
             raise self._noted(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
@@ -386,10 +389,10 @@ class TapperDriver:
 
         The driver queries the board's time, calls ``still_allowed`` (the last check), and sends
         FIRE with a deadline ``window`` after the board's time. ``still_allowed`` receives the
-        latest time of the host's steady clock, in s, at which the release output can still be on,
-        without the striker's flight time. ``still_allowed`` is called again before each repetition
-        of FIRE, whose deadline stays the same. When ``still_allowed`` returns False, the tapper is
-        discharged.
+        latest time of the host's steady clock, in s, at which the release output can still be on.
+        The striker's flight time is not included. ``still_allowed`` is called again before each
+        repetition of FIRE, whose deadline stays the same. When ``still_allowed`` returns False, the
+        tapper is discharged.
 
         ``window``: at most ``LONGEST_WINDOW``; a line with a USB adapter needs 20 to 40 ms. Before
         UNKNOWN is returned, the call waits until a release is no longer possible. Line errors after
@@ -448,8 +451,9 @@ class TapperDriver:
         return self._not_fired(shot, self._refusal(reply))
 
     def _latest_release(self, sampled_at: float, window: float) -> float:
-        """Return the latest time at which the release output can still be on, s. The board read its
-        time before its reply was received, and the pulse begins before the deadline."""
+        """Return the latest time at which the release output can still be on, s. This limit is
+        safe, because the board read its time before its reply was received, and the pulse begins
+        before the deadline."""
         return sampled_at + (window + protocol.LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
 
     def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply | None:
@@ -733,6 +737,6 @@ class TapperDriver:
 
 
 def _named(channel: int) -> tuple[int, ...]:
-    """Return the channel argument of CHARGE and FIRE. Firmware 2.0 accepts none, so channel 0 is
-    never sent."""
+    """Return the channel argument of CHARGE and FIRE. Firmware 2.0 accepts no channel argument, so
+    channel 0 is never sent."""
     return (channel,) if channel else ()

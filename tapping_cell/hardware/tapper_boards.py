@@ -72,7 +72,7 @@ class TapperBoards:
 
     @property
     def last_reply(self) -> Reply | None:
-        """Last replies of all boards, merged; None before each board has replied."""
+        """Last replies of all boards, merged; None until every board has replied."""
         replies = [driver.last_reply for driver in self._drivers]
         known = [reply for reply in replies if reply is not None]
         return self._merged(known) if len(known) == len(replies) else None
@@ -171,7 +171,8 @@ class TapperBoards:
         return self._on_each(lambda driver: driver.discharge())
 
     def stop(self) -> bool:
-        """Latch the stop of every board, from any thread; return whether all were sent."""
+        """Latch the stop of every board, from any thread; return whether it was sent to all
+        boards."""
         return all([driver.stop() for driver in self._drivers])
 
     def clear(self, timeout: float = 5.0) -> Reply:

@@ -56,8 +56,8 @@ class Command(Enum):
 
 
 class Result(Enum):
-    """Results of the tapper; all but the first three are refusals. A refused request has no effect,
-    except after LATE, which ends the shot and discharges the tapper."""
+    """Result words of the tapper's replies; all but the first three are refusals. A refused request
+    has no effect, except after LATE, which ends the shot and discharges the tapper."""
 
     WELCOME = "WELCOME"
     OK = "OK"

@@ -26,7 +26,7 @@ class JointSample:
     velocities: tuple[float, ...] | None = None
     """None if the arm's driver does not report velocities."""
     ahead: float = 0.0
-    """Time by which the sample's stamp is in the future of this computer's clock, s."""
+    """Time by which the sample's stamp is ahead of this computer's clock, s."""
     problem: str = ""
     """Reason why the positions cannot be trusted; empty if they can."""
 
@@ -86,7 +86,8 @@ class Progress:
 
 
 class TrajectoryLink(Connection, Protocol):
-    """Connection to a trajectory controller. ``open`` waits until it accepts trajectories.
+    """Connection to a trajectory controller. ``open`` waits until the controller accepts
+    trajectories.
 
     ``stop`` ignores its bytes and brakes the arm.
     """
@@ -101,7 +102,8 @@ class TrajectoryLink(Connection, Protocol):
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of the arm's; empty if none did."""
+        """Joint names in the last message that lacked some of the arm's joints; empty if there was
+        none."""
 
     @property
     def other_commanders(self) -> Sequence[str]:

@@ -109,7 +109,7 @@ def follow(
     scale: float,
     not_before: float,
 ) -> MotionEnd:
-    """Follow a trajectory of joints and times from its start in s, with a stop at every point.
+    """Follow a trajectory of joints with times in s from its start; the arm stops at every point.
     ``scale``: factor on the speed."""
     driver: ArmDriver = context.driver
     _wait(context, not_before)
@@ -126,7 +126,7 @@ def follow(
 
 
 def _wait(context: JobContext, until: float) -> None:
-    """Wait without motion until a time of the steady clock."""
+    """Wait without moving until the given time of the steady clock."""
     left = until - context.now().steady
     if left > 0:
         context.sleep(left)

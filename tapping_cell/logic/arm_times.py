@@ -23,7 +23,8 @@ from tapping_cell.se2 import Array, Pose, compose
 REST_S = 0.30
 """Duration of a tap without the arm's moves: settling, firing, observation and messages."""
 SIDEWAYS_S = 0.25
-"""Mean time from above a strike pose to a pose in which the camera sees the object."""
+"""Mean duration of the move from above a strike pose to a pose at which the camera sees the object,
+s."""
 HEADINGS = np.arange(12) * (2.0 * math.pi / 12)
 """Headings of the strikes around the table's centre over which times are averaged, rad."""
 

@@ -339,7 +339,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._job = None
 
     def _set_error(self, code: int, sentence: str) -> None:
-        """Set a fault or refusal as the error of the state, and log it once."""
+        """Set a fault or refusal as the error in the published state, and log it once."""
         if sentence and self._error[1] != sentence:
             self._log(LogLevel.ERROR, sentence)
         self._error = (code, sentence)

@@ -41,7 +41,7 @@ class JobContext(Protocol):
         """Call ``query``, a side-effect-free method of the machine, under the lock of the machine's
         handlers.
 
-        The time passed to the method is read once the lock is held.
+        The time that is passed to the method is read after the lock was taken.
         """
 
 

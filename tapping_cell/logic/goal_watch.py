@@ -1,4 +1,4 @@
-"""Check of a waiting client whether the planner still pursues the goal that it accepted.
+"""Check, for a waiting client, whether the planner still pursues the goal that it has accepted.
 
 After a crash of the planner no action result is sent. If the planner restarts soon, it resumes the
 goal and reports its end only in ``plan_state``. If the planner does not resume the goal, the client

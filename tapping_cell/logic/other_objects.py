@@ -1,6 +1,6 @@
 """The other objects on the table as obstacles for the planner, at their last observed poses.
 
-They include objects without an object file, of which only the outlines are known.
+These obstacles include objects without an object file, of which only the outlines are known.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class OtherObjects:
     """Poses of the objects on the table besides the cell's own object.
 
     An object that is no longer seen keeps its pose for a while, because a hand may hide it. After
-    that it counts as removed.
+    that time, the object counts as removed.
     """
 
     def __init__(self, files: Sequence[ObjectFile], memory: float, moved: float) -> None:

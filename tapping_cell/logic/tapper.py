@@ -162,8 +162,8 @@ def random_key() -> int:
 class TapperOptions:
     """Parameters of the node that the machine needs.
 
-    ``draw_key`` returns a random number above 0: the key without which the arm's promise to stand
-    still cannot be ended early.
+    ``draw_key`` returns a random number above 0. With this number as a key, only this tapper can
+    end the arm's promise to stand still early.
     """
 
     state_rate: float = 20.0
@@ -312,7 +312,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         raise AssertionError(f"the tapper has no service {service}")
 
     def _watch_enabling(self, now: Now) -> None:
-        """End the tap under way if no enabling device is held in set-up mode."""
+        """In set-up mode, end the tap under way if no enabling device is held."""
         if self._set_up and self.state in SERVING and not self._enabling.held(now):
             self._give_up(enabling.RELEASED)
 

@@ -36,7 +36,8 @@ heartbeat."""
 ABOVE_M, ABOVE_RAD = 0.005, 0.05
 """Maximum horizontal distance and angle from the tip to its strike pose when charging begins."""
 IDLE_LIMIT_S = 1.5
-"""Message timeout of a planner that did not command the tap; it publishes only twice a second."""
+"""Message timeout of a planner that did not command the tap, s. Such a planner publishes only twice
+a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +64,9 @@ class PeerLimits:
 class Mounts:
     """State of the strikers as reported by the boards.
 
-    ``proven``: since the boards' start each striker was detected at its mount and, if it was
-    released, detected to leave it and return. ``away``: names of the strikers that are not at
-    their mounts. ``fitted``: whether the mounts have switches.
+    ``proven``: whether each striker has been detected at its mount since the boards' start. A
+    striker that was released was also detected leaving the mount and returning. ``away``: names of
+    the strikers that are not at their mounts. ``fitted``: whether the mounts have switches.
     """
 
     proven: bool = False

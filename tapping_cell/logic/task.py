@@ -276,7 +276,8 @@ class Task:
         return result
 
     def fill(self, state: PlanState, pose: Pose | None) -> None:
-        """Write this goal and its residual into a report; ``pose``: None while not seen."""
+        """Write this goal and its residual into a report; ``pose``: pose of the object, None while
+        it is not seen."""
         state.object_id = self.object_id
         state.planner = self.session.method
         state.goal = self.message
@@ -311,7 +312,8 @@ class SingleTapTask(Task):
         )
 
     def decide(self, seen: ObjectState, frames: int) -> Decision:
-        """Return the tap, limited to the area between the visible reference markers; then Done."""
+        """Return the prescribed tap, limited to the area between the visible reference markers;
+        after this tap, return Done."""
         used = set(seen.references_used)
         known = [marker.id in used for marker in self.references.markers]
         decision = self.session.decide(

@@ -34,7 +34,7 @@ from tapping_cell.vision.free_view import view_clearance
 VIEW_MARGIN_M = 0.008
 """Margin around the object and the markers, for errors of arm, camera and shapes."""
 OVERSHOOT = 1.3
-"""Assumed maximum displacement of the object, as a multiple of the predicted one."""
+"""Assumed maximum displacement of the object, as a multiple of the predicted displacement."""
 PLACES = 6
 """Number of places along the object's path that must be visible."""
 MARKERS_HIDDEN = 3

@@ -2,7 +2,7 @@
 
 A layer is drawn once at several texels per pixel, with exact coverage at its edges, and is then
 blurred by the camera's point spread function. A sample at the centre of a pixel is therefore the
-area average of the true pattern. Samples of a sharp pattern would shift its edges.
+area average of the true pattern. Sampling a sharp pattern would shift its edges.
 """
 
 from __future__ import annotations

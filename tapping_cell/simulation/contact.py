@@ -2,10 +2,10 @@
 
 Along the normal, ball and object are connected by a spring. Loading follows F = k d; unloading
 follows the steeper F = (k / e^2) (d - d0). The spring therefore returns the fraction e^2 of the
-work, and e is the restitution at any speed and for any masses (Walton and Braun, J. Rheology 30,
-1986). Along the tangent, the contact sticks or slides according to Coulomb's law; a sticking
-contact may also be compliant (Maw, Barber and Fawcett, Wear 38, 1976). The planner's impulse model
-is not used here.
+work, and e is the restitution at any speed and for any masses (Walton and Braun, Journal of
+Rheology 30, 1986). Along the tangent, the contact sticks or slides according to Coulomb's law; a
+sticking contact may also be compliant (Maw, Barber and Fawcett, Wear 38, 1976). The planner's
+impulse model is not used here.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class SimulatedDevices:
             self._tapper.press_clear_button(time.monotonic())
 
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
-        """Handle a release: the striker starts at the tip of the arm's true position."""
+        """Handle a release: the striker starts at the true pose of the tip."""
         tip, height = self.tip(now)
         # The carriage stops at whole motor steps, so the energy may lie slightly outside the energy
         # curve.

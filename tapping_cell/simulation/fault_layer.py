@@ -256,7 +256,7 @@ class FaultLayer:
             self.on_plug(False)
 
     def next_on_line(self) -> float | None:
-        """Return the time of the next event, without the arrival of bytes at the host."""
+        """Return the time of the next event; bytes that wait to be read by the host are ignored."""
         due = _earlier(self.emulator.next_event(), self._to_device.next_time())
         return _earlier(due, self._back_at)
 

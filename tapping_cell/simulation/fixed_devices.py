@@ -20,7 +20,7 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachin
 from tapping_cell.simulation.truth import MountsTruth
 
 RETURN_SPEED = 1.0
-"""Speed at which its spring returns a striker, m/s."""
+"""Speed at which the spring returns a striker, m/s."""
 
 OnFixedStrike = Callable[[Pose, float, float, TapperSection, float], tuple[float, float]]
 """Callback when a striker is released. Arguments: true tip pose in ``table``, its height in m,

@@ -203,7 +203,7 @@ class GrblEmulator:
         return float(self._names[name]) if name else self._settings[1]
 
     def _power(self, now: float) -> None:
-        """Enable the motors. They hold a quill that has sunk at its new position, but the step
+        """Enable the motors. A quill that has sunk is then held at its new position, but the step
         count is unchanged."""
         self._axes.enable(now)
         self._rests_since = now

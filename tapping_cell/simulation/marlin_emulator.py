@@ -198,7 +198,7 @@ class MarlinEmulator:
             self._send_line(line, now)
 
     def _power(self, now: float) -> None:
-        """Enable the motors. They hold a quill that has sunk at its new position, but the step
+        """Enable the motors. A quill that has sunk is then held at its new position, but the step
         count is unchanged."""
         self._axes.enable(now)
         self._rests_since = now

@@ -96,7 +96,7 @@ class MotorAxes:
         return self._track.brake(time, deceleration)
 
     def freeze(self, time: float) -> None:
-        """Stop the motors immediately, with correct step counts."""
+        """Stop the motors immediately; the step counts remain correct."""
         self._track.freeze(time)
 
     def stop_abruptly(self, time: float) -> bool:
@@ -117,7 +117,7 @@ class MotorAxes:
     # Torque
 
     def enable(self, time: float) -> None:
-        """Enable the motors. They hold a quill that has sunk at its new position, but the step
+        """Enable the motors. A quill that has sunk is then held at its new position, but the step
         count is unchanged."""
         sunk = self._torque.sunk(float(self._of_track(time)[QUILL]), time)
         self._torque.restore()

@@ -82,7 +82,7 @@ class Occluder:
 class SceneObject:
     """An object in the image: its convex outline, points (N, 2) in m in its frame, and its top.
 
-    ``marker`` describes the height and the content of the top: a marker, or a plain top.
+    ``marker`` describes the top: its height, and whether it has a marker or is plain.
     """
 
     outline: NDArray[np.float64]

@@ -1,7 +1,8 @@
 """The tapper's spring carriage: its counted steps and its true motion.
 
-It follows the same rules as ``firmware/tapper/drive.c``, computed from movement to movement instead
-of step by step. Positions are in steps from the point where the front switch closes.
+The model follows the same rules as ``firmware/tapper/drive.c``, but is computed movement by
+movement instead of step by step. Positions are in steps from the point where the front switch
+closes.
 """
 
 from __future__ import annotations

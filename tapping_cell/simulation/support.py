@@ -1,9 +1,9 @@
 """Support of the object: the distribution of its weight over its underside.
 
 The underside is a set of points, each with a fraction of the weight. The fractions are corrected so
-that the centre of pressure lies under the centre of mass, as for a body at rest. As for a rigid
-body on an elastic foundation, the correction is linear in the position, and points that would have
-to pull are removed.
+that the centre of pressure lies under the centre of mass, as for a body at rest. The correction is
+linear in the position, as for a rigid body on an elastic foundation, and points that would have to
+pull are removed.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Ar
 
 
 def balanced(points: Array, shares: Array, centre: Array) -> tuple[Array, Array]:
-    """Return the points that carry weight and their fractions of it, with the centre of pressure at
-    ``centre`` (m).
+    """Return the points that carry weight, and the fraction of the weight at each; the centre of
+    pressure is at ``centre`` (m).
 
     Raises: ValueError: the points do not surround the centre, so that the object would tip over.
     """

@@ -299,8 +299,8 @@ class World:
         return length
 
     def _with_shifted_end(self, launch: Motion) -> Motion:
-        """Change the launch so that the slide ends with a random error, given by the floors of the
-        scatter.
+        """Change the launch so that the slide ends with random errors, whose standard deviations
+        are ``position_floor`` and ``angle_floor``.
 
         The errors of the end pose are converted to errors of the launch. With the decelerations a
         and alpha at the beginning of the slide, x = v^2 / 2 a, and theta = omega v / (a + alpha v /
@@ -325,8 +325,8 @@ class World:
         )
 
     def _end(self, tap: _Tap, time: float) -> None:
-        """Retract the striker at the end of its stroke or of its time, or if it can no longer meet
-        the object."""
+        """Retract the striker if it has reached the end of its stroke, if its time is over, or if
+        it can no longer meet the object."""
         flight = tap.flight
         over = flight.left <= 0 or flight.speed <= 0 or time >= tap.ends
         if over or (self._after.at_rest and not self._meets(replace(flight))):
