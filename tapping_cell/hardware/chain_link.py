@@ -151,8 +151,8 @@ class ChainLink:
     def send(self, points: Sequence[TrajectoryPoint]) -> None:
         """Move the real arm along the path of the SCARA's tip.
 
-        Raises HardwareFault: UNREACHABLE, before anything is sent, if a joint would exceed its
-        limit or greatly exceed its speed; otherwise the faults of the real link.
+        Raises HardwareFault UNREACHABLE if a joint would exceed its limit or greatly exceed its
+        speed; nothing is then sent. Also raises the faults of the real link.
         """
         start = self.samples[-1]
         course = Course(start.positions, points)

@@ -140,7 +140,7 @@ class MarlinDialect:
         raise ValueError(f"{finding.setting} must be set by a person")
 
     def _prepare(self, deadline: float) -> None:
-        """Set absolute mm, full speed, and motors that always keep their torque."""
+        """Set absolute positions in mm, full speed, and motors that always keep their torque."""
         for code in PREPARATION:
             self._order(code, deadline)
 
@@ -332,8 +332,8 @@ class MarlinDialect:
         """Return whether the board has executed a line that it did not answer. The line is resent;
         if there is no answer again, the next line number is sent as a query.
 
-        The board neither answers nor repeats a duplicate of an executed line. It answers the next
-        number with ``ok`` if the line was executed, and with ``Resend`` if the line never arrived.
+        The board ignores a duplicate of an executed line. It answers the next number with ``ok`` if
+        the line was executed, and with ``Resend`` if the line never arrived.
         """
         self.counters.timeouts += 1
         self._transport.write(self._sent[number])

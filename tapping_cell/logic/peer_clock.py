@@ -4,7 +4,7 @@ The delay of a message is its time of arrival minus its stamp. The age of a mess
 minus the smallest recent delay of the same node. Local time is the steady clock, so a step of this
 computer's wall clock has no effect. A stamp in the future makes all other messages appear older,
 never younger. A delay that all recent messages share cannot be distinguished from a difference of
-the clocks; ``skew`` returns the sum of both.
+the clocks; ``skew`` returns the sum of the two.
 """
 
 from __future__ import annotations

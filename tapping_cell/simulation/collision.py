@@ -135,8 +135,8 @@ def impact(
 
 def _separation(points: Array, polygon: Array) -> tuple[float, Array, Array] | None:
     """Apply the separating axis theorem to the edge normals of ``polygon``: return the largest
-    separation of the points, its outward normal, and the nearest point. None for a polygon without
-    edges."""
+    separation of the points from an edge, the outward normal of this edge, and the nearest point.
+    None for a polygon without edges."""
     if polygon.shape[0] < 3:
         return None
     edges = np.roll(polygon, -1, axis=0) - polygon
