@@ -35,7 +35,8 @@ from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.transport import Connection
 
 MOVE_ATTEMPTS = 3
-"""Maximum number of times a move is sent. A move is repeated only while the arm has not moved."""
+"""Maximum number of attempts to send a move. A move is repeated only while the arm has not
+moved."""
 
 FRESHNESS = 0.05
 """Maximum age of a reading that is reused at the start of a move, s."""
@@ -57,10 +58,10 @@ HOMING_LOST = frozenset(
 UNANSWERED = (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE, FaultReason.NEEDS_PERSON)
 """Faults of a controller that does not answer as expected, or whose replies are unreadable."""
 MIN_BAD_LINES = 3
-"""Minimum number of unreadable lines in one call that explains a timeout; they must also be at
-least half of all lines."""
+"""A timeout is attributed to unreadable lines if at least this many lines, and at least half of all
+lines of the call, were unreadable."""
 OF_A_STOP = (FaultReason.STOPPED, FaultReason.ALARM, FaultReason.BOARD_RESET)
-"""Reasons with which a call can fail because the arm was stopped."""
+"""Fault reasons that a stop of the arm can cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +217,8 @@ class ArmDriver:
 
         ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: time of the
         transport's clock; None computes it from the move's duration. ``via``: intermediate joints.
-        The arrival there is not verified, so the move must be harmless even if they are skipped.
-        ``via_speed``: speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED,
+        The arrival at ``via`` is not verified, so the move must be harmless even if ``via`` is
+        skipped. ``via_speed``: speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED,
         POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED,
         BOARD_RESET, REJECTED, DISCONNECTED.
         """
@@ -332,7 +333,7 @@ class ArmDriver:
         return reading
 
     def _start(self) -> ArmReading:
-        """Return the reading before a move; verify that the arm is where the last move ended."""
+        """Verify that the arm is still where the last move ended, and return the reading."""
         start = self._recent() or self._read()
         self._fresh = None
         if start.alarm:
@@ -358,8 +359,8 @@ class ArmDriver:
     def _follow(self, path: _Path, deadline: float) -> tuple[ArmReading, HardwareFault | None]:
         """Send a path, and repeat the remaining part if a line was lost or rejected.
 
-        Returns the last reading, and the reason why the arm is not at the end of the path (None
-        when it is).
+        Returns the last reading, and the fault that kept the arm from the end of the path (None if
+        the arm is there).
         """
         goal = path.places[-1]
         for attempt in range(MOVE_ATTEMPTS):
@@ -411,7 +412,7 @@ class ArmDriver:
         return None
 
     def _arrive(self, expected_end: float, deadline: float) -> ArmReading:
-        """Wait until the arm is at rest; the reading is stamped with the time of its request."""
+        """Wait until the arm is at rest, and return the reading."""
         return self._in_joints(self._dialect.finish_move(expected_end, deadline))
 
     def _home_by_firmware(self) -> Joints:
@@ -508,13 +509,13 @@ class ArmDriver:
         )
 
     def _begin_call(self) -> None:
-        """Start to count the bytes and lines that this call receives."""
+        """Reset the counts of the bytes and lines that a call receives."""
         counters = self._dialect.counters
         counters.received = ReceivedBytes()
         self._lines_before = counters.lines, counters.bad_lines
 
     def _named(self, fault: HardwareFault) -> HardwareFault:
-        """Return PROTOCOL in place of a fault that is caused by unreadable replies. While
+        """If unreadable replies caused the fault, return a PROTOCOL fault instead. While
         connecting, unreadable text indicates another firmware, so UNKNOWN_FIRMWARE is returned.
         """
         counters = self._dialect.counters
@@ -581,7 +582,7 @@ class ArmDriver:
         return self._fault
 
     def _halted(self, fault: HardwareFault) -> HardwareFault:
-        """Stop an arm whose motion has not ended, and latch the reason."""
+        """Stop the arm after a motion has failed, and latch the fault."""
         fault = self._named(fault)
         result = "the arm was stopped" if self.stop() else "a stop could not be sent to the arm"
         return self._latch(

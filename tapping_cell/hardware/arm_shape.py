@@ -12,17 +12,17 @@ from tapping_cell.hardware.scara import ScaraGeometry
 Array = NDArray[np.float64]
 
 QUILL_RADIUS = 0.012
-"""Radius of the quill, m; callers add a margin for a thicker quill."""
+"""Radius of the quill, m. The margin that callers add also covers a slightly thicker quill."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmShape:
-    """Dimensions of the arm beyond those of its kinematics, m."""
+    """Dimensions of the arm that its kinematics do not contain, m."""
 
     link_half_width: float = 0.03
     link_thickness: float = 0.04
     link_clearance: float = 0.03
-    """Height of the links' undersides above the tip with the quill at zero."""
+    """Height of the links' undersides above the tip when the quill is at zero."""
     tool_half_width: float = 0.009
     tool_length: float = 0.12
     """Length of the tool from the tip backwards along the line of travel."""
@@ -38,7 +38,7 @@ class Bars:
 
 
 def arm_bars(geometry: ScaraGeometry, shape: ArmShape, joints: ArrayLike) -> Bars:
-    """Return the bars of an arm with joints (N, 4), in ``arm_base``.
+    """Return the bars, in ``arm_base``, that represent the arm at joint values (N, 4).
 
     Each link consists of several bars, stacked over its thickness.
     """
@@ -64,7 +64,8 @@ def arm_bars(geometry: ScaraGeometry, shape: ArmShape, joints: ArrayLike) -> Bar
 
 
 def _levels(shape: ArmShape) -> int:
-    """Return the number of bars per link, spaced at most half the link's width apart."""
+    """Return the number of bars per link at which their spacing is at most half the link's
+    width."""
     return 2 + int(shape.link_thickness / shape.link_half_width)
 
 
@@ -73,6 +74,7 @@ def _direction(angle: Array) -> Array:
 
 
 def _at(place: Array, height: ArrayLike) -> Array:
-    """Return points (N, 3) from points (N, 2) and one common height or one height each."""
+    """Return points (N, 3) from points (N, 2) and their heights: one for all points, or one
+    each."""
     z = np.broadcast_to(np.asarray(height, dtype=float), (len(place),))
     return np.concatenate([place, z[:, None]], axis=1)

@@ -1,8 +1,8 @@
 """Image sources: a camera of the system, a video file, or a folder of images.
 
-Every image has its capture time on the steady clock (``time.monotonic``). For a camera this is the
-driver's timestamp of the buffer, if it has one, so that queueing or a busy machine does not make an
-image appear newer than it is.
+Every image has its capture time on the steady clock (``time.monotonic``). For a camera, the capture
+time is the driver's timestamp of the buffer, if there is one. Queueing or a busy machine therefore
+does not make an image appear newer than it is.
 """
 
 from __future__ import annotations
@@ -134,7 +134,8 @@ class Playback:
         if picture is None and self._settings.loop:
             self._pictures = self._all()
             picture = self._next(left_out)
-        # A looping source cannot end: if it has no image, the source or its images were removed.
+        # If a looping source returns no image, its images were removed, because such a source never
+        # ends.
         if picture is None and (self._delivered == 0 or self._settings.loop):
             raise CameraSourceError(
                 f"{self._name} contains no image that can be decoded; replace it"
@@ -207,7 +208,7 @@ def _video_pictures(file: Path) -> Iterator[Picture]:
 
 
 def eight_bit(picture: NDArray[Any]) -> Picture:
-    """Convert an image to 8 bits per channel; of 16 bits the upper 8 are kept."""
+    """Convert an image to 8 bits per channel; 16-bit values keep their upper 8 bits."""
     if picture.dtype == np.uint16:
         return np.asarray(picture >> 8, dtype=np.uint8)
     if picture.dtype != np.uint8:

@@ -1,12 +1,12 @@
 """Adapter that lets an arm of any kinematics act as the SCARA that the cell plans for.
 
-The cell file describes a SCARA whose tip can reach only poses that the real arm's striker can reach
-upright. This link connects the SCARA's driver with the real arm's trajectory controller. Inverse
-kinematics converts a trajectory of the SCARA's joints point by point to the real joints, starting
-from their current position, so that the tip follows the same path. Forward kinematics converts the
-measured real joint states to the SCARA's joints, so every check of the driver (in position, at
-rest, moved externally) uses the real joint states. A straight move of the SCARA's quill is a
-straight vertical move of the striker.
+The cell file describes a SCARA. The real arm must be able to reach every tip pose of this SCARA
+with its striker upright. This link connects the SCARA's driver with the real arm's trajectory
+controller. Inverse kinematics converts a trajectory of the SCARA's joints point by point to the
+real joints, starting from their current position, so that the tip follows the same path. Forward
+kinematics converts the measured real joint states to the SCARA's joints, so every check of the
+driver (in position, at rest, moved externally) uses the real joint states. A straight move of the
+SCARA's quill is a straight vertical move of the striker.
 """
 
 from __future__ import annotations
@@ -29,26 +29,28 @@ MIN_STEP = 0.005
 """Minimum time between an intermediate point and a corner, s; closer points are left out."""
 LONGEST_STRETCH = 1.4
 LONGEST_DELAY = 1.5
-"""Limits on slowing a trajectory down to respect the joint speeds: a trajectory may take this
-factor times its planned duration, plus this delay in s. The driver's deadline allows 1.5 times plus
-2 s."""
+"""Limits on slowing a trajectory down to respect the joint speeds. A trajectory may take at most
+``LONGEST_STRETCH`` times its planned duration plus ``LONGEST_DELAY`` s. The driver's deadline is
+1.5 times the planned duration plus 2 s."""
 SPEED_STEP = 1e-3
 """Time step of the finite difference that converts joint speeds, s."""
 TURNS = 12.6
-"""Widened limits used to compute the SCARA's joints, rad; the driver checks the real limits."""
+"""Rotation limit, rad, of the SCARA joints that are computed from the real arm's pose: two turns.
+The driver checks the actual joint limits."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChainSettings:
-    """Start values for the SCARA's joints, and tolerances of the striker's pose."""
+    """Park pose, and limits of the striker's pose."""
 
     park: tuple[float, ...]
-    """SCARA joints to which the first solution must be nearest: rad, rad, m, rad."""
+    """SCARA joints of the park pose: rad, rad, m, rad. The first solution must be the one nearest
+    to this pose."""
     tilt: float = 0.01
     """Largest angle between the striker's z axis and the vertical, rad."""
     travel_height: float = 0.06
-    """Minimum tip height of a path on which the tip may make a full turn about its axis, m. Such a
-    turn keeps a joint within its limits."""
+    """Minimum tip height, m, of a path on which the tip may make an extra full turn about its
+    vertical axis. The extra turn can keep a joint within its limits."""
 
 
 class ChainLink:
@@ -149,8 +151,8 @@ class ChainLink:
     def send(self, points: Sequence[TrajectoryPoint]) -> None:
         """Move the real arm along the path of the SCARA's tip.
 
-        Raises HardwareFault: UNREACHABLE, before anything is sent, if a joint would exceed its
-        limit or greatly exceed its speed; otherwise the faults of the real link.
+        Raises HardwareFault UNREACHABLE if a joint would exceed its limit or greatly exceed its
+        speed; nothing is then sent. Also raises the faults of the real link.
         """
         start = self.samples[-1]
         course = Course(start.positions, points)
@@ -182,8 +184,8 @@ class ChainLink:
         self._course = (self.now(), stretch, course)
 
     def _along(self, course: Course, times: Array, real: Array) -> Array:
-        """Return the real arm's joints at each time, starting at its current position ``real``; any
-        initial tilt of the striker is removed gradually along the path."""
+        """Return the real arm's joints at each of ``times``, starting at its current position
+        ``real``. An initial tilt of the striker is removed gradually along the path."""
         tips = self._geometry.forward_many(course.at(times)[0])
         high = bool(np.min(tips[:, 2]) > self._settings.travel_height - 1e-3)
         part = times / times[-1]
@@ -244,7 +246,8 @@ class ChainLink:
         )
 
     def _expected(self, time: float) -> Array:
-        """Return the SCARA's planned position at ``time``; without a plan, its last position."""
+        """Return the SCARA's planned position at ``time``, or its last position if no trajectory
+        was sent."""
         if self._course is None:
             return self._near
         began, stretch, course = self._course
@@ -293,7 +296,8 @@ def upright(tip: Array) -> Array:
 
 
 def _times(points: Sequence[TrajectoryPoint]) -> Array:
-    """Return the times of the corners and of intermediate points, from 0, s."""
+    """Return the times, in s from the start, of the trajectory's corners and of the points between
+    them."""
     corners = np.array([0.0, *(point.time for point in points)])
     between = np.arange(STEP, corners[-1], STEP)
     apart = np.min(np.abs(between[:, None] - corners), axis=1) > MIN_STEP

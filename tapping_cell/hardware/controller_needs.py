@@ -14,7 +14,8 @@ from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.scara import ScaraGeometry
 
 TOLERANCE = 1e-3
-"""Maximum relative difference at which a setting still counts as equal to the required value."""
+"""Maximum relative difference between a setting and its required value at which they count as
+equal."""
 
 Four = tuple[float, float, float, float]
 
@@ -73,7 +74,7 @@ def at_least(
 def exactly(
     names: Sequence[str], found: Sequence[float], needed: Four | None, command: str = ""
 ) -> list[Finding]:
-    """Return a finding for each setting that must match exactly; ``command`` as in at_least."""
+    """Return a finding for each setting that must match exactly; ``command``: see ``at_least``."""
     return [
         Finding(
             name,

@@ -38,7 +38,7 @@ class Firmware:
 
 @dataclass(frozen=True, slots=True)
 class AxisReading:
-    """One state reading of the controller."""
+    """Axis positions and state as reported by the controller."""
 
     axes: Axes
     moving: bool
@@ -62,7 +62,7 @@ class LineCounters:
     lines: int = 0
     """Number of lines received."""
     bad_lines: int = 0
-    """Number of these that were unreadable."""
+    """Number of received lines that were unreadable."""
     received: ReceivedBytes = field(default_factory=ReceivedBytes)
 
 
@@ -93,7 +93,8 @@ class ArmDialect(Protocol):
         """Identify the firmware and compare its settings with the required ones; nothing moves."""
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """Send the command of a finding; raises ValueError if only a person may change it."""
+        """Send the command of a finding; raises ValueError if only a person may change the
+        setting."""
 
     def read(self, deadline: float) -> AxisReading:
         """Read the positions and state of the axes."""

@@ -12,7 +12,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-# Lossless 100 g striker (E = m v^2 / 2) at the ends of the speed range.
+# Energies and speeds of a lossless 100 g striker (E = m v^2 / 2) at the ends of the speed range.
 IDEAL_TABLE = ((0.05 * 0.02**2, 0.02), (0.05 * 2.5**2, 2.5))
 
 

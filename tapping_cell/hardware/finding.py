@@ -23,7 +23,7 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """Sentence with the difference and its remedy."""
+        """Sentence that states the difference and how to correct it."""
         remedy = f" (send {self.command})" if self.command else ""
         is_missing = "is missing" if self.found == "missing" else f"is {self.found}"
         return f"{self.setting} {is_missing}, {self.needed}{remedy}"

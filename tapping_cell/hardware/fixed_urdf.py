@@ -1,7 +1,7 @@
 """Generation of the URDF of tappers at fixed mounts, for viewers.
 
-The root is ``table``. Each tapper has a fixed link at its mount and a striker on a prismatic joint
-of the tapper's name, whose travel is the stroke.
+The root is ``table``. Each tapper has a fixed link at its mount and a striker on a prismatic joint.
+The joint has the tapper's name, and its travel is the stroke.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ value."""
 
 @dataclass(frozen=True, slots=True)
 class MountedTapper:
-    """A tapper for the URDF: mount (tip at rest, in ``table``); height of the tip, stroke, and
-    start (behind the tip), length and radius of its body in m; mass of the striker in kg; maximum
-    speed in m/s."""
+    """Dimensions of a tapper for the URDF; m, kg and m/s. ``mount``: pose of the resting tip in
+    ``table``. ``body_start``: distance from the tip back to the body."""
 
     name: str
     mount: Pose
@@ -94,7 +93,7 @@ def _rod(link: ElementTree.Element, length: float, radius: float, centre: float)
 
 
 def _inertia(link: ElementTree.Element, mass: float, length: float) -> None:
-    """Add the inertia of a thin rod along x that ends at the link's origin."""
+    """Add the inertia of a thin rod along x whose front end is the link's origin."""
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=_numbers(-length / 2, 0.0, 0.0), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=repr(mass))

@@ -216,7 +216,7 @@ def marker_lines(number: int) -> bytes:
 
 
 def modal_feed(modes: str) -> int | None:
-    """Return the feed in a ``[GC:...]`` message if it is a whole number, else None."""
+    """Return the feed in the parser state ``[GC:...]`` if it is a whole number, else None."""
     found = _FEED.search(modes)
     return int(found[1]) if found else None
 

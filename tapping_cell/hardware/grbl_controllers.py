@@ -13,22 +13,23 @@ from dataclasses import dataclass, field
 from tapping_cell.hardware import grbl
 
 ORIGIN_BIT = 8
-"""Bit of grblHAL's ``$22`` that sets the machine position to zero where homing ends."""
+"""Bit of grblHAL's ``$22`` that makes the position at the end of homing the machine zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class GrblController:
-    """Properties of one firmware that differ within the family."""
+    """Properties in which the firmwares of the family differ."""
 
     name: str
     hold_setting: str = "$1"
     """Setting that must be 255 for the motors to keep their torque at standstill."""
     store_note: str = ""
-    """Further action by a person without which the setting does not survive a restart."""
+    """What a person must also do so that the setting survives a restart; empty if nothing."""
     has_files: bool = False
     """True if most settings are named and stored in a file; ``$$`` then lists only some."""
     homing_masks: tuple[int, ...] = ()
-    """Settings that select the axes of each homing cycle; empty if the build selects them."""
+    """Settings that select the axes of each homing cycle; empty if the axes are fixed at build
+    time."""
     alarms: Mapping[int, str] = field(default_factory=dict)
     """Alarms with a meaning that differs from Grbl's or that Grbl does not have."""
 

@@ -26,9 +26,9 @@ from tapping_cell.hardware.transport import Transport
 REPLY_TIMEOUT = 0.5
 """Longest wait for an answer, s; a report takes up to 10 ms, the answer to `$$` up to 100 ms."""
 REST_TIMEOUT = 15.0
-"""Longest wait before homing for the last move of another program to end, s."""
+"""Longest wait, before homing, for the end of a move that another program started, s."""
 EARLY = 0.002
-"""Time from the start of polling to the computed end of a move, s. Polling starts early because a
+"""Time before the computed end of a move at which polling starts, s. Polling starts early because a
 move starts before its ``ok`` arrives."""
 POLL_PERIODS = (0.002, 0.02)
 """First and longest time between status queries at the end of a move, s; the time doubles with each
@@ -46,7 +46,7 @@ POWERLESS = ("Alarm", "Sleep")
 DEFAULT_LETTERS = "XYZABCUVW"
 """Axis order in the reports of controllers that do not list their axes."""
 HOMED_TOLERANCE = 0.05
-"""Maximum difference between the machine position after homing and the expected one, units."""
+"""Maximum difference between the actual and the expected machine position after homing, units."""
 RESETS = 3
 """Maximum number of soft resets sent while waiting for the banner."""
 RESET_TIME = 1.5
@@ -54,13 +54,13 @@ RESET_TIME = 1.5
 IDENTIFICATIONS = 5
 """Maximum number of repeated ``$I`` queries until two consecutive answers agree."""
 MARKERS = (1001, 9999)
-"""Range of the marker numbers that identify the answers to one resynchronisation."""
+"""Range of the marker numbers, each of which identifies the answer to one resynchronisation."""
 DRAIN_SILENCE = 0.05
-"""Silence after which the line counts as drained, s."""
+"""Time without received bytes after which the line counts as drained, s."""
 DRAIN_ROUNDS = 100
 """Maximum number of reads while draining a line that never falls silent."""
 MARK_LINE = b"G18\n"
-"""Sets a modal state that does not affect straight moves and that every reset clears. If the state
+"""Sets a modal state that does not affect straight moves and that every reset clears. If this state
 is still set after a reconnect, the controller was not reset."""
 
 
@@ -173,7 +173,7 @@ class GrblDialect:
             self._start_move(move.target, move.feed, deadline)
 
     def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
-        """Send one move. If its answer is lost, the position read back shows whether it was
+        """Send one move. If the answer is lost, the position read back shows whether the move was
         executed."""
         line = grbl.move_line(self._settings.letters, target, feed)
         try:
@@ -224,8 +224,8 @@ class GrblDialect:
         Neither the line nor its ``ok`` has a checksum, and one wrong bit turns ``$H`` into ``$X``,
         which is also answered with ``ok``. A controller that still executes a move of a terminated
         program rejects ``$H``, so this call waits for the end of the move. The wait is limited,
-        because a garbled feed rate can make a move extremely slow. With an axis without a switch,
-        which an operator moves to its mark before homing, a moving arm is refused.
+        because a garbled feed rate can make a move extremely slow. If an axis has no switch, an
+        operator must move it to its mark before homing; homing is then refused while the arm moves.
         """
         patience = min(deadline, self._transport.now() + REST_TIMEOUT)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
@@ -260,15 +260,15 @@ class GrblDialect:
             self.set_position(axes, deadline)
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Send ``G92`` and the mark. A reset clears both, so the mark proves that no reset
-        happened."""
+        """Send ``G92``, then ``MARK_LINE``. A reset clears the effect of both lines, so a mark that
+        is still set proves that no reset happened."""
         self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
         while self._offset is None:
             self._ask_status(deadline)
-        # From here on the offset is fixed and only the machine position counts. If a bit error then
-        # turns a line into another G92, this is detected as a position mismatch.
+        # From here on, reported offsets are ignored, and only the machine position is evaluated. If
+        # a bit error then turns a line into another G92, a position mismatch is detected.
         self._frozen = True
         self._marked = True
 
@@ -369,8 +369,8 @@ class GrblDialect:
     def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
         """Send one line, wait for its ``ok``, and return the frames received before it.
 
-        An ``ok`` does not identify its line. If the ``ok`` of an earlier line is outstanding, it is
-        awaited first, so that it is not mistaken for the answer to this line.
+        An ``ok`` does not state which line it answers. If the ``ok`` of an earlier line is
+        outstanding, it is awaited first, so that it is not mistaken for the answer to this line.
         """
         if self._unanswered:
             self._resynchronise(deadline)
@@ -431,7 +431,8 @@ class GrblDialect:
                 return
 
     def _await_first_status(self, deadline: float) -> grbl.Banner | None:
-        """Query until a report arrives; return a banner received before, which shows a reset."""
+        """Query until a status report arrives. Return the banner if one was received before, which
+        shows a reset."""
         banner: grbl.Banner | None = None
         while True:
             self._transport.write(grbl.STATUS_QUERY)
@@ -456,10 +457,11 @@ class GrblDialect:
                 self.counters.retries += 1
 
     def _await_answerable(self, deadline: float) -> None:
-        """Wait for the end of a motion; raise if the controller is in a state without answers.
+        """Wait for the end of a motion; raise if the controller is in a state in which it refuses
+        queries.
 
         Firmwares of this family refuse ``$I`` and ``$$`` (error 8) except at rest or in alarm. A
-        controller finishes its moves after its cable was unplugged.
+        controller continues its moves even if its cable is unplugged.
         """
         began = self._transport.now()
         patience = max(deadline, began + REPLY_TIMEOUT)
@@ -578,8 +580,8 @@ class GrblDialect:
             before = count
 
     def _compared(self, deadline: float) -> list[Finding]:
-        """Return the findings; if a setting is not as required, query again in case a line was
-        garbled."""
+        """Return the findings. If a setting is not as required, query the settings once more,
+        because a line may have been garbled."""
         findings = self._compare(deadline)
         if self._homed_unknown or not all(finding.met for finding in findings):
             self.counters.retries += 1
@@ -698,7 +700,8 @@ class GrblDialect:
     def _learn_homed_place(self, found: Mapping[int, float]) -> None:
         """Compute the machine position after homing from ``$$``.
 
-        The position is $27 away from the end that $23 selects; in some builds it is zero.
+        This position is $27 away from the end of travel that $23 selects; in some builds it is
+        zero.
         """
         self._homed_unknown = ""
         self._homed_place = list(self._settings.home_place or ())
@@ -763,7 +766,7 @@ class GrblDialect:
                     )
 
     def _check_homed(self, status: grbl.Status) -> None:
-        """Raise HOMING_FAILED unless every axis that homes is at its position after homing."""
+        """Raise HOMING_FAILED unless every axis that homing moves is at its expected position."""
         place = self._in_order(status.machine or ())
         wrong = [
             f"{letter} at {found:g} instead of {wanted:g}"

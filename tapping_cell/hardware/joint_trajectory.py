@@ -1,4 +1,4 @@
-"""Moves as timed points for a controller that interpolates in time.
+"""Conversion of moves to timed points, for a controller that interpolates between these points.
 
 A controller that receives positions and velocities interpolates between points with cubics. The
 points of a move are the corners of its trapezoidal velocity profile. Between two corners the
@@ -26,12 +26,12 @@ MIN_TIME = 0.02
 MIN_PIECE = 1e-3
 """Minimum duration of a segment of a move, s; shorter segments are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
-"""Minimum cosine of the angle between two moves that are passed without a stop."""
+"""Minimum cosine of the angle between two moves for the arm not to stop between them."""
 
 COURSE_SAMPLES = 200
 """Number of samples of a trajectory in the search for the point nearest to the arm."""
 COURSE_WIDTH = 0.05
-"""Maximum distance between an arm and a trajectory that it is following, rad or m."""
+"""Maximum distance from a trajectory at which the arm is assumed to follow it, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +46,13 @@ class TrajectoryPoint:
 def straight_points(
     start: Sequence[float], moves: Sequence[StraightMove], max_acceleration: Sequence[float]
 ) -> tuple[TrajectoryPoint, ...]:
-    """Return the points, without the start, of straight moves that begin and end at rest.
+    """Return the points of straight moves that begin and end at rest; the start is not included.
 
-    Between two moves in the same direction the arm does not stop. Its speed there is the lower
-    speed of the two moves, or less if the lengths of the adjacent moves require it. ``moves``:
-    targets in rad and m; the feed along the line is in the same unit per minute.
-    ``max_acceleration``: of each joint, in rad/s^2 or m/s^2. Moves of zero length are left out.
+    The arm does not stop between two moves in the same direction. It passes the point between them
+    at the lower speed of the two moves, or more slowly if the lengths of the adjacent moves require
+    it. ``moves``: targets in rad and m; the feed along the line is in the same unit per minute.
+    ``max_acceleration``: limit of each joint, in rad/s^2 or m/s^2. Moves of zero length are left
+    out.
     """
     legs = _legs(start, moves, max_acceleration)
     points: list[TrajectoryPoint] = []
@@ -101,7 +102,7 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
     corners = [0.0] * (len(legs) + 1)
     for index, (before, after) in enumerate(pairwise(legs), start=1):
         along = sum(a * b for a, b in zip(before.direction, after.direction, strict=True))
-        # Very short moves get the minimum duration, from rest to rest.
+        # Very short moves begin and end at rest and take the minimum duration.
         short = min(leg.length / leg.speed for leg in (before, after)) < MIN_TIME
         if along > STRAIGHT and not short:
             corners[index] = min(before.speed, after.speed)
@@ -130,7 +131,8 @@ class Course:
         self._track, _ = self.at(self._samples)
 
     def at(self, times: Array) -> tuple[Array, Array]:
-        """Return positions and velocities, one row per time in s from the start."""
+        """Return positions and velocities, with one row for each of ``times`` (s from the
+        start)."""
         times = np.clip(times, 0.0, self._times[-1])
         after = np.clip(np.searchsorted(self._times, times, side="right"), 1, len(self._times) - 1)
         before = after - 1
@@ -156,7 +158,8 @@ class Course:
 def brake_point(
     positions: Sequence[float], velocities: Sequence[float], max_acceleration: Sequence[float]
 ) -> TrajectoryPoint:
-    """Return the point where all joints stop together, after the longest braking time of any."""
+    """Return the point at which all joints come to rest at the same time. The duration is the
+    longest braking time of any joint."""
     slowest = max(abs(v) / a for v, a in zip(velocities, max_acceleration, strict=True))
     duration = max(slowest, MIN_TIME)
     return TrajectoryPoint(

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 TEXT = bytes((*b"\t\r\n", *range(0x20, 0x7F)))
 NOISE_SHARE = 0.1
-"""Fraction of bytes outside text above which a line counts as noise. Controllers send only text. At
-a wrong baud rate, more than a third of the bytes are not text."""
+"""A line counts as noise if more than this fraction of its bytes is not text. Controllers send only
+text. At a wrong baud rate, more than a third of the bytes are not text."""
 
 
 @dataclass(slots=True)

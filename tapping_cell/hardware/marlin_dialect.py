@@ -31,11 +31,11 @@ LONG_CODES = ("M400", "G28")
 REPEAT_SILENCE = 0.4
 """Longest silence after a line is resent, s; a line that was already accepted gets no answer."""
 DRAIN_SILENCE = 0.05
-"""Silence after which the line counts as drained, s."""
+"""Time without received bytes after which the line counts as drained, s."""
 POLL_PERIOD = 0.02
 """Time between position queries while the last steps of a move are made, s."""
 EARLY = 0.003
-"""Time from the start of polling to the computed end of a move, s. Polling starts early because a
+"""Time before the computed end of a move at which polling starts, s. Polling starts early because a
 move starts before its ``ok`` arrives."""
 FIRST_NUMBERS = (1000, 100_000_000)
 """Range of the first line number; a board that was reset counts from 0 instead."""
@@ -50,7 +50,7 @@ PREPARATION = ("G21", "G90", "M220 S100", "M84 S0", "M17")
 """Codes sent at every connect: mm, absolute positions, no speed override, no idle timeout of the
 motors, motors on."""
 RECOVERIES = 8
-"""Maximum number of attempts to resend a line before the connection counts as lost."""
+"""Maximum number of times that a line is resent before the connection counts as lost."""
 KEPT_LINES = 4
 """Number of sent lines that can be repeated if the board requests them."""
 IDENTIFICATIONS = 6
@@ -140,7 +140,7 @@ class MarlinDialect:
         raise ValueError(f"{finding.setting} must be set by a person")
 
     def _prepare(self, deadline: float) -> None:
-        """Set absolute mm, full speed, and motors that always keep their torque."""
+        """Set absolute positions in mm, full speed, and motors that always keep their torque."""
         for code in PREPARATION:
             self._order(code, deadline)
 
@@ -151,8 +151,8 @@ class MarlinDialect:
             for frame in self._command("M114", deadline):
                 if isinstance(frame, marlin.Position):
                     return self._reading(frame, asked)
-            # The answer was garbled, or a stray `ok` was mistaken for that of this line, so drain
-            # and repeat.
+            # Either the answer was garbled, or a stray `ok` was taken for the answer. Drain and
+            # repeat.
             self._settle(deadline)
             self.counters.retries += 1
 
@@ -168,8 +168,8 @@ class MarlinDialect:
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
         """Wait until the step counts match the commanded position, and return the position.
 
-        ``M400`` is sent if the firmware reports no counts or if the axes still move at
-        ``expected_end``; its ``ok`` arrives at the end of the move.
+        ``M400`` is sent if the firmware reports no counts, or if the axes still move at
+        ``expected_end``. The ``ok`` of ``M400`` arrives at the end of the move.
         """
         while (left := expected_end - EARLY - self._transport.now()) > 0:
             self._pump(left)
@@ -275,7 +275,8 @@ class MarlinDialect:
             if outcome is None:
                 return frames
             if outcome == number + 1:
-                # The board already has this line and requests the next: only the `ok` was lost.
+                # The board requests the next line, so it has received this one and only the `ok`
+                # was lost.
                 return frames
             if outcome < 0:
                 if self._is_taken(number, longest, deadline):
@@ -286,8 +287,8 @@ class MarlinDialect:
                     raise self._restarted()
                 strange += 1
                 if strange > 1:
-                    # This is not a transmission error: the board's line number differs from ours,
-                    # so the board rejects all lines.
+                    # This is not a transmission error. The board's line number differs from the
+                    # driver's, so the board rejects all lines.
                     self._begin_numbers(deadline)
                     self._number += 1
                     number = self._number
@@ -302,8 +303,8 @@ class MarlinDialect:
     def _await(
         self, number: int, patience: float, deadline: float, frames: list[marlin.Frame]
     ) -> int | None:
-        """Return the line number if the board requested a line, None if it only answered ``ok``, or
-        -1 if it was silent."""
+        """Await the answer to a line: the line number if the board requested a line, None if it
+        only answered ``ok``, or -1 if it was silent."""
         wanted: int | None = None
         busy = False
         while True:
@@ -328,10 +329,11 @@ class MarlinDialect:
                     return wanted
 
     def _is_taken(self, number: int, patience: float, deadline: float) -> bool:
-        """After silence, resend the line; if there is no answer, send the next number as a query.
+        """Return whether the board has executed a line that it did not answer. The line is resent;
+        if there is no answer again, the next line number is sent as a query.
 
-        The board neither answers nor repeats a duplicate of an executed line. It answers the next
-        number with ``ok`` if the line was executed, and with ``Resend`` if the line never arrived.
+        The board ignores a duplicate of an executed line. It answers the next number with ``ok`` if
+        the line was executed, and with ``Resend`` if the line never arrived.
         """
         self.counters.timeouts += 1
         self._transport.write(self._sent[number])
@@ -348,7 +350,7 @@ class MarlinDialect:
         outcome = self._await(number + 1, patience, deadline, frames)
         if outcome is None or outcome == number + 2:
             return True
-        # The query may still be on its way. Its number must not be used again, because the
+        # The query may still be in transmission. Its number must not be used again, because the
         # controller ignores a second line with the same number.
         return outcome == number + 1
 
@@ -511,8 +513,8 @@ class MarlinDialect:
         if not self._steps or not set(letters) <= set(frame.counts):
             return AxisReading(commanded, False, "", False, asked)
         actual = tuple(frame.counts[a] / self._steps[a] for a in letters)
-        # Commanded values are rounded to 0.01; a difference larger than that plus one step is
-        # motion.
+        # The reported commanded values are rounded to 0.01. A difference that exceeds the rounding
+        # error plus one step means that the axis moves.
         moving = any(
             abs(a - c) > 0.006 + 1 / self._steps[letter]
             for a, c, letter in zip(actual, commanded, letters, strict=True)

@@ -1,4 +1,5 @@
-"""Arm moves around a tap as pure functions: raise, travel, lower, then back off, raise, park.
+"""Planning of the arm's moves before a tap (raise, travel, lower) and after it (back off, raise,
+park).
 
 Every move is straight in joint space, so a move between two waypoints on the same elbow side never
 passes the singular pose with a straight elbow. If a pose is reachable only with the other elbow
@@ -27,7 +28,8 @@ class MotionSettings:
     """Heights, speeds and the park pose of the tap moves, in SI units."""
 
     travel_height: float = 0.060
-    """Height of the travelling tip above the table, above every object and camera marker, m."""
+    """Height of the tip above the table while travelling, m; higher than every object and camera
+    marker."""
     travel_speed: float = 0.8
     """Fraction of the maximum joint speeds while raised."""
     near_speed: float = 0.4
@@ -80,7 +82,7 @@ def strike_path(
     fast = settings.travel_speed
     slow_from = goal._replace(quill=goal.quill + settings.near_height)
     brief = slow_from.quill >= above.quill - 1e-9
-    # If the command of the fast step is lost, the whole descent is slow; this is harmless.
+    # If the command of the fast step is lost, the whole descent is slow, which is harmless.
     lower = Waypoint(goal, near, "lower", None if brief else slow_from, None if brief else fast)
     return _moves(
         Joints(*current),
@@ -93,8 +95,8 @@ def strike_path(
 def strike_durations(
     geometry: ScaraGeometry, current: ArrayLike, tips: ArrayLike, settings: MotionSettings
 ) -> Array:
-    """Return ``path_duration`` of many strike paths from joints (..., 4) to tip poses (..., 4),
-    which broadcast; infinite for unreachable poses."""
+    """Return ``path_duration`` of many strike paths from joints (..., 4) to tip poses (..., 4). The
+    two arrays are broadcast; the duration is infinite for an unreachable pose."""
     start, tip = np.broadcast_arrays(
         np.asarray(current, dtype=float), np.asarray(tips, dtype=float)
     )
@@ -147,8 +149,9 @@ def raise_step(
 ) -> Waypoint:
     """Return the waypoint from joints ``current`` backwards, then up to travel height.
 
-    Backing off along the line of travel keeps an extended rod from rubbing along the object. This
-    step is left out if the tip is already above travel height or the pose behind is out of reach.
+    Backing off along the line of travel keeps an extended rod from rubbing along the object. The
+    step backwards is left out if the tip is already above travel height, or if the pose behind is
+    out of reach.
     """
     start = Joints(*current)
     here = geometry.forward(start)
@@ -160,10 +163,11 @@ def raise_step(
         )
         solution = geometry.inverse(behind, geometry.branch_of(start), near=start)
         if solution.joints is not None:
-            # If the command of this step is lost, the striker rises vertically; this is harmless.
+            # If the command of this step is lost, the striker only rises vertically, which is
+            # harmless.
             low = via = solution.joints
     raised = low._replace(quill=max(start.quill, _clear_quill(geometry, settings)))
-    # Only the step backwards is near the object, so raising may be fast.
+    # Only the step backwards is close to the object, so the arm may be raised fast.
     return Waypoint(raised, settings.travel_speed, "raise", via, settings.near_speed)
 
 
@@ -181,7 +185,8 @@ def move_duration(
 def move_durations(
     geometry: ScaraGeometry, start: ArrayLike, goal: ArrayLike, speed: float
 ) -> Array:
-    """Return ``move_duration`` of many moves: joints (..., 4) that broadcast; NaN remains NaN."""
+    """Return ``move_duration`` of many moves. ``start`` and ``goal`` (..., 4) are broadcast; NaN
+    remains NaN."""
     distances = np.abs(np.asarray(goal, dtype=float) - np.asarray(start, dtype=float))
     at_speed = np.max(distances / (np.array(geometry.max_speed) * speed), axis=-1)
     # Reciprocal of the acceleration along the line, in s^2 (the unit of length is the whole line).

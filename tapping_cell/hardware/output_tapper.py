@@ -34,10 +34,10 @@ VERSION = "digital output"
 OFF_TIMEOUT = 1.0
 """Longest wait for the confirmation that the output is off, s."""
 WAIT = 0.002
-"""Time between checks for an answer, s."""
+"""Period of the checks for an answer, s."""
 LONG_PULSE = 1.2
-"""Ratio of the actual to the requested pulse above which an error is recorded, because the striker
-was faster than planned."""
+"""Ratio of the actual to the requested pulse length above which an error is recorded, because the
+striker was then faster than planned."""
 
 
 class ShotMemory(Protocol):
@@ -88,13 +88,13 @@ class OutputTapperDriver:
         self._ready: tuple[int, float] | None = None
         self._attempted = 0
         self._last_fired = 0
-        # A pulse of an earlier process may still be on its way.
+        # A pulse that an earlier process sent may still be in transmission.
         self._release_by = link.now() + self._longest(max(settings.pulses))
         self._stopped = threading.Event()
 
     @property
     def connected(self) -> bool:
-        """True if the output is available and was proven off, as far as is known."""
+        """True if the output is available and, as far as is known, was confirmed to be off."""
         return self._connected and self._link.is_open
 
     @property
@@ -109,8 +109,8 @@ class OutputTapperDriver:
 
     @property
     def release_impossible_after(self) -> float:
-        """Time after which no shot sent so far can be released, s; infinity if the output was not
-        proven off."""
+        """Time after which no shot sent so far can still be fired, s; infinity if the output was
+        not confirmed to be off."""
         return self._release_by
 
     def connect(self, timeout: float = 5.0) -> Reply:
@@ -201,7 +201,7 @@ class OutputTapperDriver:
 
         ``window`` applies to boards with their own clock and is ignored. ``still_allowed`` receives
         the time of the steady clock at which the output is off again if each level takes effect
-        within ``latency``. Before UNKNOWN is returned, the call waits until that time.
+        within ``latency``. The call returns UNKNOWN only after this time.
         """
         self._require()
         self._refuse_spent(shot)
@@ -254,7 +254,8 @@ class OutputTapperDriver:
         return self._link.stop(b"")
 
     def clear(self, timeout: float = 5.0) -> Reply:
-        """Clear the latched stop. There is no button at the cell, so none is required."""
+        """Clear the latched stop. Unlike a tapper board, the output has no clear button that a
+        person must press."""
         self._link.release()
         self._stopped.clear()
         return self.connect(timeout)
@@ -291,7 +292,8 @@ class OutputTapperDriver:
             self._link.wait(WAIT)
 
     def _off_since(self, asked: float) -> bool:
-        """Return whether a read-back showed the output on after ``asked`` and off later."""
+        """Return whether the read-back has shown the output on since ``asked`` and now shows it
+        off."""
         read_back = self._link.read_back
         seen = self._link.last_on >= asked
         return seen and read_back is not None and not read_back.level

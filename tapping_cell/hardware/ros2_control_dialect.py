@@ -18,7 +18,8 @@ from tapping_cell.hardware.joint_trajectory import straight_points
 from tapping_cell.hardware.trajectory_link import GoalState, JointSample, TrajectoryLink
 
 REST_WINDOW = 0.05
-"""Time for which the joints must be constant for the arm to be at rest, s: 3 states at 50 Hz."""
+"""Time for which the joints must be constant before the arm counts as at rest, s: 3 states at 50
+Hz."""
 REST_SPEED = 0.02
 """Reported speed above which a joint is moving, rad/s or m/s; noise at rest is below it."""
 MIN_RATE = 20.0
@@ -39,11 +40,11 @@ class Ros2ControlSettings:
     max_acceleration: tuple[float, ...]
     """Maximum accelerations, rad/s^2 or m/s^2."""
     tolerance: tuple[float, ...]
-    """Position tolerances of the arm, rad or m; joints at rest may vary by half of them."""
+    """Position tolerances of the arm, rad or m. A joint at rest may vary by half its tolerance."""
     state_timeout: float = 0.25
     """Longest silence of the joint states, s."""
     axes: tuple[str, ...] = ()
-    """Names of the link's values, if they are not the joints themselves."""
+    """Names of the values that the link reports, if these are not the joints themselves."""
 
 
 class Ros2ControlDialect:
@@ -109,7 +110,8 @@ class Ros2ControlDialect:
             remarks.append(
                 "the joint states contain no velocities, so rest is detected from positions alone"
             )
-        # Nothing proves that the arm's driver or its drives were not restarted meanwhile.
+        # `continued` is False: the arm's driver or its motor drives may have been restarted
+        # meanwhile.
         firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))
         return firmware, findings
 
@@ -280,7 +282,8 @@ class Ros2ControlDialect:
         return AxisReading(sample.positions, self._moving(sample), "", True, asked)
 
     def _moving(self, newest: JointSample) -> bool:
-        """Return whether a joint moves, is not yet known to be at rest, or is due to move."""
+        """Return whether a joint moves or may move: True until the trajectory's end has passed and
+        the joints have been constant for ``REST_WINDOW``."""
         if newest.measured < self._ends:
             return True
         if newest.velocities is not None and any(abs(v) > REST_SPEED for v in newest.velocities):

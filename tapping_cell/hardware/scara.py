@@ -7,9 +7,10 @@ shoulder angle zero, z up. The joint order is always shoulder in rad, elbow in r
     w = L1 (cos q1, sin q1) + L2 (cos(q1 + q2), sin(q1 + q2)).
 
 The tool's heading is h = q1 + q2 + q4. The tip is at w + R(h) (tip_forward, tip_side), and its line
-of travel points along h + tip_yaw. All joint values are the controller's; the true q is their sum
-with ``joint_offset``, which a calibration determines. The inverse is the two-circle construction of
-the planar two-link arm (Craig, *Introduction to Robotics*, section 4.4, algebraic solution).
+of travel points along h + tip_yaw. All joint values are those of the controller. The true value q
+is the controller's value plus ``joint_offset``, which a calibration determines. The inverse is the
+two-circle construction of the planar two-link arm (Craig, *Introduction to Robotics*, section 4.4,
+algebraic solution).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 LIMIT_SLACK = 1e-9
-"""Excess over a joint limit that is attributed to rounding, in rad or m."""
+"""Excess over a joint limit that is ignored as a rounding error, in rad or m."""
 
 
 class Joints(NamedTuple):
@@ -101,12 +102,13 @@ def _wrap(angle: Array) -> Array:
 
 
 def _into_range(angle: Array, low: float, high: float, near: Array) -> tuple[Array, Array]:
-    """Return ``angle`` plus the full turns that bring it inside [low, high] and nearest to
-    ``near``, and its excess over the range (0 inside)."""
+    """Add full turns to ``angle`` so that it lies inside [low, high] and as near to ``near`` as
+    possible. Return the new angle and its excess over the range (0 inside)."""
     turns = _wrap(angle)[..., None] + 2 * math.pi * np.arange(-2, 3)
     excess = np.maximum(np.maximum(low - turns, turns - high), 0.0)
     excess = np.where(excess <= LIMIT_SLACK, 0.0, excess)
-    # Angles are compared by their excess first, and inside the range by their distance to `near`.
+    # Prefer the angle with the smallest excess; among angles inside the range, the one nearest to
+    # `near`.
     order = np.where(excess > 0, 1e3 + excess, np.abs(turns - near[..., None]) * 1e-3)
     best = np.argmin(order, axis=-1)[..., None]
     return (

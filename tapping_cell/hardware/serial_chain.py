@@ -1,9 +1,9 @@
 """Forward and numerical inverse kinematics of a serial chain of revolute and prismatic joints.
 
 Each joint moves about or along an axis of its own frame, whose pose in the frame of the previous
-link is fixed, as in a URDF. The inverse uses damped least squares (Wampler 1986, *Manipulator
-inverse kinematic solutions based on vector formulations and damped least-squares methods*) from a
-seed, with the joints kept within their limits. The solution stays on the elbow and wrist side of
+link is fixed, as in a URDF. The inverse starts at a seed, uses damped least squares, and keeps the
+joints within their limits (Wampler 1986, *Manipulator inverse kinematic solutions based on vector
+formulations and damped least-squares methods*). The solution stays on the elbow and wrist side of
 the seed.
 """
 
@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 
 ITERATIONS = 80
 STUCK = 8
-"""Number of iterations without improvement after which the search from this seed fails."""
+"""Number of consecutive iterations without improvement after which the search fails."""
 POSITION_ERROR = 1e-6
-"""Maximum position error of a solution, m: a hundredth of the arm's own tolerance."""
+"""Maximum position error of a solution, m; a hundredth of the arm's own tolerance."""
 ANGLE_ERROR = 1e-5
 """Maximum angle error of a solution, rad."""
 LONGEST_STEP = 0.3
@@ -31,7 +31,8 @@ DAMPING = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class ChainJoint:
-    """One joint; ``origin`` is its frame at zero, in the frame of the previous link."""
+    """One joint. ``origin`` is the pose of its frame at joint value zero, in the frame of the
+    previous link."""
 
     name: str
     origin: tuple[tuple[float, ...], ...]
@@ -78,8 +79,8 @@ class SerialChain:
         self.upper: Array = np.array([joint.upper for joint in joints])
         self.max_speed: Array = np.array([joint.max_speed for joint in joints])
         self._prismatic: NDArray[np.bool_] = np.array([joint.prismatic for joint in joints])
-        # A revolute joint's transform is fixed + sin * sine + (1 - cos) * cosine (Rodrigues); a
-        # prismatic joint's is fixed + value * sine.
+        # The transform of a revolute joint is fixed + sin(q) * sine + (1 - cos(q)) * cosine
+        # (Rodrigues); that of a prismatic joint is fixed + q * sine.
         self._terms = [_terms(joint) for joint in joints]
         self._axes = [np.array([*joint.axis, 0.0]) for joint in joints]
 
@@ -95,7 +96,7 @@ class SerialChain:
     def inverse(self, target: ArrayLike, seed: ArrayLike) -> ChainSolution:
         """Return joints that bring the striker to ``target`` (4 x 4), searching from ``seed``.
 
-        Without success, the result contains the nearest joints found.
+        If no solution is found, the result contains the joints that come nearest to the target.
         """
         goal = np.asarray(target, dtype=np.float64)
         q = np.clip(np.asarray(seed, dtype=np.float64), self.lower, self.upper)
@@ -145,7 +146,8 @@ class SerialChain:
         return axes, places, pose @ self.tool
 
     def _jacobian(self, axes: Array, places: Array, tip: Array) -> Array:
-        """Return the (6, N) Jacobian: the striker's translation, then rotation, per joint."""
+        """Return the (6, N) Jacobian: the striker's translation (3 rows) and rotation (3 rows) per
+        joint."""
         linear = np.where(self._prismatic[:, None], axes, np.cross(axes, tip - places))
         angular = np.where(self._prismatic[:, None], 0.0, axes)
         return np.asarray(np.concatenate([linear, angular], axis=1).T)

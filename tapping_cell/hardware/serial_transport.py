@@ -30,15 +30,16 @@ def known_ports() -> list[str]:
 class SerialTransport:
     """One serial port, opened exclusively by its path or a symlink (``/dev/serial/by-id/...``).
 
-    Each opening resolves the path again, so a device that returns under another number is found.
-    Deadlines are on the steady clock.
+    The path is resolved at each opening, so a device that returns under another number is found.
+    Deadlines are times of the steady clock.
     """
 
     def __init__(self, path: str, baud: int = 115200) -> None:
         self._path = path
         self._baud = baud
         self._port: serial.Serial | None = None
-        # Protects every write, so that a stop is sent between two chunks and nothing follows it.
+        # Held during every write, so that a stop is sent between two chunks and nothing is sent
+        # after it.
         self._lock = threading.Lock()
         self._stopped = False
 
@@ -73,8 +74,8 @@ class SerialTransport:
                     self._path, self._baud, timeout=0, write_timeout=0, exclusive=True
                 )
             except (OSError, ValueError, termios.error) as error:
-                # If a port is unplugged between opening and configuration, the exception is not an
-                # OSError, unlike SerialException.
+                # If a port is unplugged between opening and configuration, pyserial may raise an
+                # exception that is not an OSError. Its SerialException is an OSError.
                 if self.now() + REOPEN_PERIOD > deadline:
                     raise self._open_fault(error) from error
                 time.sleep(REOPEN_PERIOD)
@@ -103,7 +104,7 @@ class SerialTransport:
             try:
                 readable, _, _ = select.select([port], [], [], wait)
                 if readable:
-                    # After an unplug, `in_waiting` raises a bare OSError and `read` a
+                    # If the device was unplugged, `in_waiting` raises a plain OSError and `read` a
                     # SerialException. At end of file, the port is readable although no bytes are
                     # waiting.
                     return bytes(port.read(max(port.in_waiting, 1)))
@@ -166,8 +167,8 @@ class SerialTransport:
     def _write_some(self, port: serial.Serial, data: memoryview) -> int:
         """Write without blocking; return the number of bytes written, 0 if the port is full."""
         try:
-            # pyserial busy-waits while the output buffer is full, so it is called only if the port
-            # is writable.
+            # pyserial's `write` busy-waits while the output buffer is full, so it is called only if
+            # the port is writable.
             _, writable, _ = select.select([], [port], [], 0)
             return int(port.write(data) or 0) if writable else 0
         except (OSError, ValueError, TypeError) as error:

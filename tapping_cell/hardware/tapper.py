@@ -1,16 +1,17 @@
 """Tapper driver: charge, fire once within a time window, and report reliably what happened.
 
-A release is possible only within a window that the last check before FIRE opens. FIRE carries a
-deadline in the board's own time, and the board rejects it after that deadline. No clocks are
-synchronised: the driver queries the board's time, then asks its caller whether the shot is still
-allowed, and only then sends FIRE. Regardless of any delay by this process, the operating system or
-the line, the board fires before the deadline or not at all.
+A shot can be fired only within a time window that begins at the last check before FIRE. FIRE
+contains a deadline in the board's own time, and the board rejects FIRE after this deadline. The
+clocks need no synchronisation: the driver queries the board's time, then asks its caller whether
+the shot is still allowed, and only then sends FIRE. Regardless of any delay by this process, the
+operating system or the line, the board fires before the deadline or not at all.
 
-A shot is never fired twice. A repeated request has the same sequence number, which the board
-answers from memory, and this driver never retries a shot whose FIRE may have been sent. If the
-reply is missing, a later request determines the outcome: the board accepts no older sequence number
-after a newer one, and each reply contains the last shot fired. If that reply is missing too, or the
-boot number has changed, the outcome is UNKNOWN: check with the camera, do not fire again.
+A shot is never fired twice. The board answers a repeated request, which has the same sequence
+number, from memory. This driver never retries a shot whose FIRE may have been sent. If the reply to
+FIRE is missing, a later request determines the outcome: the board accepts no older sequence number
+after a newer one, and each reply contains the last shot fired. If the reply to the later request is
+missing too, or the boot number has changed, the outcome is UNKNOWN: check with the camera, do not
+fire again.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ from tapping_cell.hardware.tapper_protocol import (
 from tapping_cell.hardware.transport import Transport
 
 PROTOCOL_VERSION = "2"
-"""Major version of the protocol that this driver supports. A board with version 1 is rejected,
-because it knows no deadline and could release a shot long after the last check."""
+"""Major version of the protocol that this driver supports. A board with version 1 is rejected: its
+FIRE has no deadline, so the board could fire long after the last check."""
 CLOCK_TOLERANCE = 0.01
-"""Largest relative difference in rate between the board's clock and this computer's. A ceramic
-resonator is accurate to 0.5 %."""
+"""Maximum relative difference in rate between the board's clock and this computer's clock. The
+board's ceramic resonator is accurate to 0.5 %."""
 RETURNING = frozenset({State.RELEASING, State.DISCHARGING, State.HOMING})
 """Transient states that lead to a state in which the board can charge."""
 
@@ -64,7 +65,7 @@ class FireResult:
     """Time of the host's steady clock, in s, after which the release output is certainly off; None
     for NOT_FIRED, because the output was never on."""
     fault: HardwareFault | None = None
-    """Reason for which the board refused; None if the last check refused."""
+    """Reason why the board refused to fire; None if the last check refused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +109,7 @@ class TapperCounters:
     timeouts: int = 0
     bad_frames: int = 0
     damaged_frames: int = 0
-    """Number of these that began or ended like a frame of the tapper."""
+    """Number of bad frames that began or ended like a frame of the tapper."""
     reconnects: int = 0
     stops: int = 0
     last_error: str = ""
@@ -139,7 +140,7 @@ class TapperDriver:
         self._channels = 1
         self._channel = 0
         self._mode = self.settings.mode
-        # A FIRE of an earlier process may still be on its way to the board.
+        # A FIRE that an earlier process sent may still be in transmission to the board.
         self._release_by = self._latest_release(transport.now(), protocol.LONGEST_WINDOW)
         self._stopped = threading.Event()
         self._received = ReceivedBytes()
@@ -183,9 +184,10 @@ class TapperDriver:
 
     @property
     def release_impossible_after(self) -> float:
-        """Time of the host's steady clock, in s, after which no shot sent so far can be released.
+        """Time of the host's steady clock, in s, after which no shot sent so far can still be
+        fired.
 
-        This includes shots of an earlier process, and lost frames do not change it.
+        The time also covers shots of an earlier process. Lost frames do not change it.
         """
         return self._release_by
 
@@ -193,8 +195,8 @@ class TapperDriver:
         """Open the line and a new session, which discharges the tapper, and set the mode.
 
         ``timeout``: longest wait for the port, and then for an answer, s. Raises HardwareFault:
-        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, PROTOCOL, TIMEOUT, STOPPED. The port is then
-        closed, except after STOPPED.
+        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, PROTOCOL, TIMEOUT, STOPPED. After a fault other
+        than STOPPED, the port is closed.
         """
         again = self._boot is not None
         self._boot = None
@@ -268,9 +270,10 @@ class TapperDriver:
         """Verify the striker's position: the spring's carriage moves to its front switch, and
         strikers at fixed mounts must close their switches.
 
-        ``go_on`` is called every few milliseconds. When it returns False, DISCHARGE is sent, which
-        stops the carriage, and the reply is returned with the state UNHOMED. Raises HardwareFault:
-        HOMING_FAILED, STRIKER_AWAY, INTERLOCK, STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
+        ``go_on`` is called every few milliseconds. When ``go_on`` returns False, DISCHARGE is sent,
+        which stops the carriage, and the reply is returned with the state UNHOMED. Raises
+        HardwareFault: HOMING_FAILED, STRIKER_AWAY, INTERLOCK, STOPPED, TIMEOUT, BOARD_RESET,
+        DISCONNECTED.
         """
         reply = self._request(Command.HOME)
         if reply.result is not Result.OK:
@@ -308,11 +311,12 @@ class TapperDriver:
 
         The tapper discharges automatically ``timeout`` s after the request, or 500 ms after the
         last frame. A carriage at an unknown position is homed first; if the carriage is returning,
-        the call waits. ``go_on`` is called every few milliseconds. When it returns False, DISCHARGE
-        is sent immediately, and the reply is returned with a state other than CHARGED. ``shot``
-        must be above every shot charged before, by at most ``MAXIMUM_JUMP``. Raises HardwareFault:
-        SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET, REJECTED, DISCONNECTED,
-        HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH, NEEDS_PERSON.
+        the call waits. ``go_on`` is called every few milliseconds. When ``go_on`` returns False,
+        DISCHARGE is sent immediately, and the reply is returned with a state other than CHARGED.
+        ``shot`` must be greater than every shot number charged before, by at most ``MAXIMUM_JUMP``.
+        Raises HardwareFault: SHOT_SPENT, INTERLOCK, STOPPED, OUT_OF_RANGE, TIMEOUT, BOARD_RESET,
+        REJECTED, DISCONNECTED, HOMING_FAILED, POSITION_LOST, STRIKER_AWAY, SETTINGS_MISMATCH,
+        NEEDS_PERSON.
         """
         if not 0 <= channel < self._channels:
             raise self._noted(FaultReason.SETTINGS_MISMATCH, self._no_such_channel(channel))
@@ -381,18 +385,19 @@ class TapperDriver:
         )
 
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
-        """Release the charged ``shot`` once, within ``window`` s from now or not at all.
+        """Fire the charged ``shot`` once, within ``window`` s from now, or not at all.
 
         The driver queries the board's time, calls ``still_allowed`` (the last check), and sends
         FIRE with a deadline ``window`` after the board's time. ``still_allowed`` receives the
-        latest time of the host's steady clock, in s, at which the release output can still be on,
-        without the striker's flight time. ``still_allowed`` is called again before each repetition
-        of FIRE, whose deadline stays the same. When it returns False, the tapper is discharged.
+        latest time of the host's steady clock, in s, at which the release output can still be on.
+        The striker's flight time is not included. ``still_allowed`` is called again before each
+        repetition of FIRE, whose deadline stays the same. When ``still_allowed`` returns False, the
+        tapper is discharged.
 
         ``window``: at most ``LONGEST_WINDOW``; a line with a USB adapter needs 20 to 40 ms. Before
         UNKNOWN is returned, the call waits until a release is no longer possible. Line errors after
-        FIRE was sent are not raised but reported by the outcome. A HardwareFault is raised only
-        before FIRE, so this call has not fired the shot: SHOT_SPENT, OUT_OF_RANGE, STOPPED,
+        FIRE was sent are not raised but reported by the outcome. Raises HardwareFault only before
+        FIRE is sent, so this call has then not fired the shot: SHOT_SPENT, OUT_OF_RANGE, STOPPED,
         TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         self._require_session()
@@ -423,7 +428,8 @@ class TapperDriver:
                 lambda: self._transport.now() < sampled_at + window and still_allowed(release_by),
             )
             if reply is None:
-                # The board rejects FIRE after a newer sequence number, so this reply is conclusive.
+                # After this request, the board rejects the older FIRE, so the reply determines the
+                # outcome.
                 sequence = self._next_sequence()
                 settle = protocol.encode(self._session, sequence, Command.DISCHARGE)
                 reply = self._exchange(settle, sequence, self.settings.attempts)
@@ -445,8 +451,9 @@ class TapperDriver:
         return self._not_fired(shot, self._refusal(reply))
 
     def _latest_release(self, sampled_at: float, window: float) -> float:
-        """Return the latest time at which the release output can still be on, s. The board read its
-        time before its reply was received, and the pulse begins before the deadline."""
+        """Return the latest time at which the release output can still be on, s. This limit is
+        safe, because the board read its time before its reply was received, and the pulse begins
+        before the deadline."""
         return sampled_at + (window + protocol.LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
 
     def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply | None:
@@ -490,7 +497,7 @@ class TapperDriver:
         return reply
 
     def discharge(self) -> Reply:
-        """Discharge the tapper without a release; this also ends a homing."""
+        """Discharge the tapper without firing; this also ends homing."""
         return self._request(Command.DISCHARGE)
 
     def stop(self) -> bool:
@@ -534,7 +541,8 @@ class TapperDriver:
         return self._sequence
 
     def _request(self, command: Command, *arguments: int | Mode) -> Reply:
-        """Send one request with repeats; raise if there is no answer or the board restarted."""
+        """Send one request, repeated until it is answered; raise if no answer arrives or the board
+        restarted."""
         self._require_session()
         sequence = self._next_sequence()
         frame = protocol.encode(self._session, sequence, command, *arguments)
@@ -565,7 +573,7 @@ class TapperDriver:
         return reply
 
     def _begin_exchange(self) -> None:
-        """Start to count the received bytes and requests."""
+        """Reset the counts of received bytes and of requests."""
         self._received = ReceivedBytes()
         self._sends = self._damaged = 0
 
@@ -613,7 +621,7 @@ class TapperDriver:
         return None
 
     def _receive(self, wait: float) -> list[Reply]:
-        """Return the replies received within ``wait`` s; return as soon as bytes arrive."""
+        """Wait up to ``wait`` s for bytes, and return the replies that they complete."""
         data = self._transport.read(wait)
         self._received.take(data)
         self._buffer += data
@@ -644,7 +652,7 @@ class TapperDriver:
             )
 
     def _refusal(self, reply: Reply) -> HardwareFault:
-        """Return the fault that a refusing reply or an unexpected state represents."""
+        """Return the fault for a reply that refuses a request or reports an unexpected state."""
         shot = f"shot {reply.shot}"
         if reply.result is Result.NEEDS_PERSON:
             reason, text = (
@@ -729,6 +737,6 @@ class TapperDriver:
 
 
 def _named(channel: int) -> tuple[int, ...]:
-    """Return the channel argument of CHARGE and FIRE. Firmware 2.0 accepts none, so channel 0 is
-    never sent."""
+    """Return the channel argument of CHARGE and FIRE. Firmware 2.0 accepts no channel argument, so
+    channel 0 is never sent."""
     return (channel,) if channel else ()

@@ -1,9 +1,9 @@
 """Driver that combines all tapper boards of a cell into one device, so that at most one striker is
 charged at a time.
 
-All boards belong to one driver and one thread. A board is charged, and its shot released, only
-after every other board has replied that it is at rest with its strikers at their mounts. No message
-between processes is involved, so that a late message cannot make two boards fire at once.
+All boards belong to one driver and one thread. A board is charged and fired only after every other
+board has replied that it is at rest with its strikers at their mounts. This needs no messages
+between processes, so a late message cannot make two boards fire at once.
 
 Channels are numbered across the boards: :func:`cell_channel` gives the number of a board's channel.
 """
@@ -18,9 +18,9 @@ from tapping_cell.hardware.tapper import FireResult, TapperCounters, TapperDrive
 from tapping_cell.hardware.tapper_protocol import Reply, State
 
 CHANNELS_PER_BOARD = 32
-"""Distance between the channel numbers of two boards."""
+"""Difference between the channel numbers of consecutive boards."""
 OTHERS_ASKED_S = 0.1
-"""Maximum age, at the last check before FIRE, of the other boards' replies, s."""
+"""Maximum age of the other boards' replies at the last check before FIRE, s."""
 PRECEDENCE = (
     State.STOPPED,
     State.CHARGED,
@@ -31,8 +31,8 @@ PRECEDENCE = (
     State.UNHOMED,
     State.SAFE,
 )
-"""States by decreasing precedence: the common state of all boards is the first of these states that
-any board has."""
+"""States by decreasing precedence. The common state of all boards is the first of these states that
+a board is in."""
 
 
 def cell_channel(board: int, channel: int) -> int:
@@ -72,7 +72,7 @@ class TapperBoards:
 
     @property
     def last_reply(self) -> Reply | None:
-        """Last replies of all boards, merged; None before each board has replied."""
+        """Last replies of all boards, merged; None until every board has replied."""
         replies = [driver.last_reply for driver in self._drivers]
         known = [reply for reply in replies if reply is not None]
         return self._merged(known) if len(known) == len(replies) else None
@@ -120,7 +120,7 @@ class TapperBoards:
     ) -> Reply:
         """Store ``energy`` in J for ``shot`` on a channel of the cell.
 
-        Raises also HardwareFault OTHER_ACTIVE: another board is not at rest.
+        Also raises HardwareFault OTHER_ACTIVE if another board is not at rest.
         """
         board, own = divmod(channel, CHANNELS_PER_BOARD)
         if not 0 <= board < len(self._drivers):
@@ -142,10 +142,10 @@ class TapperBoards:
         return self._last()
 
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
-        """Release the charged ``shot`` once, or not at all.
+        """Fire the charged ``shot`` once, or not at all.
 
-        Raises also HardwareFault OTHER_ACTIVE: another board is not at rest; nothing was released,
-        and the shot was discharged.
+        Also raises HardwareFault OTHER_ACTIVE if another board is not at rest. The shot is then not
+        fired but discharged.
         """
         driver = self._drivers[self._charged]
         asked_at = driver.now()
@@ -171,7 +171,8 @@ class TapperBoards:
         return self._on_each(lambda driver: driver.discharge())
 
     def stop(self) -> bool:
-        """Latch the stop of every board, from any thread; return whether all were sent."""
+        """Latch the stop of every board, from any thread; return whether it was sent to all
+        boards."""
         return all([driver.stop() for driver in self._drivers])
 
     def clear(self, timeout: float = 5.0) -> Reply:
@@ -179,8 +180,8 @@ class TapperBoards:
         return self._on_each(lambda driver: driver.clear(timeout))
 
     def _on_each(self, act: Callable[[TapperDriver], Reply]) -> Reply:
-        """Call every board, beginning with the board that was charged last, even if one call fails;
-        then raise the first fault."""
+        """Call ``act`` for every board, beginning with the board that was charged last. If calls
+        fail, the other boards are still called; then the first fault is raised."""
         order = sorted(range(len(self._drivers)), key=lambda board: board != self._charged)
         first: HardwareFault | None = None
         for board in order:
@@ -198,9 +199,9 @@ class TapperBoards:
         return reply
 
     def _require_rest(self, board: int) -> list[Reply]:
-        """Query all boards but ``board`` and return their replies.
+        """Query all boards except ``board`` and return their replies; raise if one is not at rest.
 
-        Raises HardwareFault: STOPPED, INTERLOCK, STRIKER_AWAY, OTHER_ACTIVE: one is not at rest.
+        Raises HardwareFault: STOPPED, INTERLOCK, STRIKER_AWAY, OTHER_ACTIVE.
         """
         replies = []
         for driver in (one for index, one in enumerate(self._drivers) if index != board):
@@ -230,7 +231,7 @@ class TapperBoards:
             boot=sum(reply.boot for reply in replies) & 0xFFFFFFFF,
             enabled=any(reply.enabled for reply in replies),
             channel=cell_channel(self._charged, own.channel),
-            # If one board has no switches, the mounts of the whole cell count as not confirmed.
+            # If one board has no switches, all mounts of the cell count as not confirmed.
             channels=sum(reply.channels for reply in replies) if fitted else 1,
             at_mounts=at_mounts if fitted else 0,
         )

@@ -9,8 +9,9 @@ Arguments of a reply: state, shot, energy in uJ, interlock closed (0/1), stop la
 last shot fired since boot (0: none), its measured speed in um/s (0: not measured), boot number, the
 board's time in ms (wraps at 2**32), mode, enabling switch held (0/1). Version 2.1 adds the channel
 of the shot, the number of channels of the board, and the mask of channels whose striker is detected
-at its mount. ``WELCOME`` adds the firmware version, whose major version is that of the protocol. A
-board with 2.0 has one channel, 0, and accepts no channel in ``CHARGE`` and ``FIRE``.
+at its mount. ``WELCOME`` adds the firmware version; its major version is the version of the
+protocol. A board with version 2.0 has only channel 0 and accepts no channel argument in ``CHARGE``
+and ``FIRE``.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ STOP = b"!"
 SILENCE_LIMIT = 0.5
 """A charged tapper discharges after this time without a valid frame, s."""
 LONGEST_WINDOW = 0.1
-"""Maximum time from the board's time to the deadline of FIRE, s; the board refuses a later
-deadline."""
+"""Maximum time by which the deadline of FIRE may lie ahead of the board's time, s; the board
+refuses a later deadline."""
 LONGEST_PULSE = 0.033
 """A hardware timer switches the release output off at most this long after it was switched on, s
 (16 bits of 0.5 us)."""
@@ -36,8 +37,8 @@ LONGEST_FRAME = 184
 """Maximum length of a frame from ``@`` to the newline, in bytes."""
 MAXIMUM_SHOT = 2**64 - 1
 MAXIMUM_JUMP = 2**32
-"""Maximum increase from the greatest shot number used. The limit prevents one wrong number from
-using up all numbers."""
+"""Maximum difference between a new shot number and the greatest number used. Without this limit,
+one wrong number could use up all numbers."""
 MAXIMUM_ENERGY_UJ = 10_000_000
 
 
@@ -55,8 +56,8 @@ class Command(Enum):
 
 
 class Result(Enum):
-    """Results of the tapper; all but the first three are refusals. A refusal has no effect, except
-    LATE, which ends the shot and discharges."""
+    """Result words of the tapper's replies; all but the first three are refusals. A refused request
+    has no effect, except after LATE, which ends the shot and discharges the tapper."""
 
     WELCOME = "WELCOME"
     OK = "OK"
@@ -145,7 +146,7 @@ class Bad:
 
     @property
     def damaged(self) -> bool:
-        """Whether the bytes begin or end like a frame, so that a tapper has sent them."""
+        """Whether the bytes begin or end like a frame, so that a tapper probably sent them."""
         return self.data.startswith(b"@") or b"*" in self.data
 
 

@@ -19,14 +19,14 @@ class JointSample:
     """Joint positions measured by the arm's own driver; rad and m, in joint order."""
 
     measured: float
-    """Time of the link's steady clock at or after the measurement, s."""
+    """Latest possible time of the measurement on the link's steady clock, s."""
     received: float
     """Time when the sample was received, s."""
     positions: tuple[float, ...]
     velocities: tuple[float, ...] | None = None
     """None if the arm's driver does not report velocities."""
     ahead: float = 0.0
-    """Time by which the sample's stamp is in the future of this computer's clock, s."""
+    """Time by which the sample's stamp is ahead of this computer's clock, s."""
     problem: str = ""
     """Reason why the positions cannot be trusted; empty if they can."""
 
@@ -39,8 +39,8 @@ def braking_point(
 ) -> TrajectoryPoint | None:
     """Return the point at which an arm that brakes now comes to rest; None without any sample.
 
-    An arm on its ``course`` is assumed to have followed it since its last state. Without a course,
-    its last speed is extrapolated for up to ``LONGEST_EXTRAPOLATION``.
+    An arm on its ``course`` is assumed to have followed it since its last joint state. Without a
+    course, the last speed is extrapolated for up to ``LONGEST_EXTRAPOLATION``.
     """
     if not samples:
         return None
@@ -56,7 +56,7 @@ def braking_point(
 
 
 def _speeds(samples: Sequence[JointSample]) -> tuple[float, ...]:
-    """Return the joint speeds, as reported or from the last two samples."""
+    """Return the joint speeds: as reported, or computed from the last two samples."""
     newest, before = samples[-1], samples[-2] if len(samples) > 1 else samples[-1]
     if newest.velocities is not None:
         return newest.velocities
@@ -86,7 +86,8 @@ class Progress:
 
 
 class TrajectoryLink(Connection, Protocol):
-    """Connection to a trajectory controller. ``open`` waits until it accepts trajectories.
+    """Connection to a trajectory controller. ``open`` waits until the controller accepts
+    trajectories.
 
     ``stop`` ignores its bytes and brakes the arm.
     """
@@ -101,7 +102,8 @@ class TrajectoryLink(Connection, Protocol):
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of the arm's; empty if none did."""
+        """Joint names in the last message that lacked some of the arm's joints; empty if there was
+        none."""
 
     @property
     def other_commanders(self) -> Sequence[str]:

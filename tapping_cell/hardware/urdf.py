@@ -1,7 +1,7 @@
 """Generation of the arm's URDF from its kinematic dimensions, for viewers and planners.
 
-Shapes and masses are those of plain aluminium bars, because the cell file contains neither. Efforts
-are the loads of each joint at the arm's maximum accelerations, with these masses and the arm
+Shapes and masses are those of plain aluminium bars, because the cell file contains neither. The
+effort limits are the joint loads at the arm's maximum accelerations, with these masses and the arm
 stretched out.
 """
 
@@ -52,7 +52,8 @@ class _Bar:
         return (0.0, 0.0, self.length / 2) if self.upright else (self.length / 2, 0.0, 0.0)
 
     def about_z(self, distance: float) -> float:
-        """Return the moment of inertia about a vertical axis ``distance`` m behind the origin."""
+        """Return the moment of inertia about a vertical axis that is ``distance`` m behind the
+        origin, kg m^2."""
         own = self.along if self.upright else self.across
         return own + self.mass * (self.centre[0] + distance) ** 2
 
@@ -98,7 +99,7 @@ def urdf(geometry: ScaraGeometry, name: str = "scara_arm") -> str:
 
 
 def _bars(geometry: ScaraGeometry) -> dict[str, _Bar]:
-    """Return the solid of each link except ``striker``, which is a point."""
+    """Return the cylinder of each link by name. The link ``striker`` is a point and has none."""
     return {
         "arm_base": _Bar(max(geometry.tip_height, LINK_RADIUS), upright=True),
         "upper_arm": _Bar(geometry.upper_arm, upright=False),

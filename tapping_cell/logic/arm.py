@@ -2,8 +2,8 @@
 be fired.
 
 The arm reports that it is in position only after it has read back its joints. Before the tapper
-fires, it calls ``hold_still``. By granting this request the arm promises not to begin any motion
-for a while. docs/safety.md shows why no shot is then fired while the arm moves.
+fires, it calls ``hold_still``. By granting this request, the arm promises to begin no motion for
+the requested time. docs/safety.md shows why no shot is then fired while the arm moves.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ from tapping_cell.se2 import Pose
 READ_PERIOD_S = 0.05
 """Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
 FRESH_READING_S = 0.25
-"""Maximum age of the read-back at which the arm still promises to stand still."""
+"""Maximum age of the last read-back for the arm to grant a promise to stand still."""
 SHORT_REST_S = 0.05
 """Remaining time of a promise at which the arm begins to prepare its next move."""
 DISCHARGED_S = 0.7
-"""Time after the last report of a charged striker within which the board discharges automatically:
+"""Time within which the board discharges automatically after the last report of a charged striker:
 0.5 s without a request, plus the return of the drive."""
 LONGEST_WAIT_S = 3.0
 """Maximum time that the arm waits, after a tap is over, for the striker to be discharged."""
@@ -164,7 +164,7 @@ HEALTHY = frozenset(
 AT_WORK = HEALTHY - {S.IDLE}
 """States in which the arm moves, or stands at the strike pose and may move again."""
 NO_REQUESTER = (0, 0)
-"""Tap id and key if no request may end the promise early."""
+"""Tap id and key that match no request, so that no request can end the promise early."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -282,8 +282,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         )
 
     def _scene_of(self, command: TapCommand) -> Scene | None:
-        """Return the scene that the camera must see after a tap, or None if the scene is not
-        known."""
+        """Return the object and strike poses that determine what the camera must see after a tap;
+        None if they are not known."""
         if self._camera is None or not self._options.withdraw_until_seen:
             return None
         poses = (command.object_pose, command.predicted_pose, command.strike_pose)
@@ -294,7 +294,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """Park the arm, because it hides the object even after its withdrawal."""
+        """Move the arm to its park pose, because it hides the object even after its withdrawal."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return
@@ -309,7 +309,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run_withdrawal(now)
 
     def _clear_view(self, command: TapCommand, now: Now) -> None:
-        """Move the arm to a pose in which it does not hide the area that it hides now."""
+        """Move the arm to uncover the area that it hides from the camera now."""
         self._machine.move(Event.CLEAR_VIEW, S.WITHDRAWING)
         self._last_tap_id = command.tap_id
         self._error = (ErrorCode.NONE, "")
@@ -321,7 +321,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._run_plan(partial(withdrawal, self._cell, self._scene, motion=self._motion()), now)
 
     def _run_plan(self, plan: Callable[[Joints], Sequence[Waypoint]], now: Now) -> None:
-        """Move along the path that ``plan`` computes from the joints of the arm at rest."""
+        """Start a move along the path that ``plan`` computes from the joint values of the arm at
+        rest."""
         not_before = self._free_at(now)
         self._run("withdraw", partial(arm_jobs.withdraw, plan=plan, not_before=not_before))
 
@@ -420,8 +421,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         requester = request.tap_id, request.key
         is_shorter = 0 <= request.duration < self._promised_for
         if request.key and requester == self._promised_to and is_shorter:
-            # Only the tapper knows the key. It ends the promise when its striker is released or
-            # discharged.
+            # Only the tapper knows the key. The tapper ends the promise when its striker was fired
+            # or discharged.
             self._released_tap, self._charged_until = request.tap_id, -math.inf
             stands = end <= self._promise_end
             self._promise_end = min(self._promise_end, end)
@@ -493,8 +494,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._leave_when_free(now)
 
     def _free_at(self, now: Now) -> float:
-        """Return the earliest time on the steady clock at which a motion may begin, s: not before
-        the end of a promise, and not with a charged striker."""
+        """Return the earliest time on the steady clock at which a motion may begin, s: after the
+        end of a promise, and not while the striker is charged."""
         return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))
 
     def _leave_when_free(self, now: Now) -> None:
@@ -503,7 +504,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         # The arm does not move a charged striker. The tapper's reports can only lengthen the wait.
         if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
-        # The job reads the joints, then waits until the promise ends.
+        # The job may start shortly before the promise ends: it reads the joints, then waits for the
+        # end.
         if now.steady >= self._promise_end - SHORT_REST_S:
             self._machine.move(Event.FREE, S.WITHDRAWING)
             if self._to_park:
@@ -548,8 +550,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is S.INACTIVE and fault.reason not in LOST:
             return
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
-            # Nothing was sent, so the arm has not moved: this is not a fault that an operator must
-            # clear.
+            # No motion command was sent, so the arm has not moved. An operator need not clear a
+            # fault.
             self._set_error(of_arm(fault), fault.sentence)
             self._give_up(now)
             return
@@ -608,8 +610,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
         self._longest_hold = permit.longest_hold(event.cell)
-        # Before its restart this node may have promised to stand still, for a strike according to
-        # another cell file.
+        # Before a restart, this node may have granted a promise to stand still, possibly for a
+        # tapper of another cell file.
         self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
 
     def _closed(self) -> None:
@@ -626,7 +628,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._stand(Event.CONNECTED)
 
     def _stand(self, event: Event) -> None:
-        """Go to the state of an arm that was just connected, cleared or activated."""
+        """Set the state after the arm was connected, cleared or activated."""
         self.patience = patience_after(self.patience, None)
         self._tap_id = 0
         if not self._active and event is not Event.CONNECTED:
@@ -658,7 +660,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self._stops.stopped:
             return
         if self._job is not None:
-            # The arm stops at the end of the current move.
+            # The arm stops at the end of the waypoint move in progress.
             self._abandon()
             self._halting = True
         else:
@@ -708,7 +710,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         elif self.state not in (S.STOPPED, S.FAULT):
             self._read_when_due(READ_PERIOD_S, arm_jobs.read, now)
         if self.state is S.IN_POSITION and now.ros > self._expiry:
-            # The planner did not withdraw this tap in time; its node may have ended.
+            # The planner did not withdraw this tap in time; the planner's node may have ended.
             self._give_up(now)
         self._leave_when_free(now)
 
@@ -773,7 +775,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return pose
 
     def _urgent_content(self, now: Now) -> tuple[object, ...]:
-        # While the arm moves, the end of each move is published immediately.
+        # While the arm moves to a strike pose, each new read-back is published immediately.
         state = self.state
         read = self._read_stamp if state is S.PLACING else None
         return WIRE[state], self._tap_id, self._is_key_held(now), self._error, read
@@ -805,6 +807,8 @@ def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
         at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
         before = targets[-1][1] if targets else 0.0
         if at < 0 or (targets and at <= before):
-            raise ValueError(f"point {number} is due at {at:g} s, its predecessor at {before:g} s")
+            raise ValueError(
+                f"point {number} is due at {at:g} s, but must be later than {before:g} s"
+            )
         targets.append((Joints(*(point.positions[index] for index in order)), at))
     return targets

@@ -1,4 +1,4 @@
-"""The arm as round bars in ``table``, for what it hides from the camera."""
+"""Round bars that represent the arm in ``table``, to compute what it hides from the camera."""
 
 from __future__ import annotations
 

@@ -93,8 +93,8 @@ def place(
 def withdraw(
     context: JobContext, plan: Callable[[Joints], Sequence[Waypoint]], not_before: float
 ) -> MotionEnd:
-    """Leave the strike pose along a path planned from the present joints. ``not_before``: earliest
-    start on the steady clock, s."""
+    """Leave the strike pose along the path that ``plan`` returns for the present joints.
+    ``not_before``: earliest start on the steady clock, s."""
     driver: ArmDriver = context.driver
     here = driver.read_joints()
     path = plan(here)
@@ -109,7 +109,7 @@ def follow(
     scale: float,
     not_before: float,
 ) -> MotionEnd:
-    """Follow a trajectory of joints and times from its start in s, with a stop at every point.
+    """Follow a trajectory of joints with times in s from its start; the arm stops at every point.
     ``scale``: factor on the speed."""
     driver: ArmDriver = context.driver
     _wait(context, not_before)
@@ -126,7 +126,7 @@ def follow(
 
 
 def _wait(context: JobContext, until: float) -> None:
-    """Wait without motion until a time of the steady clock."""
+    """Wait without moving until the given time of the steady clock."""
     left = until - context.now().steady
     if left > 0:
         context.sleep(left)

@@ -23,14 +23,15 @@ from tapping_cell.se2 import Array, Pose, compose
 REST_S = 0.30
 """Duration of a tap without the arm's moves: settling, firing, observation and messages."""
 SIDEWAYS_S = 0.25
-"""Mean time from above a strike pose to a pose in which the camera sees the object."""
+"""Mean duration of the move from above a strike pose to a pose at which the camera sees the object,
+s."""
 HEADINGS = np.arange(12) * (2.0 * math.pi / 12)
 """Headings of the strikes around the table's centre over which times are averaged, rad."""
 
 
 class ArmTimes:
-    """``planning.tap_times.TapTimes`` of a cell's arm. ``camera``: position of the lens in
-    ``table``, m; only ``tap`` uses it."""
+    """Implementation of ``planning.tap_times.TapTimes`` for a cell's arm. ``camera``: position of
+    the lens in ``table``, m; only ``tap`` uses it."""
 
     def __init__(self, cell: Cell, camera: tuple[float, float, float] | None = None) -> None:
         self._cell = cell
@@ -72,7 +73,8 @@ class ArmTimes:
         return self._tip(self._motion.park)
 
     def tap(self, tip: Array, before: Pose, strike: Strike) -> tuple[float, Array]:
-        """Return the duration of a tap in s and the tip (4,) after it, from the tip (4,) before.
+        """Return the duration of a tap in s and the tip's pose (4,) after it. ``tip``: pose (4,)
+        before it.
 
         ``before``: pose of the object for which the tap was planned.
         """
@@ -96,8 +98,8 @@ class ArmTimes:
         return np.stack([planar[..., 0], planar[..., 1], z, planar[..., 2]], axis=-1)
 
     def _joints(self, poses: Array, height: float) -> Array:
-        """Return joints (..., 4) with the tip at poses (..., 3) in ``table``; NaN if out of reach.
-        The elbow is on the same side as in the park pose if possible."""
+        """Return the joints (..., 4) that bring the tip to poses (..., 3) in ``table``; NaN if out
+        of reach. The elbow is on the same side as in the park pose if possible."""
         tips, park = self._tips(poses, height), self._motion.park
         own = self._geometry.branch_of(park)
         other = next(side for side in Branch if side is not own)
@@ -114,8 +116,8 @@ class ArmTimes:
 
 def arm_times(cell: Cell) -> ArmTimes | None:
     """Return the times of a cell's arm; None if the cell has no arm, or if the configured arm
-    cannot move to a strike. In the second case the arm's driver reports the cause, and no tap is
-    commanded."""
+    cannot reach the strike poses. If the arm cannot reach them, its driver reports the cause, and
+    no tap is commanded."""
     if cell.file.arm is None:
         return None
     try:

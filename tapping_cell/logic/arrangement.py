@@ -1,8 +1,8 @@
-"""Task of arranging several objects, with the progress of each object and its reports.
+"""Task of arranging several objects, which tracks and reports the progress of each object.
 
 ``planning.arrangement`` decides which object is tapped next and how. The planner's state machine
-executes each of these taps like any other, with the same checks and waits. This module determines
-which objects must be seen before a decision, tracks the progress of each object, and reports it.
+executes each of these taps like any other tap, with the same checks and waits. This module
+determines which objects must be seen before a decision.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ P = Progress
 OPEN = (P.WAITING, P.ACTIVE, P.MAKING_WAY, P.REACHED)
 PROGRESS_TABLE = table(
     [
-        # An object that was touched by another object or must make way leaves its goal again.
+        # An object at its goal can leave it again: another object touched it, or it must make way.
         (OPEN, Change.TAPPED_TO_GOAL, (P.ACTIVE,)),
         (OPEN, Change.TAPPED_AWAY, (P.MAKING_WAY,)),
         (OPEN, Change.LEFT, (P.WAITING,)),
@@ -100,7 +100,7 @@ class RequestedGoal:
 @dataclass(slots=True, eq=False, kw_only=True)
 class ArrangementTask(Task):
     """Task of moving several objects to their goals. ``object_id`` and ``goal`` belong to the
-    present move. A planner that crashed does not resume this task."""
+    object that is moved at present. After a crash, the planner does not resume this task."""
 
     resumable: ClassVar[bool] = False
 
@@ -116,7 +116,7 @@ class ArrangementTask(Task):
     """Areas on the table that belong to no object of the cell."""
     arrangement: ArrangementSession | None = None
     touched: list[str] = field(default_factory=list)
-    """Objects that were moved by a tap of another object and not yet reported."""
+    """Objects that a tap of another object has moved and that have not been reported yet."""
     _seen: dict[str, Observation] = field(default_factory=dict)
     _states: dict[str, ObjectState] = field(default_factory=dict)
     _tap: TapOf | None = None
@@ -144,8 +144,9 @@ class ArrangementTask(Task):
     def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:
         """Return whether every object was seen at rest after the steady time ``after``.
 
-        If so, the monitor then watches the present object, otherwise the first object not yet seen.
-        An object that is not on the table and must not be moved is left out from the beginning.
+        If every object was seen, the monitor then watches the present object, otherwise the first
+        object not yet seen. An object that must not be moved is left out if it is not on the table
+        when the task begins.
         """
         found = {}
         for body in self._bodies():
@@ -225,7 +226,8 @@ class ArrangementTask(Task):
         return self._seen[self.object_id].pose
 
     def others_moved(self, monitor: CellMonitor, distance: float, angle: float) -> bool:
-        """Return whether an object other than the tapped one has moved since the tap was planned.
+        """Return whether an object other than the tapped object has moved since the tap was
+        planned.
 
         ``distance`` in m and ``angle`` in rad are the limits.
         """
@@ -252,7 +254,8 @@ class ArrangementTask(Task):
         }
 
     def end(self, code: int, sentence: str) -> None:
-        """Store why the task ended, and mark the objects that are not at their goals as failed."""
+        """Store why the task ended. After a failure, mark the objects that are not at their goals
+        as failed."""
         self._ended = (code, sentence)
         if code:
             for name in self._reported_objects():
@@ -306,7 +309,7 @@ class ArrangementTask(Task):
         return self.bodies if self.arrangement is None else self.arrangement.bodies
 
     def _turn_to(self, name: str) -> None:
-        """Make an object the present one, which is observed and reported from now on."""
+        """Make ``name`` the present object, which is observed and reported from now on."""
         self.object_id = name
         if name in self.wanted:
             self.goal, self.message = self.wanted[name].goal, self.wanted[name].message
@@ -331,7 +334,8 @@ class ArrangementTask(Task):
         self._machine(name).move(change, FOLLOWS[change])
 
     def _reported_objects(self) -> list[str]:
-        """Return the objects with a goal as in the request, then the objects that made way."""
+        """Return the objects with a goal in the order of the request, then the objects that made
+        way."""
         return [*self.wanted, *(name for name in self._progress if name not in self.wanted)]
 
     def _progress_of(self, name: str) -> ObjectProgress:

@@ -1,4 +1,4 @@
-"""Monitor of the last messages of camera, arm and tapper, evaluated for the planner."""
+"""Monitor that evaluates the last messages of camera, arm and tapper for the planner."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ CodedError = tuple[int, str]
 """Error code and message."""
 
 QUICKEST_IMAGE_S = 0.05
-"""Upper bound of the minimum delay from an image to its observation, beyond the delay of the arm's
-messages, s. This delay cannot be distinguished from a difference of the clocks, so the estimated
-capture time of an image can be too late by up to this bound."""
+"""Maximum time by which the estimated capture time of an image can be too late, s. The minimum
+delay of the camera's messages, beyond that of the arm's messages, cannot be distinguished from a
+difference of the clocks."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 DOING = {
     ArmState.HOMING: "homing",
@@ -31,8 +31,8 @@ NAMES = {"object": "camera_pose", "arm": "scara_arm", "tapper": "tapper_trigger"
 class CellMonitor:
     """Stores the last messages of camera, arm and tapper boards, each with its time of arrival.
 
-    Times of observations are compared with other events on this computer's steady clock. The
-    camera's stamps are corrected for the estimated offset of its clock from this one.
+    The times of observations and of other events are compared on this computer's steady clock. The
+    camera's stamps are converted with the estimated offset between the two clocks.
     """
 
     def __init__(self, silence_limit: float) -> None:
@@ -50,17 +50,17 @@ class CellMonitor:
 
     @property
     def object(self) -> ObjectState | None:
-        """Last state of the watched object; None if none was received."""
+        """Last received state of the watched object; None if no state was received."""
         return self._states.get(self._watched) if self._watched else self._own
 
     def watch(self, name: str) -> None:
         """Select the object for all following queries by its name in ``object_states``. An empty
-        name selects the cell's own object, which ``object_state`` reports."""
+        name selects the cell's own object, whose state is received on ``object_state``."""
         self._watched = name
 
     def expect(self, has_arm: bool) -> None:
-        """Set whether the cell has an arm. Without this call it is derived from the received
-        messages."""
+        """Set whether the cell has an arm. Without this call, the monitor derives it from the
+        received messages."""
         self._arm_expected = has_arm
 
     @property
@@ -148,7 +148,7 @@ class CellMonitor:
         )
 
     def at_rest_after(self, moment: float, now: Now) -> bool:
-        """Return whether the object is seen at rest, and this rest began after the steady time
+        """Return whether the object is seen at rest and came to rest after the steady time
         ``moment``."""
         seen = self.object
         if seen is None or not seen.visible or not seen.at_rest:
@@ -223,8 +223,8 @@ class CellMonitor:
         )
 
     def withdrawn(self, now: Now) -> bool:
-        """Return whether the arm leaves the camera a free view, no tapper is charged and no striker
-        of a fixed mount is out."""
+        """Return whether the camera has a free view past the arm, no tapper is charged, and every
+        striker at a fixed mount is retracted."""
         arm = self.arm
         free = not self.has_arm or (
             arm is not None and arm.state == ArmState.IDLE and arm.clear_of_camera
@@ -233,7 +233,7 @@ class CellMonitor:
         return free and safe and not self.lost(now)
 
     def in_position(self, tap_id: int) -> bool:
-        """Return whether the arm publishes that it is in position for this tap."""
+        """Return whether the arm reports that it is in position for this tap."""
         arm = self.arm
         return arm is not None and arm.tap_id == tap_id and arm.state == ArmState.IN_POSITION
 
@@ -245,7 +245,8 @@ class CellMonitor:
         return arm.error_code, arm.error_msg
 
     def left_behind(self) -> int:
-        """Return the id of a tap that the arm still executes for a previous planner; 0 if none."""
+        """Return the id of a tap from a previous planner that the arm still executes; 0 if there is
+        none."""
         arm = self.arm
         serving = arm is not None and arm.state in (ArmState.IN_POSITION, ArmState.MOVING)
         return int(arm.tap_id) if arm is not None and serving else 0
@@ -273,7 +274,7 @@ class CellMonitor:
         return _away(self.object, pose, distance, angle)
 
     def moved(self, name: str, pose: Pose, distance: float, angle: float) -> bool:
-        """Like :meth:`seen_away_from`, for any object in ``object_states``."""
+        """Same as :meth:`seen_away_from` for the object ``name`` in ``object_states``."""
         return _away(self._states.get(name), pose, distance, angle)
 
     def blind(self, waited: float, frames: int, now: Now, moved_aside: bool = False) -> CodedError:
@@ -319,8 +320,8 @@ class CellMonitor:
         )
 
     def _hidden_place(self, moved_aside: bool) -> str:
-        """Return, as the end of a sentence, which part of the table the arm hides; empty without an
-        arm."""
+        """Return the end of a sentence: which part of the table the arm hides. Empty in a cell
+        without an arm."""
         if not self.has_arm or self.arm is None:
             return ""
         if not self.arm.clear_of_camera:

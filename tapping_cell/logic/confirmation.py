@@ -1,8 +1,8 @@
 """Validity of a person's confirmation of a planned tap.
 
 If a confirmed tap is not fired because a message or image came too late, the tap is planned again.
-The confirmation is valid for the new plan if the tap is the same; otherwise a new confirmation is
-requested, with the differences.
+The confirmation is valid for the new plan if the planned tap is nearly the same. Otherwise, a new
+confirmation is requested, and the request states the differences.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from tapping_cell.logic.task import Shot
 from tapping_cell.se2 import Pose
 
 HOLDS_S = 20.0
-"""Time for which a confirmation remains valid, so that no tap surprises the operator later."""
+"""Time for which a confirmation remains valid, s. The limit prevents a tap long after the
+confirmation, which could surprise the operator."""
 OBJECT_M, OBJECT_RAD = 0.0005, math.radians(0.5)
 """Maximum displacement of the object since the confirmed plan."""
 STRIKE_M, STRIKE_RAD = 0.001, math.radians(1.0)
@@ -27,7 +28,7 @@ SPEED_SHARE = 0.05
 class Confirmation:
     """A tap that a person confirmed at the steady time ``at``, s.
 
-    ``withdrawn``: why the confirmation no longer holds for any plan; empty if it may hold.
+    ``withdrawn``: why the confirmation is no longer valid for any plan; empty if it may be valid.
     """
 
     shot: Shot
@@ -35,8 +36,8 @@ class Confirmation:
     withdrawn: str = ""
 
     def difference(self, planned: Shot, now: float) -> str:
-        """Return why the confirmation does not hold for a newly planned tap at the steady time
-        ``now``; an empty text if it holds."""
+        """Return why the confirmation is not valid for a newly planned tap at the steady time
+        ``now``; an empty text if it is valid."""
         confirmed = self.shot
         old, new = confirmed.strike.plan, planned.strike.plan
         if self.withdrawn:

@@ -43,8 +43,8 @@ from tapping_cell.messages import ErrorCode, StopState, Trigger
 FIRST_TIMEOUT_S = 1.0
 """Timeout of the first attempt to open a port and receive a reply."""
 LONGEST_TIMEOUT_S = 6.0
-"""Maximum of this timeout. It is doubled after each attempt without a reply, because opening a port
-restarts many boards, and some of them take seconds."""
+"""Maximum timeout of an attempt to connect. The timeout is doubled after each attempt without a
+reply, because opening a port restarts many boards, and some of them take seconds to restart."""
 MUTE = (
     FaultReason.UNKNOWN_FIRMWARE,
     FaultReason.TIMEOUT,
@@ -59,7 +59,8 @@ Event = TypeVar("Event", bound=Enum)
 
 
 def patience_after(patience: float, fault: HardwareFault | None) -> float:
-    """Return the timeout in s of the next ``connect`` after one with the timeout ``patience``."""
+    """Return the timeout in s of the next ``connect``; the last one had the timeout ``patience``
+    and ended with ``fault``."""
     if fault is not None and fault.reason in MUTE:
         return min(2 * patience, LONGEST_TIMEOUT_S)
     return FIRST_TIMEOUT_S
@@ -68,9 +69,9 @@ def patience_after(patience: float, fault: HardwareFault | None) -> float:
 class DeviceLogic(ABC, Generic[State, Event]):
     """Common part of the state machines of the devices.
 
-    One job at a time executes a command. A read job may run as well; its result is used only if no
-    other job was started since. If a stop, a fault or a new connection occurs during a job, the end
-    of this job does not change the state.
+    One job at a time executes a command. A job that reads the device's state may be queued as well;
+    its result is used only if no other job was started since. If a stop, a fault or a new
+    connection occurs during a job, the end of this job does not change the state.
     """
 
     stop_error: CodedError
@@ -138,16 +139,17 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     @abstractmethod
     def _overtaken(self, event: JobEnded, now: Now) -> None:
-        """Handle the end of a job during which a stop, a fault or a new connection occurred: keep
-        the part of its result that is still valid."""
+        """Handle the end of a job during which a stop, a fault or a new connection occurred. Keep
+        the part of the job's result that is still valid."""
 
     @abstractmethod
     def _configured_with(self, event: Configured, now: Now) -> None:
-        """Store the cell, before any other step of the configuration."""
+        """Store the cell of the configuration; this is called before any other configuration
+        step."""
 
     @abstractmethod
     def _closed(self) -> None:
-        """Handle the closing of the port: forget the device's state, but not a stop."""
+        """Handle the closing of the port: discard the device's state, but keep a stop latched."""
 
     @abstractmethod
     def _code_of(self, fault: HardwareFault) -> int:
@@ -327,7 +329,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._effects.append(RunJob(Job(self._jobs, "read", run)))
 
     def _abandon(self) -> None:
-        """Request that the job under way ends between two of its steps."""
+        """Request that the job under way ends after its current step."""
         if self._job is not None:
             self._effects.append(AbandonJob(self._job))
 
@@ -337,7 +339,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._job = None
 
     def _set_error(self, code: int, sentence: str) -> None:
-        """Set a fault or refusal as the error of the state, and log it once."""
+        """Set a fault or refusal as the error in the published state, and log it once."""
         if sentence and self._error[1] != sentence:
             self._log(LogLevel.ERROR, sentence)
         self._error = (code, sentence)
@@ -359,7 +361,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     @abstractmethod
     def _urgent_content(self, now: Now) -> tuple[object, ...]:
-        """Return the content of the state message whose changes are published immediately."""
+        """Return the part of the state message whose changes are published immediately."""
 
     # Stops
 

@@ -34,12 +34,14 @@ class JobContext(Protocol):
         """Return whether :class:`AbandonJob` was requested for this job."""
 
     def post(self, content: object) -> None:
-        """Send :class:`JobProgress` with this content to the machine; return once it is handled."""
+        """Send a :class:`JobProgress` with this content to the machine; return once the machine has
+        handled it."""
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """Call a method of the machine without side effects, under the lock of its handlers.
+        """Call ``query``, a side-effect-free method of the machine, under the lock of the machine's
+        handlers.
 
-        The time passed to the method is read once the lock is held.
+        The time that is passed to the method is read after the lock was taken.
         """
 
 
@@ -91,8 +93,9 @@ class Publish:
 class Call:
     """Call a service. ``on_answer(token, response)`` follows once, with None after ``timeout``.
 
-    If several nodes offer the service, it is not called and the answer is SeveralServers: each of
-    them would handle the request, and the first answer might be that of the wrong node.
+    If several nodes offer the service, it is not called, and the answer is SeveralServers.
+    Otherwise each node would handle the request, and the first answer might come from the wrong
+    node.
     """
 
     service: str
@@ -113,8 +116,8 @@ class SeveralServers:
 class AskStops:
     """Query the present level of every publisher of ``emergency_stop``.
 
-    ``on_answer(token, StopLevels)`` follows once. The host creates a new subscription for this,
-    because an existing one does not identify the publisher of a message.
+    ``on_answer(token, StopLevels)`` follows once. The host creates a new subscription for this
+    query, because messages of an existing subscription do not identify their publisher.
     """
 
     token: Token
@@ -129,10 +132,11 @@ class StopLevels:
     publishers: tuple[str, ...]
     """Names of the nodes that publish ``emergency_stop`` at present."""
     gone: tuple[str, ...]
-    """Nodes whose publisher does not exist any more, but did when a stop was received after the
-    last ``KeepStop(None)``."""
+    """Nodes whose publisher no longer exists but existed when a stop was received after the last
+    ``KeepStop(None)``."""
     silent: tuple[str, ...] = ()
-    """Nodes whose publisher does not repeat its level, if there are several publishers."""
+    """If there are several publishers: nodes whose publisher does not resend its level to a new
+    subscription."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ TOPIC = "enabling"
 SOURCE = "enabling device released"
 """Source in ``stop_state`` of a stop by the enabling device."""
 HEARTBEAT_S = 0.35
-"""Time after the last message that a key or switch is held at which it counts as released."""
+"""Time without a message that a key or switch is held after which the device counts as released."""
 RELEASED: CodedError = (
     ErrorCode.ENABLING_RELEASED,
     "set-up mode: no enabling device is held; hold the page's key or the foot switch",

@@ -1,4 +1,4 @@
-"""Goal handling of a cell with fixed tappers, which uses a different kind of session."""
+"""Goal handling of a cell with fixed tappers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from tapping_cell.se2 import Array, Pose
 
 
 class FixedGoalHandling(GoalHandling):
-    """See the module's docstring. The estimates of the mounts are kept from goal to goal."""
+    """See the module's docstring. The estimated errors of the mounts are kept from one goal to the
+    next."""
 
     def _prepare(self, cell: Cell) -> None:
         self._whole = assembly.make_fixed_space(cell, objective=self._objective)

@@ -11,7 +11,7 @@ TABLE = "table"
 
 
 class FrameError(LookupError):
-    """A frame is not connected to ``table``; the message names the frames that are."""
+    """A frame is not connected to ``table``; the message names the connected frames."""
 
 
 class Frames(Protocol):
@@ -26,7 +26,7 @@ class Frames(Protocol):
 
 
 class TableOnly:
-    """Stand-in without any other frame, used if tf2_ros is not installed."""
+    """Replacement that knows only ``table``; used if tf2_ros is not installed."""
 
     def in_table(self, frame: str, stamp: Time) -> Pose:
         """Raise FrameError."""

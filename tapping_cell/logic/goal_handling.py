@@ -61,7 +61,7 @@ class Request:
     time_limit: float = 0.0
     token: Token | None = None
     probe: bool = False
-    """Whether to begin with a few of the smallest taps."""
+    """Whether to begin with a few of the smallest taps, to estimate the object's friction."""
     ask: bool = False
     """Whether a person confirms every tap."""
     object_id: str = ""
@@ -118,7 +118,8 @@ class GoalHandling:
         """Areas that the other objects cover; None for an object that is not on the table."""
         self._planned_among = self.others
         self._use_map()
-        # The method is created now, because some methods run a solver before the first goal.
+        # The planning method is created now, because some methods run a solver before the first
+        # goal.
         self._use_method(cell.tolerance)
         self._cells = {
             file.name: replace(cell, object=file) for file in (cell.object, *other_objects.files)
@@ -132,8 +133,8 @@ class GoalHandling:
         )
 
     def _maps_of_objects(self) -> dict[str, FreeSpace]:
-        """Return the free space of each object on the table without the others. Objects that differ
-        only in name and appearance share a map."""
+        """Return the free space of each object on a table without other objects. Objects that
+        differ only in name and appearance share a map."""
         made: dict[str, FreeSpace] = {}
         maps = {}
         for name, cell in self._cells.items():
@@ -158,7 +159,7 @@ class GoalHandling:
         self._planners: dict[str, Planner] = {}
 
     def _use_map(self) -> None:
-        """Select the map with the other objects at their present places."""
+        """Select the map of the table with the other objects at their present poses."""
         self.map = self._maps.among([area for area in self.others if area is not None])
 
     def _use_method(self, tolerance: tuple[float, float]) -> None:
@@ -204,10 +205,10 @@ class GoalHandling:
     def update_free_space(
         self, task: Task, since: float, search_since: float, now: Now
     ) -> tuple[int, str] | None:
-        """Make a task use the free space among the other objects.
+        """Update the free space of a task to the present poses of the other objects.
 
-        Return an error if any of them was not observed since the steady time ``since``, or if
-        objects without a file were not searched for since ``search_since``.
+        Return an error if another object was not observed since the steady time ``since``, or if
+        the camera has not searched for objects without an object file since ``search_since``.
         """
         if not self.other_objects.searched(search_since):
             return (
@@ -216,7 +217,7 @@ class GoalHandling:
                 "an object is moving; make sure that nothing moves on the table",
             )
         if isinstance(task, ArrangementTask):
-            # An arrangement observes the objects of the cell itself.
+            # The arrangement task itself observes the objects of the cell.
             task.avoid(self.other_objects.unknown)
             return None
         names = self.other_objects.unobserved(since)
@@ -401,8 +402,8 @@ class GoalHandling:
         *,
         ask: bool = False,
     ) -> ArrangementTask | Refused:
-        """Return a task for an arrangement, or why it is refused. Whether its layout can be reached
-        is checked only after every object has been seen."""
+        """Return a task for an arrangement, or why it is refused. Whether the requested layout can
+        be reached is checked later, after every object has been seen."""
         if self.cell.file.arm is None:
             return Refused(
                 ErrorCode.NO_ARRANGEMENT,
@@ -500,11 +501,11 @@ class GoalHandling:
         return wanted
 
     def _free_of(self, name: str) -> FreeSpace:
-        """Return the free space of one object on the table without the others."""
+        """Return the free space of one object on a table without other objects."""
         return self._free[name] if name in self._free else self._maps.among(()).free
 
     def _planner_for(self, cell: Cell, tolerance: tuple[float, float]) -> Planner:
-        """Return the planning method, from a cache, for a cell's object and a tolerance."""
+        """Return the planning method for a cell's object and a tolerance; methods are cached."""
         settings = assembly.make_planner_settings(cell, tolerance)
         key = f"{self._planner};{settings.key()}"
         if key not in self._planners:

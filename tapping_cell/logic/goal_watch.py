@@ -1,7 +1,8 @@
-"""Watch, for a waiting client, whether the planner still pursues the goal that it accepted.
+"""Check, for a waiting client, whether the planner still pursues the goal that it has accepted.
 
 After a crash of the planner no action result is sent. If the planner restarts soon, it resumes the
-goal and reports its end only in ``plan_state``. Otherwise the client has to end the wait.
+goal and reports its end only in ``plan_state``. If the planner does not resume the goal, the client
+has to end the wait.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ SAME_M = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """End of the goal, as an ErrorCode and a message; the code is NONE if it was reached."""
+    """How the goal ended: an ErrorCode and a message. The code is NONE if the goal was reached."""
 
     code: int
     sentence: str
@@ -38,7 +39,8 @@ class GoalWatch:
     """Follows one goal from its acceptance. Times are steady, in s."""
 
     def __init__(self, goal: Pose, planners: frozenset[bytes], now: float) -> None:
-        """``goal`` in ``table``; ``planners``: publishers of ``plan_state`` when it was sent."""
+        """``goal``: pose in ``table``. ``planners``: publishers of ``plan_state`` when the goal was
+        sent."""
         self._goal = goal
         self._planners = planners
         self._received = self._quiet_since = now
@@ -54,9 +56,10 @@ class GoalWatch:
         planners: frozenset[bytes],
         now: float,
     ) -> Ended | None:
-        """Return how the goal has ended without a result, or None while a result may still come.
+        """Return how the goal has ended if no action result will follow, or None while a result may
+        still arrive.
 
-        ``plan`` and ``pose``: last report and its goal, received at ``received_at``; ``planners``:
+        ``plan``: last report, received at ``received_at``; ``pose``: its goal. ``planners``:
         present publishers of ``plan_state``.
         """
         self._received = max(self._received, received_at)

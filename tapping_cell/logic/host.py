@@ -46,12 +46,12 @@ class Activated:
 
 @dataclass(frozen=True, slots=True)
 class Deactivated:
-    """The machine must not act any more."""
+    """The node was deactivated; the machine must not act any more."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShutDown:
-    """The node shuts down and closes its port. The job under way sends no more events."""
+    """The node shuts down and closes its port. A job that is still running sends no more events."""
 
 
 LifecycleEvent = Configured | Unreachable | Activated | Deactivated | ShutDown

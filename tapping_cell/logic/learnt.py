@@ -1,4 +1,4 @@
-"""Conversion of the gains learnt from taps to a message."""
+"""Conversion of learnt gains to a message."""
 
 from __future__ import annotations
 

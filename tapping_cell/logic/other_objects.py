@@ -1,6 +1,6 @@
 """The other objects on the table as obstacles for the planner, at their last observed poses.
 
-They include the objects that no object file describes, of which only the outlines are known.
+These obstacles include objects without an object file, of which only the outlines are known.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class OtherObjects:
     """Poses of the objects on the table besides the cell's own object.
 
     An object that is no longer seen keeps its pose for a while, because a hand may hide it. After
-    that it counts as removed.
+    that time, the object counts as removed.
     """
 
     def __init__(self, files: Sequence[ObjectFile], memory: float, moved: float) -> None:
@@ -88,13 +88,14 @@ class OtherObjects:
         return self._unknown
 
     def searched(self, since: float) -> bool:
-        """Return whether the camera has searched for objects without an object file since a time on
-        the steady clock in s, or does not search for them."""
+        """Return whether the camera has searched for objects without an object file since
+        ``since``, a time on the steady clock in s. Also True if the camera does not search for
+        them."""
         return self._searched_at > since
 
     def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
-        """Return the area that each object covers, in the order of the files, with None for an
-        absent object, then the areas of the objects without a file."""
+        """Return the areas that the objects cover: one per object file, in their order, with None
+        for an object that is not on the table; then those of the objects without a file."""
         return (*(self._area(file, now) for file in self._files), *self._unknown)
 
     def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:

@@ -1,9 +1,10 @@
 """Age of the messages of another node, which may run on another computer.
 
-The age of a message is its delay beyond the smallest recent delay of that node. Local time is the
-steady clock, so a step of this computer's wall clock has no effect. A stamp in the future makes all
-other messages appear older, never younger. A delay that all messages of the window share cannot be
-distinguished from a difference of the clocks; ``skew`` bounds the sum of both.
+The delay of a message is its time of arrival minus its stamp. The age of a message is its delay
+minus the smallest recent delay of the same node. Local time is the steady clock, so a step of this
+computer's wall clock has no effect. A stamp in the future makes all other messages appear older,
+never younger. A delay that all recent messages share cannot be distinguished from a difference of
+the clocks; ``skew`` returns the sum of the two.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from tapping_cell.messages import Time
 
 WINDOW_S = 10.0
 SKEW_LIMIT_S = 0.5
-"""Maximum difference of two computers' clocks with which the cell works."""
+"""Maximum difference between the clocks of two computers at which the cell works."""
 
 
 class PeerClock:
     """The clock of one other node, estimated from the stamps of its messages."""
 
     def __init__(self) -> None:
-        # Sliding minimum: pairs (arrival, arrival minus stamp) with increasing differences.
+        # Pairs (arrival, arrival minus stamp) with increasing differences, for a sliding minimum.
         self._delays: deque[tuple[float, float]] = deque()
 
     def receive(self, stamp: Time, now: Now) -> None:
@@ -38,7 +39,8 @@ class PeerClock:
             self._delays.popleft()
 
     def to_steady(self, stamp: Time, now: Now) -> float:
-        """Convert a stamp of that node to our steady clock; ``now`` for a stamp of zero."""
+        """Convert a stamp of the node to this computer's steady clock; a stamp of zero gives
+        ``now``."""
         if not (stamp.sec or stamp.nanosec) or not self._delays:
             return now.steady
         return to_seconds(stamp) + self._delays[0][1]
@@ -48,14 +50,16 @@ class PeerClock:
         return now.steady - self.to_steady(stamp, now)
 
     def skew(self, now: Now) -> float:
-        """Return own ROS time minus the node's, including the minimum delay, s; 0 if unknown."""
+        """Return this computer's ROS time minus that of the node, including the minimum delay, s; 0
+        if unknown."""
         if not self._delays:
             return 0.0
         return self._delays[0][1] - (now.steady - 1e-9 * now.ros)
 
 
 def skewed_clock(clocks: Mapping[str, PeerClock], now: Now) -> tuple[str, float] | None:
-    """Return the name and the skew in s of the first clock beyond ``SKEW_LIMIT_S``, or None."""
+    """Return the name and the skew in s of the first clock whose skew exceeds ``SKEW_LIMIT_S``, or
+    None."""
     for name, clock in clocks.items():
         skew = clock.skew(now)
         if abs(skew) > SKEW_LIMIT_S:

@@ -5,16 +5,18 @@ from __future__ import annotations
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
-"""Part of the promised time for the requests to arm and board, the firing window and the pulse."""
+"""Share of the promised time for the requests to arm and board, the firing window and the firing
+pulse."""
 RELEASE_S = 0.1
-"""Part of that time that must remain when the arm's answer arrives: request to the board, firing
-window and pulse."""
+"""Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives: for the
+request to the board, the firing window and the firing pulse."""
 RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
-"""Maximum ratio of actual to predicted time of flight, due to friction and errors of the curve."""
+"""Maximum ratio of actual to predicted time of flight; friction and errors of the energy curve slow
+the striker down."""
 LONGEST_HOLD_S = BEFORE_FLIGHT_S + SLOWNESS * LONGEST_FLIGHT_S
-"""Maximum duration that a tapper of any cell may request."""
+"""Maximum duration that the tapper of any cell may request."""
 
 
 def flight(stroke: float, speed: float) -> float:

@@ -1,10 +1,10 @@
 """State machine of the planner: accepts a goal and commands taps until the object is at this goal.
 
-The cycle of one tap: observe the object at rest, decide, command the tap, wait until the tapper
-reports the outcome, have the arm withdraw, and observe the object at rest again. If confirmation
-is enabled, a person confirms each tap before it is commanded. Every wait has a deadline and every
-goal a time limit. If the outcome of a tap is not known, the object is observed again; no tap is
-fired twice.
+The cycle of one tap is: observe the object at rest, decide on the tap, command it, wait until the
+tapper reports the outcome, have the arm withdraw, and observe the object at rest again. If
+confirmation is enabled, a person confirms each tap before it is commanded. Every wait has a
+deadline and every goal a time limit. If the outcome of a tap is not known, the object is observed
+again. No tap is fired twice.
 """
 
 from __future__ import annotations
@@ -78,15 +78,15 @@ WITHDRAWN_BY_ANOTHER = (
     "another program ended the tap before it was fired; check which other nodes publish "
     "tap_command or tapper_state",
 )
-"""Error of a tap that was not fired although the tapper reports no error."""
+"""Error to report if a tap was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
 """If the object is not seen for this time after the withdrawal, the arm may be hiding it and
 therefore moves aside."""
 PARKING_S = 0.5
 """Time within which an arm that was commanded to move aside reports that it moves."""
 REPORT_PERIOD_S = 0.5
-"""Time between two reports while nothing changes. While a tap is under way the planner reports at
-every tick, because the tapper discharges the striker when this heartbeat ends."""
+"""Time between two reports while nothing changes. While a tap is under way, the planner reports at
+every tick, because the tapper discharges the striker if these reports end."""
 
 
 class State(Enum):
@@ -138,7 +138,7 @@ WORKING = (
     S.SETTLING,
 )
 TAPPING = (S.PLACING, S.FIRING)
-"""States in which the tap under way may still be fired."""
+"""States in which the commanded tap may still be fired."""
 
 TABLE = table(
     [
@@ -153,7 +153,7 @@ TABLE = table(
         ((S.PLANNING,), Event.OBSERVATION_REQUESTED, (S.LOOKING,)),
         ((S.PLANNING,), Event.TAP_PROPOSED, (S.CONFIRMING,)),
         ((S.CONFIRMING,), Event.TAP_DROPPED, (S.LOOKING,)),
-        # With a fixed tapper no arm moves, so the planner enters FIRING directly.
+        # With a fixed tapper, no arm moves, so the planner goes to FIRING directly.
         ((S.PLANNING, S.CONFIRMING), Event.TAP_COMMANDED, (S.PLACING, S.FIRING)),
         ((S.PLACING,), Event.IN_POSITION, (S.FIRING,)),
         (TAPPING, Event.OUTCOME_REPORTED, (S.SETTLING,)),
@@ -189,7 +189,8 @@ REMEMBERED = (
     "taps",
     "last_tap",
 )
-"""Fields of the last goal that are still published after its end, for late subscribers."""
+"""Fields of the last goal that are still published after the goal has ended, for late
+subscribers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,7 +279,7 @@ class PlannerLogic:
                 sentence = "the planner was deactivated"
                 self._fail(ErrorCode.NOT_ACTIVE, sentence, now)
             if not isinstance(event, Deactivated):
-                # An orderly shutdown also ends the goal.
+                # After an orderly shutdown, the goal is not resumed.
                 self._effects.append(KeepGoal(None))
         return self._drain()
 
@@ -559,7 +560,7 @@ class PlannerLogic:
         seen = self._monitor.object
         if seen is None or not observed:
             if self._monitor.silent("object", now):
-                # The camera's node may be restarting, so the deadline for a ready cell applies.
+                # The camera's node may be restarting, so wait until the cell is ready again.
                 self._wait_again(now)
             elif self._hidden_by_arm(now):
                 self._move_arm_aside(now)
@@ -574,7 +575,8 @@ class PlannerLogic:
             # Only the goal's time limit can end this wait.
             self._deadline = now.steady + self._settings.observe_deadline
             return
-        # While the arm may hide a part of the table, the camera does not search for objects.
+        # While the arm may hide a part of the table, the camera does not search for unknown
+        # objects.
         search_since = self._observe_after if self._monitor.withdrawn(now) else -math.inf
         unknown = self.goals.update_free_space(task, self._observe_after, search_since, now)
         if unknown is not None:
@@ -593,18 +595,20 @@ class PlannerLogic:
         if computation is None:
             self._act(task, task.decide(seen, frames), seen, now)
             return
-        # The job runs outside the lock, so that the planner keeps publishing its heartbeat.
+        # The decision is computed by a job outside the lock, so that the planner keeps publishing
+        # its state.
         self._computation += 1
         self._effects.append(RunJob(Job(self._computation, "plan", lambda _: computation())))
         self._enter(Event.OBSERVED, S.PLANNING, now, self._deadline - now.steady)
 
     def _moved_by_tap(self, now: Now) -> bool:
-        """Return whether the object has moved since a fixed tapper struck it, and is at rest again.
-        Images from before the striker's return then show the result of the tap."""
+        """Return whether the object has moved since a fixed tapper struck it and is at rest again.
+        If so, images taken before the striker's return already show the result of the tap."""
         return self._monitor.at_rest_after(self._struck_at, now)
 
     def _wait_for_computation(self, task: Task, now: Now) -> None:
-        """Wait for the job of the decision. A fault or the goal's time limit also ends the wait."""
+        """Wait for the job that computes the decision. A fault or the goal's time limit also ends
+        the wait."""
         fault = self._monitor.fault()
         if fault is not None:
             self._fail(*fault, now)
@@ -644,7 +648,8 @@ class PlannerLogic:
             self._plan(task, decision, task.before(seen), now)
 
     def _turn_to_object(self, task: ArrangementTask) -> None:
-        """Watch the present object of the arrangement; warn about objects moved by its taps."""
+        """Watch the present object of the arrangement; warn about other objects that taps have
+        moved."""
         self._monitor.watch(task.object_id)
         names, task.touched = task.touched, []
         if names:
@@ -696,11 +701,11 @@ class PlannerLogic:
         self._enter(Event.TAP_PROPOSED, S.CONFIRMING, now, patience)
 
     def _next_tap_id(self, now: Now) -> int:
-        """Return an id that was never used before.
+        """Return a tap id that was never used before.
 
         Ids are whole seconds of the clock, so they increase across restarts of every node and fit
-        the tapper's 32 bits until 2106. If a clock was set back, the last id that arm and tapper
-        have served is the lower bound.
+        the tapper's 32 bits until 2106. If the clock was set back, the id is instead one above the
+        greatest id that planner, arm or tapper has used.
         """
         self._last_tap_id = max(
             self._last_tap_id + 1, now.ros // NANOSECONDS, self._monitor.last_tap_id() + 1
@@ -736,7 +741,8 @@ class PlannerLogic:
             self._enter(Event.TAP_COMMANDED, S.FIRING, now, self._settings.fire_deadline)
 
     def _wait_for_person(self, task: Task, now: Now) -> None:
-        """Wait until a person answers the proposed tap; drop the proposal if an object moves."""
+        """Wait until a person confirms or rejects the proposed tap; drop the proposal if an object
+        moves."""
         shot = self._proposed
         assert shot is not None
         fault = self._monitor.fault()
@@ -837,8 +843,9 @@ class PlannerLogic:
         if self._monitor.outcome(shot.tap_id) != TapperState.NONE:
             self._take_outcome(task, shot, now)
         elif self._disturbed(shot, now):
-            # The tap itself may have moved the object before the tapper's report arrived.
-            # The arm is withdrawn in both cases, and the tapper still reports the outcome.
+            # Either the object was moved before the tap, or the tap itself moved it and the
+            # tapper's report has not arrived yet. In both cases, the tap is withdrawn, and the
+            # tapper still reports the outcome.
             self._withdraw(shot.tap_id, now)
         if self.state is S.FIRING and (self._late(now) or self._monitor.lost(now)):
             self._log(LogLevel.WARNING, "the tap's outcome is not known; observing the object")
@@ -859,7 +866,7 @@ class PlannerLogic:
             if not code:
                 code, sentence = WITHDRAWN_BY_ANOTHER
             self._log(LogLevel.WARNING, f"tap not fired: {sentence}")
-            # Nothing was fired, so another attempt is as safe as the first.
+            # The tapper has not fired, so another attempt is as safe as the first.
             late = tapper.error_code in LATE
             task.late += late
             task.not_fired += not late
@@ -867,7 +874,8 @@ class PlannerLogic:
                 why = f"the confirmed tap was not fired ({sentence})"
                 self._confirmed = replace(self._confirmed, withdrawn=why)
             if self._has_arm and code == ErrorCode.OBJECT_NOT_SEEN:
-                # The arm itself may hide the object on its way to this strike pose.
+                # On its way to this strike pose, the arm itself may hide the object, so choose
+                # another tap.
                 task.session.skip(shot.strike)
             settings = self._settings
             if task.not_fired >= settings.attempts or task.late >= settings.late_attempts:
@@ -882,7 +890,8 @@ class PlannerLogic:
         """Wait until the arm has withdrawn and the camera has a free view."""
         shot = self._shot
         if shot is not None:
-            # The tapper may report an outcome after the planner has assumed it to be unknown.
+            # The tapper may still report an outcome that the planner has already recorded as
+            # unknown.
             shot.outcome = self._monitor.outcome(shot.tap_id) or shot.outcome
         if self._monitor.withdrawn(now) and now.steady >= self._parking_until:
             self._observe_after = now.steady
@@ -906,7 +915,7 @@ class PlannerLogic:
             self._fail(code, sentence + "; check the arm, then send the goal again", now)
 
     def _wait_again(self, now: Now) -> None:
-        """End the tap and wait for the cell, because a part of it is missing."""
+        """End the tap and wait until the cell is ready again."""
         self._end_tap(now)
         self._proposed = None
         self._struck_at = math.inf
@@ -944,7 +953,7 @@ class PlannerLogic:
             shot.outcome = TapperState.NOT_FIRED if placing else TapperState.UNKNOWN
 
     def _withdraw(self, tap_id: int, now: Now) -> None:
-        """Publish the withdrawal of a tap, once per tap."""
+        """Publish the withdrawal of a tap; repeated calls for the same tap have no effect."""
         if tap_id == self._withdrawn_tap_id:
             return
         self._withdrawn_tap_id = tap_id
@@ -957,15 +966,16 @@ class PlannerLogic:
         self._effects.append(Publish("tap_command", command))
 
     def _hidden_by_arm(self, now: Now) -> bool:
-        """Return whether the object is not seen although it should be; the arm then moves aside."""
+        """Return whether the arm probably hides the object, because it was not seen for
+        ``HIDDEN_S``."""
         if not self._has_arm or self._view_cleared:
             return False
         elapsed = now.steady - self._observe_after
         return min(elapsed, self._monitor.unseen_for(now)) > HIDDEN_S
 
     def _move_arm_aside(self, now: Now) -> None:
-        """Move the arm, because it may hide the object: first to its park pose, then once more to a
-        pose in which the area that it hides now is visible."""
+        """Move the arm, because it may hide the object: first to its park pose; if the object is
+        still not seen, to a pose that uncovers the area that the arm hides."""
         if self._withdrawn_tap_id not in (0, self._parked_tap_id):
             self._park(now)
             return
@@ -983,7 +993,8 @@ class PlannerLogic:
         self._effects.append(Publish("tap_command", command))
 
     def _park(self, now: Now) -> None:
-        """Move the arm on to its park pose, by publishing the withdrawal a second time."""
+        """Make the withdrawn arm continue to its park pose, by publishing the withdrawal a second
+        time."""
         tap_id = self._withdrawn_tap_id
         if not self._has_arm or tap_id in (0, self._parked_tap_id):
             return
@@ -1061,7 +1072,8 @@ class PlannerLogic:
                 setattr(state, name, getattr(self.last, name))
         self.last = state
         if isinstance(task, ArrangementTask) and draw:
-            # Published first, so that a recorder knows that the goal belongs to an arrangement.
+            # Published before `plan_state`, so that a recorder knows that the goal belongs to an
+            # arrangement.
             active = self.state not in FINAL
             self._effects.append(Publish("arrangement_state", task.report(now, active)))
         self._effects.append(Publish("plan_state", state))

@@ -48,7 +48,8 @@ def compose(frame: PoseMessage, pose: PoseMessage) -> PoseMessage:
 
 
 def _rotation(q: Quaternion) -> Rotation:
-    # This import takes 0.4 s, and only poses in other frames than the table's need it.
+    # Imported only here, because the import takes 0.4 s and only poses in frames other than `table`
+    # need it.
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat([q.x, q.y, q.z, q.w])

@@ -1,12 +1,11 @@
-"""Latch of the emergency stop: the sources that asserted it, and the conditions for a reset by an
-operator.
+"""Latch of the emergency stop: which sources asserted the stop, and when an operator may reset it.
 
-True on ``emergency_stop`` stops immediately and latches. False only ends the publisher's own stop;
-the stop stays latched until an operator resets it with ``clear_fault``. A message does not identify
-its publisher, so a reset queries every publisher again and is refused if one still asserts the
-stop. A publisher that has vanished, or that does not repeat its level, cannot be queried: a person
-must inspect the cell and confirm by requesting the reset a second time. A new stop voids the
-confirmation.
+True on the topic ``emergency_stop`` stops immediately and latches the stop. False only means that
+the publisher no longer asserts its stop; the latch remains until an operator resets it with
+``clear_fault``. A message does not identify its publisher, so a reset queries every publisher again
+and is refused if one still asserts the stop. A publisher that has vanished, or that does not repeat
+its level, cannot be queried: a person must inspect the cell and confirm by requesting the reset a
+second time. A new stop cancels the confirmation.
 """
 
 from __future__ import annotations
@@ -20,7 +19,8 @@ TOPIC = "emergency_stop"
 SERVICE = "service stop"
 RESTART = "a stop before the restart"
 CONFIRM_WITHIN_S = 30.0
-"""Time within which a second request counts as the confirmation after such a refusal."""
+"""Time within which a second reset request counts as the confirmation after a refused request,
+s."""
 
 
 class StopLatch:
@@ -44,7 +44,7 @@ class StopLatch:
         return tuple(self._sources)
 
     def advice(self) -> str:
-        """Return what a person has to do; empty if not stopped."""
+        """Return what a person has to do to clear the stop; empty if not stopped."""
         if not self._sources:
             return ""
         if self._asserted:
@@ -52,11 +52,12 @@ class StopLatch:
         return "make the cell safe, then clear the stop"
 
     def content(self) -> Content:
-        """Return the content to be stored for a restart."""
+        """Return the latched stops as content to be stored for a restart."""
         return {"sources": list(self._sources), "asserted": self._asserted}
 
     def recall(self, content: Content | None) -> None:
-        """Restore the stop from before a restart. Content that cannot be read counts as a stop."""
+        """Restore a stop that was latched before a restart. Content that cannot be read counts as a
+        stop."""
         if content is None:
             return
         sources = content.get("sources")
@@ -66,7 +67,8 @@ class StopLatch:
         self._asserted = self._asserted or content.get("asserted") is not False
 
     def receive(self, level: bool) -> bool:
-        """Process a level of the topic; return whether the stored content has changed."""
+        """Process a level of ``emergency_stop``; return whether the content to be stored has
+        changed."""
         changed = level != self._asserted
         self._asserted = level
         if level:
@@ -75,7 +77,8 @@ class StopLatch:
         return changed and self.stopped
 
     def press(self, source: str = SERVICE) -> bool:
-        """Latch a stop that has no level, such as a service call; return whether it is new."""
+        """Latch a stop from a source without a level, such as a service call; return whether it is
+        new."""
         self._begin_stop()
         return self._add(source)
 
@@ -124,7 +127,8 @@ class StopLatch:
         return ""
 
     def _begin_stop(self) -> None:
-        """Note a stop, which a reset under way and an earlier confirmation do not include."""
+        """Record a new stop, so that a reset under way is refused and an earlier confirmation is
+        cancelled."""
         self._received += 1
         self._confirm_until = -math.inf
 

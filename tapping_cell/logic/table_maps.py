@@ -20,8 +20,8 @@ class TableMap:
 
 
 class TableMaps:
-    """Makes maps of a cell's table. The last ``KEPT`` maps are cached: each takes about 0.1 s an
-    obstacle."""
+    """Computes maps of a cell's table. The last ``KEPT`` maps are cached, because computing a map
+    takes about 0.1 s per obstacle."""
 
     KEPT = 4
 

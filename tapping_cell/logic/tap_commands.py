@@ -10,13 +10,14 @@ from tapping_cell.logic.poses import is_finite, quaternion_norm
 from tapping_cell.messages import ErrorCode, TapCommand
 
 LONGEST_EXPIRY_S = 900.0
-"""Maximum time until a command expires. This maximum is above the largest possible sum of the
-planner's place and fire deadlines. A longer expiry would block the cell."""
+"""Maximum time from receiving a command to its expiry. The limit exceeds the largest possible sum
+of the planner's place and fire deadlines. A longer expiry would block the cell."""
 CLOCK_TOLERANCE_S = 1.0
-"""Maximum time by which a stamp may lie in the future, as the computers' clocks differ slightly."""
+"""Maximum time by which a stamp may lie in the future, because the computers' clocks differ
+slightly."""
 LARGEST_JUMP = 2**28
-"""Maximum distance of an id above both the last id and the clock's whole seconds (8 years). After a
-much greater id, no ids would be left for the following taps."""
+"""Maximum difference by which a tap id may exceed both the last id and the clock's time in whole
+seconds (8 years). A much greater id would leave no ids for the following taps."""
 
 CodedError = tuple[int, str]
 """Error code and message."""
@@ -81,7 +82,7 @@ def named_tapper(name: str, tappers: Sequence[str]) -> str | None:
 
 
 def unknown_tapper(name: str, tappers: Sequence[str]) -> CodedError:
-    """Return the refusal of a command that names none of these tappers."""
+    """Return the refusal of a command that does not name one of the cell's tappers."""
     known = ", ".join(f"'{tapper}'" for tapper in tappers)
     asked = f"there is no tapper '{name}'" if name else "it names no tapper, but there are several"
     return ErrorCode.TAPPER_UNKNOWN, f"{asked}; name one of {known}"

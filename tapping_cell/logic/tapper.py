@@ -44,13 +44,13 @@ from tapping_cell.se2 import Pose
 
 READ_PERIOD_S = 0.1
 HOLD_TIMEOUT_S = 0.2
-"""Timeout of one call of ``hold_still``; the tapper then calls it again."""
+"""Timeout of one call of ``hold_still``, after which the tapper repeats the call."""
 HOLD_ATTEMPTS = 5
 PROVE_PERIOD_S = 0.5
-"""Time between two attempts to prove that the strikers are at their mounts."""
+"""Time between two attempts to verify that the strikers are at their mounts."""
 LONGEST_CHARGED_S = 3.0
-"""Maximum time from the end of charging until the arm is in position. If it passes, the striker is
-discharged."""
+"""Maximum time from the end of charging until the arm is in position. After this time the striker
+is discharged."""
 
 
 class State(Enum):
@@ -130,7 +130,7 @@ WIRE = {
 """Value of ``tapper_state`` for each state."""
 SERVING = frozenset({S.WAITING, S.CHARGING, S.CHARGED, S.FIRING, S.DISCHARGING})
 LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.PROTOCOL, FaultReason.BOARD_RESET)
-"""Faults that are resolved by a new session with the board."""
+"""Faults after which the node opens a new session with the board."""
 OF_THE_TAP = (
     FaultReason.INTERLOCK,
     FaultReason.REJECTED,
@@ -162,8 +162,8 @@ def random_key() -> int:
 class TapperOptions:
     """Parameters of the node that the machine needs.
 
-    ``draw_key`` returns a random number above 0. Only the tapper that has this key can end the
-    arm's promise to stand still early.
+    ``draw_key`` returns a random number above 0. With this number as a key, only this tapper can
+    end the arm's promise to stand still early.
     """
 
     state_rate: float = 20.0
@@ -180,7 +180,7 @@ class Tap:
 
     tap_id: int
     channel: int
-    """Channel of the striking tapper on its board."""
+    """Channel of the striking tapper, counted across the boards."""
     energy: float
     """J."""
     expiry: int
@@ -190,12 +190,14 @@ class Tap:
     strike: Pose
     """Pose of the tip for the strike. An arm moves it there; a fixed tapper is always there."""
     flight: float
-    """Time from the release to the end of the stroke, s; the arm stands still meanwhile."""
+    """Time from the release of the striker to the end of its stroke, s; the arm stands still
+    meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
 class Permit:
-    """The arm's promise to stand still for a tap until ``until``, s on our steady clock."""
+    """The arm's promise to stand still for a tap until ``until``, s on this computer's steady
+    clock."""
 
     tap_id: int
     until: float
@@ -230,7 +232,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._draw_key = options.draw_key
         self._last_tap_id = 0
         self._used = 0
-        """Greatest shot number that the board has charged for, also before this node started."""
+        """Greatest shot number for which the board has charged, even before this node was
+        started."""
         self._fixed = False
         self._reported = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
@@ -255,9 +258,10 @@ class TapperLogic(DeviceLogic[State, Event]):
         return self._peers.check_charging(tap.tap_id, tap.planned, tap.strike, now)
 
     def check_firing(self, release_by: float, now: Now) -> CodedError | None:
-        """Check for the last time before FIRE; return why firing is forbidden, or None.
+        """Make the last check before FIRE: return why firing is forbidden, or None if it is
+        allowed.
 
-        ``release_by``: latest end of the release, s on the steady clock.
+        ``release_by``: latest end of the release pulse, s on the steady clock.
         """
         reason = self.check_charging(now)
         if reason is not None:
@@ -268,7 +272,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if reason is not None:
             return reason
         if self._fixed:
-            # A mount cannot move, so only the state of this tap is checked.
+            # A fixed tapper cannot move, so only the state of this tap is checked.
             fires = self.state is S.FIRING
             return None if fires else (ErrorCode.NONE, "the tap is over")
         if promise is None or promise.tap_id != tap.tap_id:
@@ -308,7 +312,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         raise AssertionError(f"the tapper has no service {service}")
 
     def _watch_enabling(self, now: Now) -> None:
-        """End the tap under way if no enabling device is held in set-up mode."""
+        """In set-up mode, end the tap under way if no enabling device is held."""
         if self._set_up and self.state in SERVING and not self._enabling.held(now):
             self._give_up(enabling.RELEASED)
 
@@ -386,8 +390,8 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _refuse(self, command: TapCommand, refusal: CodedError, now: Now) -> None:
         code, sentence = refusal
         self._log(LogLevel.ERROR, f"tap {command.tap_id} refused: {sentence}")
-        # During a tap, the published state refers to this tap only. An id beyond the
-        # largest valid one must not become the last id.
+        # While another tap is under way, the published state refers only to that tap. An id above
+        # the largest valid id must not become the last id.
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
         if new and self.state not in SERVING:
             self._last_tap_id = command.tap_id
@@ -401,7 +405,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         if self.state is not S.WAITING or tap is None:
             return
         if (differ := self._peers.clocks_differ(now)) is not None:
-            self._give_up(differ)  # waiting would not resolve this difference
+            self._give_up(differ)  # waiting would not remove the difference
             return
         if self.check_charging(now) is not None:
             return
@@ -503,8 +507,8 @@ class TapperLogic(DeviceLogic[State, Event]):
                 )
             )
             return
-        # The promise is assumed to begin with the request. The arm handled the request later, so
-        # the actual promise ends later.
+        # Assume that the promise began when the request was sent. The arm handled the request
+        # later, so the actual promise ends later.
         until = self._asked_at + permit.hold(tap.flight)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
@@ -559,7 +563,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _charge_ended(self, end: ChargeEnd, now: Now) -> None:
         self._take_in(end.status)
         if end.charged and self.state is S.DISCHARGING:
-            # The tap was given up just when charging ended.
+            # The tap was given up at the moment when charging ended.
             self._run("discharge", tapper_jobs.discharge)
         elif not end.charged:
             self._not_fired(self._given_up or end.refusal)
@@ -570,7 +574,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._ask_when_in_position(now)
 
     def _not_fired(self, why: CodedError | None) -> None:
-        """Handle the end of a tap without a release, with the tapper at rest."""
+        """Handle the end of a tap that was not fired; the tapper is at rest."""
         self._machine.move(Event.ENDED, S.SAFE)
         self._tap = None
         # If the board has already used the shot's number, the shot may have been fired before this
@@ -618,22 +622,22 @@ class TapperLogic(DeviceLogic[State, Event]):
             self.patience = patience_after(self.patience, fault)
         if name == "prove" and fault.reason is FaultReason.INTERLOCK:
             return  # the guard was opened; the mounts are checked again when it is closed
-        # A fault that a job raises always occurred before FIRE was sent.
+        # A job raises a fault only if it occurred before FIRE was sent.
         if fault.reason in OF_THE_TAP and self.state in (S.CHARGING, S.CHARGED, S.FIRING):
             self._log(LogLevel.ERROR, fault.sentence)
             self._discharge((of_tapper(fault), fault.sentence))
             return
         if fault.reason in OF_THE_TAP and name == "charge" and self.state is S.DISCHARGING:
-            # The tap had already been given up, and the board refuses to continue charging, for
-            # example because it discharged while this process was suspended.
+            # The tap had already been given up, and the board refused to continue charging. For
+            # example, it discharged while this process was suspended.
             self._run("discharge", tapper_jobs.discharge)
             return
         if self._tap is not None:
             self._tap = None
             self._reported.outcome = TapperState.NOT_FIRED
         if name == "connect" and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
-            # A board that does not reply for a short time causes the same fault, so the connection
-            # is tried again.
+            # A board that is silent only for a short time causes the same fault, so connecting is
+            # tried again.
             self._fail_to(S.DISCONNECTED)
             self._set_error(of_tapper(fault), fault.sentence)
             return
@@ -648,7 +652,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._set_error(of_tapper(fault), fault.sentence)
 
     def _overtaken(self, event: JobEnded, now: Now) -> None:
-        # A stop arrived during the shot; the outcome of the shot is still valid.
+        # If a stop, fault or reconnection interrupted the shot, the outcome of the shot is still
+        # valid.
         if self._reported.outcome == TapperState.NONE and self._reported.tap_id:
             if isinstance(event.result, FireEnd) and event.result.shot == self._reported.tap_id:
                 self._reported.outcome = OUTCOMES[event.result.outcome]
@@ -663,7 +668,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._see_mounts()
 
     def _see_return(self, reply: Reply) -> None:
-        """Handle the end of the wait for a released striker, which is back or overdue."""
+        """Handle the end of the wait for a released striker, which has returned or is overdue."""
         if reply.state is BoardState.SAFE:
             self._machine.move(Event.RETURNED, S.SAFE)
         elif not reply.stop_latched:
@@ -677,7 +682,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
 
     def _see_mounts(self) -> None:
-        """Report an error of the mounts while at rest, or clear it when it is gone."""
+        """While at rest, report an error of the mounts, or clear the error when its cause is
+        gone."""
         if not self._fixed:
             return
         reason = self._mounts.check()
@@ -765,7 +771,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._error = (ErrorCode.TAPPER_NOT_CONNECTED, "the tapper is not connected")
 
     def _stop_tap(self) -> None:
-        """End the tap; the outcome of a shot under way is reported when its job has ended."""
+        """End the tap. If a shot is under way, its outcome is reported when the job ends."""
         if self._tap is not None and self.state is not S.FIRING:
             self._reported.outcome = TapperState.NOT_FIRED
         self._fire_job = self._job if self.state is S.FIRING else None
@@ -818,7 +824,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             )
 
     def _prove_when_due(self, now: Now) -> None:
-        """Have the board prove its mounts, if it can and has not yet done so."""
+        """Have the board verify its strikers' positions, if it has mount switches and has not yet
+        done so."""
         mounts = self._mounts
         wanted = self._fixed and mounts.fitted and not mounts.proven and not mounts.away
         wanted = wanted and self._reported.interlock_closed and self.state is S.SAFE

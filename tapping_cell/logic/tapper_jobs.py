@@ -69,13 +69,13 @@ def clear(context: JobContext) -> Status:
 
 
 def discharge(context: JobContext) -> Status:
-    """Relax the spring without a release."""
+    """Discharge the tapper without firing."""
     driver: TapperDevice = context.driver
     return _make_status(driver, driver.discharge())
 
 
 def prove(context: JobContext) -> Status:
-    """Have the board prove that its strikers are at their mounts."""
+    """Have the board verify that its strikers are at their mounts."""
     driver: MountedTappers = context.driver
     return _make_status(driver, driver.home(lambda: not context.abandoned()))
 
@@ -117,7 +117,7 @@ def fire(
 ) -> FireEnd:
     """Fire a charged shot if ``check`` allows it, or discharge it.
 
-    ``check`` receives the latest possible end of the release, s on the steady clock.
+    ``check`` receives the latest possible end of the release pulse, s on the steady clock.
     ``post_replies``: post the board's last reply before each check.
     """
     driver: TapperDevice = context.driver
@@ -134,7 +134,7 @@ def fire(
     outcome, sentence = result.outcome, result.sentence
     status, fault = None, None
     try:
-        # The measured speed belongs to the same report as the outcome.
+        # This reply contains both the last shot fired and its measured speed.
         reply = driver.status()
         outcome, sentence = _confirmed(result, reply)
         if reply.state is State.CHARGED:
@@ -146,8 +146,9 @@ def fire(
 
 
 def _confirmed(result: FireResult, reply: Reply) -> tuple[FireOutcome, str]:
-    """Return the outcome and its reason after a further reply of the board, which contains the last
-    shot fired. If two replies contradict each other, one of them is not the board's."""
+    """Compare the outcome of a shot with a further reply of the board, and return the outcome and
+    its reason. If the replies contradict each other, one of them did not come from the board, and
+    the outcome is UNKNOWN."""
     fired = reply.last_fired == result.shot
     if result.outcome is FireOutcome.UNKNOWN or fired == (result.outcome is FireOutcome.FIRED):
         return result.outcome, result.sentence

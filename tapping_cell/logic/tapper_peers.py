@@ -1,6 +1,7 @@
 """Checks of the messages of arm, planner and camera before the tapper charges and fires.
 
-Fixed tappers have no arm. Instead, the boards must have proven their mounts."""
+A cell with fixed tappers has no arm. There, the boards must instead have verified that the strikers
+are at their mounts."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ from tapping_cell.messages import (
 from tapping_cell.se2 import Pose
 
 TAPPING = (PlanState.PLACING, PlanState.FIRING)
-"""States of the planner in which it waits for its tap."""
+"""States of the planner in which it waits for a commanded tap."""
 BLIND = frozenset(
     {
         ErrorCode.CAMERA_SILENT,
@@ -30,11 +31,13 @@ BLIND = frozenset(
         ErrorCode.STAMP_INVALID,
     }
 )
-"""Error codes of messages without a usable image: they do not count as a camera heartbeat."""
+"""Error codes that mean that there was no usable image; messages with them do not count as a camera
+heartbeat."""
 ABOVE_M, ABOVE_RAD = 0.005, 0.05
 """Maximum horizontal distance and angle from the tip to its strike pose when charging begins."""
 IDLE_LIMIT_S = 1.5
-"""Message timeout of a planner that did not command the tap; it publishes only twice a second."""
+"""Message timeout of a planner that did not command the tap, s. Such a planner publishes only twice
+a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +49,8 @@ class PeerLimits:
     silence: float = 0.45
     """Message timeout of planner and camera, s."""
     unseen: float = 0.45
-    """Maximum time before the shot for which the object may not be seen, s. It must be longer if
-    the arm itself covers the object on its way to some strike poses."""
+    """Maximum time, s, for which the object may be unseen before the shot. The time must be longer
+    if the arm itself covers the object on its way to some strike poses."""
     moved: float = 0.002
     """Maximum distance of the object from the pose for which the tap was planned, m."""
     turned: float = math.radians(3)
@@ -61,9 +64,9 @@ class PeerLimits:
 class Mounts:
     """State of the strikers as reported by the boards.
 
-    ``proven``: since the boards' start each striker was detected at its mount and, if it was
-    released, detected to leave it and return. ``away``: names of the strikers that are not at
-    their mounts. ``fitted``: whether the mounts have switches.
+    ``proven``: whether each striker has been detected at its mount since the boards' start. A
+    striker that was released was also detected leaving the mount and returning. ``away``: names of
+    the strikers that are not at their mounts. ``fitted``: whether the mounts have switches.
     """
 
     proven: bool = False
@@ -97,9 +100,9 @@ class TapperPeers:
     """Last messages of arm, planner and camera, with their times on this computer's steady clock.
 
     A planner that has sent no message yet does not count as lost, because a program may command
-    single taps without a planner. For the camera, ``PeerLimits.needs_camera`` decides. If the
-    messages of a peer end, for example because its process hangs, it is lost. The age of a message
-    is determined from its stamp.
+    single taps without a planner. For the camera, ``PeerLimits.needs_camera`` decides. A peer whose
+    messages end, for example because its process hangs, counts as lost. The age of a message is
+    determined from its stamp.
     """
 
     def __init__(self, limits: PeerLimits) -> None:
@@ -116,7 +119,7 @@ class TapperPeers:
         self._mounts: Mounts | None = None
 
     def use_mounts(self, mounts: Mounts) -> None:
-        """Check the state of the mounts, in a cell without an arm."""
+        """From now on, check the state of the mounts instead of the arm."""
         self._mounts = mounts
 
     def begin_tap(self, object_id: str) -> None:
@@ -180,8 +183,9 @@ class TapperPeers:
     ) -> CodedError | None:
         """Return why the tapper must not be charged, or None; see :meth:`check_firing`.
 
-        Charging may begin while the arm lowers the striker. The last read-back of the arm must be
-        above the strike pose, so that only a motion straight down remains, and must be recent.
+        Charging may begin while the arm lowers the striker. The arm's last read-back must be
+        recent, and it must show the tip above the strike pose, so that only a vertical motion
+        remains.
         """
         if self._mounts is not None:
             return self._mounts.check() or self._check_others(planned, now)

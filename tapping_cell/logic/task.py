@@ -60,9 +60,9 @@ class Shot:
     strike: Strike
     before: Pose
     covariance: Array
-    """Covariance (3, 3) of the predicted pose of the object at rest, m and rad."""
+    """Covariance (3, 3) of the predicted pose of the object after the tap, m and rad."""
     fired_at: int | None = None
-    """Arrival time of the tapper's report, ROS time in ns."""
+    """Time at which the tapper's report arrived, ROS time in ns."""
     outcome: int = TapperState.NONE
     measured_speed: float = math.nan
     purpose: str = ""
@@ -89,9 +89,9 @@ class Shot:
         return command
 
     def planned(self, answer_by: int, height: float) -> PlannedTap:
-        """Return the message on this tap before it is made.
+        """Return the message that announces this tap.
 
-        ``answer_by``: deadline of a person's answer in ns, 0 if no confirmation is needed.
+        ``answer_by``: deadline for a person's answer in ns; 0 if no confirmation is needed.
         ``height``: tip above the table, m.
         """
         plan = self.strike.plan
@@ -173,9 +173,9 @@ class Task:
     """Consecutive taps that were not fired because a message came too late."""
     without_effect: int = 0
     free_space: object | None = None
-    """Map that the session uses at present."""
+    """Map of the free space that the session uses at present."""
     arm: tuple[float, float, float, float] | None = None
-    """Pose of the arm's tip before a decision: x, y, height and yaw in ``table``."""
+    """Pose of the arm's tip when a decision is made: x, y, height and yaw in ``table``."""
 
     def description(self) -> str:
         """Return a readable description of the goal."""
@@ -191,14 +191,16 @@ class Task:
 
     @property
     def ready(self) -> bool:
-        """Whether a decision can be made; the solver may still have to finish for this goal."""
+        """Whether a decision can be made; False while a solver still computes the solution for this
+        goal."""
         return not isinstance(self.session, GoalSession) or self.session.ready
 
     def computation(self, frames: int) -> Callable[[], Any] | None:
-        """Return the slow part of a decision as a function, to be run as a job after ``observed``.
+        """Return the slow part of a decision as a function, which runs as a job once ``observed``
+        returns True.
 
-        ``conclude`` receives its result. Return None if ``decide`` is fast enough without a job.
-        ``frames``: see ``decide``.
+        ``conclude`` receives the result of the function. Return None if ``decide`` is fast enough
+        without a job. ``frames``: see ``decide``.
         """
         return None
 
@@ -222,7 +224,7 @@ class Task:
         )
 
     def take_in(self, shot: Shot, seen: ObjectState) -> None:
-        """Process a tap that was or may have been fired: learn from it and record it."""
+        """Process a tap that was fired or may have been fired: learn from the tap and record it."""
         pose = from_message(seen.pose.pose)
         covariance = covariance_from_message(seen.pose.covariance)
         self.learn(shot, pose, covariance)
@@ -274,7 +276,8 @@ class Task:
         return result
 
     def fill(self, state: PlanState, pose: Pose | None) -> None:
-        """Write this goal and its residual into a report; ``pose``: None while not seen."""
+        """Write this goal and its residual into a report; ``pose``: pose of the object, None while
+        it is not seen."""
         state.object_id = self.object_id
         state.planner = self.session.method
         state.goal = self.message
@@ -309,7 +312,8 @@ class SingleTapTask(Task):
         )
 
     def decide(self, seen: ObjectState, frames: int) -> Decision:
-        """Return the tap, limited to the area between the visible reference markers; then Done."""
+        """Return the prescribed tap, limited to the area between the visible reference markers;
+        after this tap, return Done."""
         used = set(seen.references_used)
         known = [marker.id in used for marker in self.references.markers]
         decision = self.session.decide(

@@ -17,8 +17,8 @@ class UndefinedTransition(Exception):
 class StateMachine(Generic[State, Event]):
     """A state machine that allows only the transitions of its table.
 
-    ``table`` maps a state and an event to the states that may follow. The caller selects one of
-    them.
+    ``table`` maps a state and an event to the states that may follow. The caller of ``move``
+    selects one of them.
     """
 
     def __init__(

@@ -1,11 +1,11 @@
 """Poses of the arm from which the camera sees the object.
 
-Seen from the camera's lens, arm and tool cover parts of the table. After a tap the arm withdraws
-only until the object, at every place that it may have reached, and enough reference markers lie
-outside these parts. Among the poses at travel height with such a view, the arm moves to the pose
-with the least total time of the withdrawal and the move to the next tap. If the object is not seen
-at all, it may lie under the arm. The arm then moves to a pose from which the camera sees as much as
-possible of the area that the arm hid before.
+Seen from the camera's lens, the arm and its tool hide parts of the table. After a tap, the arm
+withdraws only until the camera sees enough reference markers and every place that the object may
+have reached. Among the poses at travel height with such a free view, the arm moves to the pose that
+minimises the time of the withdrawal plus the time of the move to the next tap. If the object is not
+seen at all, it may lie under the arm. The arm then moves to a pose from which the camera sees as
+much as possible of the area that the arm hid before.
 """
 
 from __future__ import annotations
@@ -34,17 +34,18 @@ from tapping_cell.vision.free_view import view_clearance
 VIEW_MARGIN_M = 0.008
 """Margin around the object and the markers, for errors of arm, camera and shapes."""
 OVERSHOOT = 1.3
-"""Assumed maximum displacement of the object, as a multiple of the predicted one."""
+"""Assumed maximum displacement of the object, as a multiple of the predicted displacement."""
 PLACES = 6
 """Number of places along the object's path that must be visible."""
 MARKERS_HIDDEN = 3
-"""Maximum number of reference markers that the arm may hide; at least half of them stay visible."""
+"""Maximum number of reference markers that the arm may hide; at least half of the markers stay
+visible."""
 STEPS = np.linspace(-1.0, 1.0, 13)
 """Candidate changes of the shoulder and elbow joints, rad."""
 TURNS = (-1.2, 0.0, 1.2)
 """Candidate changes of the tool joint, rad."""
 GRID_M = 0.02
-"""Distance between the places at which an unseen object is assumed to be."""
+"""Grid spacing of the possible places of an unseen object."""
 HEADINGS = np.arange(8) * (2.0 * math.pi / 8)
 """Possible headings of the next tap, rad."""
 
@@ -122,8 +123,8 @@ def _path_to_chosen(
     motion: MotionSettings,
     choose: Callable[[ScaraGeometry, Joints], Array | None],
 ) -> tuple[Waypoint, ...]:
-    """Return waypoints to the joints (4,) that ``choose`` returns for the raised arm, or to the
-    park pose if it returns None or if the arm is not a SCARA."""
+    """Return waypoints to the joints (4,) that ``choose`` returns for the raised arm. The park pose
+    is used if ``choose`` returns None or if the arm is not a SCARA."""
     geometry = cell.arm.geometry()
     parked = withdraw_path(geometry, current, motion)
     own = cell.arm.ros2_control
@@ -161,7 +162,8 @@ def _candidates(geometry: ScaraGeometry, raised: Joints) -> Array:
 
 
 def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -> Array:
-    """Return which of the joints (N, 4) leave object and enough markers visible, (N,) bool."""
+    """Return a mask (N,) of the joints (N, 4) at which the camera sees the object and enough
+    markers."""
     along = np.linspace(0.0, OVERSHOOT, PLACES)
     before = np.array([scene.before.x, scene.before.y])
     way = np.array([scene.predicted.x, scene.predicted.y]) - before
@@ -174,14 +176,15 @@ def _is_free(cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array) -
 
 
 def _sees(cell: Cell, camera: tuple[float, float, float], bars: Bars, places: Array) -> Array:
-    """Return, (N, M) bool, whether the bars of N poses hide no part of the object at the places
+    """Return a mask (N, M): True if the bars of an arm pose hide no part of the object at a place
     (M, 3)."""
     clearance = view_clearance(camera, bars.start, bars.end, bars.radius, places)
     return np.asarray(clearance > cell.object.body().bounding_radius)
 
 
 def _sees_markers(cell: Cell, camera: tuple[float, float, float], bars: Bars) -> Array:
-    """Return for the bars of N poses whether they leave enough reference markers visible."""
+    """Return a mask (N,): True if the bars of an arm pose leave enough reference markers
+    visible."""
     markers = cell.references.markers
     of_markers = np.array([[marker.x, marker.y, 0.0] for marker in markers])
     half_diagonals = np.array([marker.size / math.sqrt(2.0) for marker in markers])
@@ -199,7 +202,8 @@ def _bars(cell: Cell, geometry: ScaraGeometry, joints: Array) -> Bars:
 def _to_next(
     cell: Cell, geometry: ScaraGeometry, scene: Scene, joints: Array, motion: MotionSettings
 ) -> Array:
-    """Return the mean time (N,) in s from joints (N, 4) to the next tap over all its headings."""
+    """Return the mean time (N,) in s from joints (N, 4) to the next tap, averaged over
+    ``HEADINGS``."""
     reach = math.hypot(scene.strike.x - scene.before.x, scene.strike.y - scene.before.y)
     yaw = HEADINGS - cell.arm_base.theta
     middle = cell.arm_base.inverse() @ scene.predicted

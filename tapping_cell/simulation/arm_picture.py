@@ -22,9 +22,10 @@ _UNIT_CIRCLE = np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=-1)
 def arm_solids(
     arm: ArmSection, tapper: TapperSection, base: Pose, joints: ArrayLike
 ) -> tuple[Occluder, ...]:
-    """Return the arm's silhouettes for true joints (rad, rad, m, rad), the lowest part first.
+    """Return the silhouettes of the arm's parts, lowest first, at true joint values (rad, rad, m,
+    rad).
 
-    ``base`` is the true pose of ``arm_base`` in table.
+    ``base``: true pose of ``arm_base`` in ``table``.
     """
     geometry = arm.geometry()
     q = np.asarray(joints, dtype=float)
@@ -48,14 +49,16 @@ def arm_solids(
 def striker_solids(
     tapper: TapperSection, mount: Pose, height: float, out: float
 ) -> tuple[Occluder, ...]:
-    """Return a tapper at a fixed mount, with its tip ``height`` m high and ``out`` m extended."""
+    """Return the silhouettes of a tapper at a fixed mount. Its tip is ``height`` m above the table
+    and extended by ``out`` m."""
     rest = np.array([mount.x, mount.y, mount.theta])
     ahead = rest + out * np.array([math.cos(mount.theta), math.sin(mount.theta), 0.0])
     return _tool(tapper, rest, ahead, height)
 
 
 def _tool(tapper: TapperSection, rest: Array, tip: Array, height: float) -> tuple[Occluder, ...]:
-    """Return striker and housing; the striker extends from the resting housing to the tip."""
+    """Return the silhouettes of striker and housing. The housing is at ``rest``; the striker
+    extends from it to ``tip``."""
     out = math.hypot(tip[0] - rest[0], tip[1] - rest[1])
     along = (-tapper.tool_start - out, 0.0)
     housing = (-tapper.tool_length, -tapper.tool_start)
@@ -68,7 +71,8 @@ def _tool(tapper: TapperSection, rest: Array, tip: Array, height: float) -> tupl
 def _box(
     pose: Array, along: tuple[float, float], half: float, height: float, level: float
 ) -> Occluder:
-    """Return a square bar along the line of travel, centred ``height`` m above the table."""
+    """Return the silhouette of a bar with a square section along the line of travel, centred
+    ``height`` m above the table."""
     (start, end), low = along, max(height - half, 0.0)
     corners = np.array([[start, -half], [end, -half], [end, half], [start, half]])
     return _solid(transform_points(pose, corners), low, height + half, level)

@@ -1,8 +1,8 @@
 """Flat printed parts of the rendered scene: pre-filtered textures that are sampled per pixel.
 
-A layer is drawn once at several texels per pixel, with exact coverage at its edges, and then
-blurred by the camera's point spread function. Sampling it at the centre of a pixel then gives the
-area average of the true pattern, so edges lack the bias of sampling sharp patterns.
+A layer is drawn once at several texels per pixel, with exact coverage at its edges, and is then
+blurred by the camera's point spread function. A sample at the centre of a pixel is therefore the
+area average of the true pattern. Sampling a sharp pattern would shift its edges.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ Array32 = NDArray[np.float32]
 
 PAPER = 0.90
 INK = 0.06
-"""Reflectance of white paper and black toner, typical of laser prints."""
+"""Reflectances of white paper and of black toner, typical of laser prints."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
     """A texture (rows, columns, 2) around the origin, with ``texel`` as the texel size in m.
 
-    Its channels are reflectance times coverage, and coverage.
+    The two channels are reflectance multiplied by coverage, and coverage.
     """
 
     texture: Array32
@@ -39,7 +39,8 @@ class Layer:
         return 0.5 * self.texel * self.texture.shape[0]
 
     def sample(self, u: Array32, v: Array32) -> tuple[Array32, Array32]:
-        """Return reflectance times coverage, and coverage, at points (m, v up) of the layer."""
+        """Return both channels at points ``u``, ``v`` (m, v upwards) of the layer: reflectance
+        multiplied by coverage, and coverage."""
         scale = np.float32(1.0 / self.texel)
         middle = np.float32(0.5 * self.texture.shape[0] - 0.5)
         found = cv2.remap(
@@ -55,12 +56,12 @@ class Layer:
 
 @lru_cache(maxsize=16)
 def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blur: float) -> Layer:
-    """Return a marker of side ``size`` with a white margin of one module; ``pixel`` and ``blur``
-    (sigma) in m."""
+    """Return the layer of a marker of side ``size`` with a white margin of one module. ``size``,
+    ``pixel`` and ``blur`` (sigma) are in m."""
     pattern = np.pad(marker_pattern(dictionary, marker_id), 1, constant_values=True)
     module = size / (pattern.shape[0] - 2)
-    # About eight texels per pixel. The edges of the modules are on texel edges, so the coverage is
-    # exact.
+    # About eight texels per pixel. The edges of the marker's modules coincide with texel edges, so
+    # the coverage is exact.
     each = int(np.clip(np.ceil(8.0 * module / pixel), 4, 96))
     texel = module / each
     sheet = np.kron(np.where(pattern, PAPER, INK), np.ones((each, each)))
@@ -70,7 +71,8 @@ def marker_layer(dictionary: str, marker_id: int, size: float, pixel: float, blu
 
 
 def outline_layer(outline: ArrayLike, reflectance: float, pixel: float, blur: float) -> Layer:
-    """Return a convex outline, points (N, 2) in m around the origin, of uniform reflectance."""
+    """Return a layer with uniform reflectance inside a convex outline, points (N, 2) in m around
+    the origin."""
     points = np.ascontiguousarray(outline, dtype=float)
     return _outline_layer(points.tobytes(), reflectance, pixel, blur)
 
@@ -90,8 +92,8 @@ def convex_coverage(
 ) -> NDArray[np.float64]:
     """Return the fraction of each cell of a (rows, columns) grid that a convex polygon covers.
 
-    ``points`` (N, 2) are in cells, with the row index along y. The coverage is exact along x and
-    uses ``rows_each`` samples along y.
+    ``points`` (N, 2) are in units of cells, with the row index along y. The coverage is exact along
+    x and uses ``rows_each`` samples along y.
     """
     p = np.asarray(points, dtype=float)
     p = np.roll(p, -int(p[:, 1].argmin()), axis=0)
@@ -102,9 +104,10 @@ def convex_coverage(
     within = (y >= p[0, 1]) & (y <= p[turn, 1])
     left = np.where(within, np.minimum(*ends), 0.0)
     right = np.where(within, np.maximum(*ends), 0.0)
-    # The area left of an end covers all cells before the end and a part of the cell that contains
-    # it; the area left of both ends cancels. Each row contains the changes from cell to cell,
-    # summed over the samples.
+    # Coverage of a row = area to the left of the right end minus area to the left of the left end.
+    # The area to the left of an end covers all cells before the end and a part of the cell that
+    # contains the end. Each row of `change` contains the changes from cell to cell, summed over the
+    # samples.
     change = np.zeros((rows, columns + 2))
     row = np.arange(rows * rows_each) // rows_each
     for end, sign in ((right, 1.0), (left, -1.0)):

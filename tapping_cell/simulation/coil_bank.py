@@ -1,7 +1,8 @@
 """Coils at fixed mounts: the strikers of a board with several channels, and their switches.
 
-Follows the same rules as ``firmware/tapper/strikers.c``, computed from event to event. The switch
-at a mount is closed while its striker is retracted. The caller sets the flight time of a striker.
+The module follows the same rules as ``firmware/tapper/strikers.c``, but is computed from event to
+event. The switch at a mount is closed while its striker is retracted. The caller sets the flight
+time of a striker.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ class CoilBank:
     def __init__(self, count: int) -> None:
         self.count = count
         self.flight = 0.3
-        """Time from a release to the striker's return, s; set it before the release."""
+        """Time from a release to the striker's return, s; to be set before the release."""
         self._energy = 0.0
         self._proven = False
         self._channel = 0
@@ -33,8 +34,8 @@ class CoilBank:
         self._returns = 0.0
         self._flying: tuple[int, float, float] | None = None
         """Channel of the last released striker, and the times at which it leaves its switch and
-        returns to it. A restart of the board does not change its flight, but the board no longer
-        waits for it."""
+        returns to it. A restart of the board does not change the striker's flight, but the board no
+        longer waits for the striker."""
         self._stays_out: set[int] = set()
         self._blocked: set[int] = set()
         self._stuck: set[int] = set()
@@ -68,7 +69,7 @@ class CoilBank:
         return energy >= 20e-6
 
     def charge(self, energy: float, now: float) -> None:
-        """Store the energy in J of the next pulse."""
+        """Set the energy of the next pulse, J."""
         self._energy = energy
 
     def stored(self, now: float) -> float:
@@ -81,13 +82,13 @@ class CoilBank:
             self._proven = self.at_mounts(now) == (1 << self.count) - 1
 
     def back(self, now: float) -> None:
-        """Do nothing, because springs return the strikers."""
+        """Do nothing: springs return the strikers."""
 
     def halt(self, now: float) -> None:
-        """Do nothing, because the coils are off."""
+        """Do nothing: no motor moves, and the coils are off."""
 
     def released(self, channel: int, now: float) -> None:
-        """Start the pulse of a channel."""
+        """Release the striker of a channel: start its pulse."""
         self._channel, self._released, self._left = channel, now, False
         self._returns = now + self.flight
         self._flying = channel, now + LEAVES_AFTER, self._returns
@@ -96,11 +97,11 @@ class CoilBank:
     # Faults.
 
     def start(self) -> None:
-        """Power the board on; no striker position is verified yet."""
+        """Simulate power-on of the board, after which no striker position is verified."""
         self._proven, self._released = False, None
 
     def block(self, channel: int, blocked: bool) -> None:
-        """Set whether a striker stays at its mount when released."""
+        """Set whether a striker is blocked, so that it stays at its mount when released."""
         (self._blocked.add if blocked else self._blocked.discard)(channel)
 
     def stick(self, channel: int, stuck: bool) -> None:
@@ -109,12 +110,13 @@ class CoilBank:
         self._lose_open_requests()
 
     def _lose_open_requests(self) -> None:
-        """At rest, discard the verified positions if a switch is open."""
+        """If no striker is in flight and a switch is open, mark the strikers' positions as
+        unverified."""
         if self._released is None:
             self._proven &= all(self._closed(channel, 0.0) for channel in range(self.count))
 
     def keep_out(self, channel: int, out: bool) -> None:
-        """Set whether a striker is held off its mount and does not return to it."""
+        """Set whether a striker is held away from its mount and does not return to it."""
         (self._stays_out.add if out else self._stays_out.discard)(channel)
         self._lose_open_requests()
 

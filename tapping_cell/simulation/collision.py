@@ -1,8 +1,8 @@
 """Collisions between objects on the table: the gap between two outlines, and the impact.
 
 The impact is perfectly inelastic along the contact normal and frictionless along the tangent, so
-afterwards the two contact points have the same velocity along the normal. Masses, moments of
-inertia and lever arms are those of the objects, so an off-centre hit rotates both.
+afterwards the two contact points have the same velocity along the normal. The impact uses the
+objects' masses, moments of inertia and lever arms, so an off-centre hit rotates both objects.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 class Solid:
     """A convex object seen from above: all points within ``radius`` m of the hull of ``corners``.
 
-    corners: (n, 2) about the centre of mass, m, counter-clockwise; a disk has one corner and its
-    radius. mass in kg, inertia in kg m^2 about the centre of mass.
+    ``corners``: (n, 2) relative to the centre of mass, m, counter-clockwise. A disk has one corner,
+    its centre. ``mass`` in kg, ``inertia`` in kg m^2 about the centre of mass.
     """
 
     corners: Array
@@ -33,30 +33,30 @@ class Solid:
     mass: float
     inertia: float
     reach: float = field(init=False)
-    """Largest distance of the outline from the centre of mass, m."""
+    """Maximum distance of the outline from the centre of mass, m."""
 
     def __post_init__(self) -> None:
-        """Compute ``reach`` once, because every step of a slide uses it."""
+        """Compute ``reach`` only once, because every step of a slide uses it."""
         reach = float(np.hypot(*self.corners.T).max()) + self.radius
         object.__setattr__(self, "reach", reach)
 
     @classmethod
     def of(cls, body: Disk | Ring | Polygon, centre: tuple[float, float], inertia: float) -> Solid:
-        """Create a solid from a body with its centre of mass at ``centre`` of its frame, m."""
+        """Create a solid from a body; ``centre``: centre of mass in the body's frame, m."""
         if isinstance(body, Polygon):
             return cls(np.asarray(body.points) - np.array(centre), 0.0, body.mass, inertia)
         return cls(-np.array([centre]), body.radius, body.mass, inertia)
 
     def at(self, motion: Motion) -> Array:
-        """Return the corners in table, (n, 2)."""
+        """Return the corners in ``table``, (n, 2), m."""
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
         turn = np.array([[cos, -sin], [sin, cos]])
         return np.asarray(self.corners @ turn.T + np.array([motion.x, motion.y]))
 
 
 class Gap(NamedTuple):
-    """Smallest distance between two solids (m, negative if they overlap), the unit normal there
-    from the first to the second, and the contact point."""
+    """Smallest distance between two solids (m, negative if they overlap), the unit normal from the
+    first to the second solid, and the contact point."""
 
     distance: float
     normal: tuple[float, float]
@@ -64,7 +64,7 @@ class Gap(NamedTuple):
 
 
 def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap:
-    """Return the gap between two solids at their current motions."""
+    """Return the gap between two solids at their current poses."""
     p, q = first.at(here), second.at(there)
     from_q, from_p = _separation(p, q), _separation(q, p)
     best = max(
@@ -86,7 +86,7 @@ def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap
     if distance == 0.0:
         way = np.array([there.x - here.x, there.y - here.y])
     length = float(np.hypot(*way))
-    # Two concentric disks can be separated in any direction.
+    # The direction is arbitrary if two disks are concentric.
     normal = way / length if length > 0.0 else np.array([1.0, 0.0])
     place = one + normal * first.radius
     return Gap(
@@ -99,7 +99,8 @@ def gap_between(first: Solid, second: Solid, here: Motion, there: Motion) -> Gap
 def impact(
     first: Solid, second: Solid, here: Motion, there: Motion, gap: Gap
 ) -> tuple[Motion, Motion, float] | None:
-    """Return both motions after the impact and the closing speed (m/s); None if they separate."""
+    """Return both motions after the impact and the closing speed (m/s); None if the solids move
+    apart."""
     (nx, ny), (x, y) = gap.normal, gap.place
     lever = (x - here.x) * ny - (y - here.y) * nx
     other_lever = (x - there.x) * ny - (y - there.y) * nx
@@ -133,8 +134,9 @@ def impact(
 
 
 def _separation(points: Array, polygon: Array) -> tuple[float, Array, Array] | None:
-    """Return the largest separation of the points from a polygon over its edge normals (separating
-    axis theorem), that outward normal, and the nearest point; None for a polygon without edges."""
+    """Apply the separating axis theorem to the edge normals of ``polygon``: return the largest
+    separation of the points from an edge, the outward normal of this edge, and the nearest point.
+    None for a polygon without edges."""
     if polygon.shape[0] < 3:
         return None
     edges = np.roll(polygon, -1, axis=0) - polygon
@@ -154,7 +156,8 @@ def _nearest_points(p: Array, q: Array) -> tuple[Array, Array]:
 
 
 def _to_edges(points: Array, polygon: Array) -> tuple[Array, Array, float]:
-    """Return the point nearest to the polygon's edges, its nearest edge point, and the distance."""
+    """Return the point that is nearest to the polygon's edges, the edge point nearest to it, and
+    their distance."""
     edges = np.roll(polygon, -1, axis=0) - polygon
     lengths = np.maximum((edges**2).sum(axis=-1), 1e-18)
     offsets = points[:, None, :] - polygon[None, :, :]

@@ -1,10 +1,11 @@
 """Contact between the striker's ball and the object, integrated in time.
 
-A spring acts between the two along the normal. It loads along F = k d and unloads along the steeper
-F = (k / e^2) (d - d0), which returns the fraction e^2 of the work (Walton and Braun, J. Rheology
-30, 1986), so e is the restitution at any speed and for any masses. Along the tangent the contact
-sticks or slides by Coulomb's law, and a sticking contact may also be compliant (Maw, Barber and
-Fawcett, Wear 38, 1976). The planner's impulse model is not used here.
+Along the normal, ball and object are connected by a spring. Loading follows F = k d; unloading
+follows the steeper F = (k / e^2) (d - d0). The spring therefore returns the fraction e^2 of the
+work, and e is the restitution at any speed and for any masses (Walton and Braun, Journal of
+Rheology 30, 1986). Along the tangent, the contact sticks or slides according to Coulomb's law; a
+sticking contact may also be compliant (Maw, Barber and Fawcett, Wear 38, 1976). The planner's
+impulse model is not used here.
 """
 
 from __future__ import annotations
@@ -23,14 +24,16 @@ TOUCH_M = 1e-8
 SMALLEST_RESTITUTION = 0.05
 """Lower limit of the restitution; below it the unloading spring would need very short steps."""
 _STEPS = 100
-"""Steps per contact time in a contact that determines the object's launch."""
+"""Steps per contact time for an impact, which determines the object's launch."""
 _COARSE_STEPS = 10
-"""Steps per contact time if the approach is slower than ``_SLOW``, such as a push."""
+"""Steps per contact time if ball and object approach more slowly than ``_SLOW``, as in a push."""
 _SLOW = 0.005
 _FRICTION_EVERY = 8
-"""Number of steps between updates of the table friction, which is far weaker than the contact."""
+"""Number of steps between updates of the table's friction, which is far weaker than the contact
+force."""
 _LONGEST_CONTACT_S = 0.02
-"""Maximum duration of one contact; a longer one continues in another call."""
+"""Maximum duration of a contact in one call of ``collide``, s; a longer contact continues in the
+next call."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +55,9 @@ class ContactLaw:
 
 @dataclass(slots=True)
 class Flight:
-    """A released striker: centre and velocity of its ball in table (m, m/s), its axis, and the
-    remaining travel of its stroke (m). ``dent`` is the residual depth of the last contact, in m,
-    that the ball has not left yet."""
+    """A released striker: centre and velocity of its ball in ``table`` (m, m/s), its axis, and the
+    remaining travel of its stroke (m). ``dent``: residual indentation of the last contact, in m,
+    which the ball has not left yet."""
 
     x: float
     y: float
@@ -70,7 +73,7 @@ class Flight:
         return self.vx * self.axis[0] + self.vy * self.axis[1]
 
     def fly(self, time: float) -> None:
-        """Move freely for ``time`` s, guided by the bearing."""
+        """Move without contact for ``time`` s, along the axis of the bearing."""
         speed = self.speed
         self.vx, self.vy = speed * self.axis[0], speed * self.axis[1]
         self.x += time * self.vx
@@ -98,8 +101,8 @@ class Outline:
             ]
 
     def nearest(self, motion: Motion, x: float, y: float) -> tuple[float, float, float]:
-        """Return the distance (m, negative inside) of a point in table from the outline, and the
-        outward unit normal there."""
+        """Return the distance of a point in ``table`` from the outline (m, negative inside), and
+        the outward unit normal at the nearest point."""
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
         dx, dy = x - motion.x, y - motion.y
         px, py = cos * dx + sin * dy, cos * dy - sin * dx
@@ -140,8 +143,8 @@ class Contact:
         law: ContactLaw,
         friction: Callable[[Motion], Acceleration],
     ) -> None:
-        """``friction``: acceleration of the object by the table during the contact; mass in kg,
-        inertia in kg m^2 about the centre of mass."""
+        """``friction``: acceleration of the object by the table's friction during the contact.
+        ``mass`` in kg, ``inertia`` in kg m^2 about the centre of mass."""
         self._outline = outline
         self._mass, self._inertia = mass, inertia
         self._striker_mass = striker.mass
@@ -164,8 +167,8 @@ class Contact:
         return ux * nx + uy * ny
 
     def collide(self, motion: Motion, flight: Flight) -> tuple[Motion, float]:
-        """Integrate from the first contact until separation; return the object's motion and the
-        elapsed time in s. ``flight`` is updated with the striker's remaining motion."""
+        """Integrate a contact from its beginning until separation; return the object's motion and
+        the elapsed time in s. ``flight`` is updated to the striker's motion afterwards."""
         law, tip = self._law, self._tip
         x, y, theta, vx, vy, omega = motion
         approach = self.closing_speed(motion, flight)

@@ -1,7 +1,7 @@
 """Interface of the emulated serial devices: bytes in, bytes out, and time as an argument.
 
-An emulator is a state machine without a thread or a clock. A pseudo-terminal runs it in real time,
-a test in virtual time.
+An emulator is a state machine without a thread or a clock. A pseudo-terminal runs the emulator in
+real time, a test in virtual time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class DeviceEmulator(Protocol):
 
 
 class OutputQueue:
-    """Bytes in transmission, each with the time when its transmission ends."""
+    """Queue of bytes in transmission, each with the time when its transmission ends."""
 
     def __init__(self, latency: float, byte_time: float) -> None:
         self._latency = latency

@@ -1,4 +1,4 @@
-"""Simulated arm and tapper on pseudo-terminals; a strike acts on the simulated world."""
+"""Simulated arm and tapper on pseudo-terminals; the striker hits objects of the simulated world."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 
 OnStrike = Callable[[Pose, float, float, float], float]
-"""Callback of a release: true tip pose in ``table``, its height in m, commanded speed in m/s, time
-in s. Returns the speed that the tapper's speed gate measures."""
+"""Callback when the striker is released. Arguments: true tip pose in ``table``, its height in m,
+commanded speed in m/s, time in s. Returns the speed that the tapper's speed gate measures, m/s."""
 
 SINKING_SPEED = 0.02
 """Sinking speed of a quill without a brake while its motor has no power, m/s."""
@@ -51,7 +51,7 @@ class SimulatedDevices:
         self._on_strike = on_strike
         now = time.monotonic()
         self._arm = arm_emulator(cell.arm, truth, seed, now)
-        # A restarted simulation acts as a board after power-on, with a new boot number.
+        # A restart of the simulation is a power-on of the board, so the boot number must be new.
         boot = int(time.time()) % LARGEST_BOOT + 1
         self._tapper = TapperEmulator(on_fire=self._fire, boot=boot, now=now)
         self._arm_port = PseudoTerminal(self._arm, arm_port)
@@ -74,9 +74,10 @@ class SimulatedDevices:
             self._tapper.press_clear_button(time.monotonic())
 
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
-        """Handle a release: the striker starts at the arm's true position."""
+        """Handle a release: the striker starts at the true pose of the tip."""
         tip, height = self.tip(now)
-        # The carriage stops at whole motor steps, so the energy may lie slightly outside the curve.
+        # The carriage stops at whole motor steps, so the energy may lie slightly outside the energy
+        # curve.
         least, most = self._curve.table[0][0], self._curve.table[-1][0]
         speed = self._curve.speed_for(min(max(energy, least), most))
         return self._on_strike(tip, height, speed, now)

@@ -23,7 +23,7 @@ class FaultKind(Enum):
     DROP = "drop"
     """Bytes are lost."""
     DELAY = "delay"
-    """From this byte on, all bytes of the direction are delayed, in order, until none waits."""
+    """This byte and the bytes that follow within ``duration`` arrive late, in order."""
     DUPLICATE = "duplicate"
     """A run of bytes is received twice."""
     FLIP = "flip"
@@ -31,7 +31,7 @@ class FaultKind(Enum):
     SPLIT = "split"
     """A short pause within a line."""
     MERGE = "merge"
-    """Bytes are held back and arrive together with the following ones."""
+    """Bytes are held back and arrive together with the following bytes."""
     STALL = "stall"
     """Neither direction transmits for a while."""
     HANG_UP = "hang_up"
@@ -55,16 +55,17 @@ class LineFault:
     direction: Direction
     byte: int
     length: int = 1
-    """Number of bytes that are dropped, duplicated or held together."""
+    """Number of bytes that are dropped, duplicated or merged."""
     duration: float = 0.0
-    """Duration of a pause, a stall or an absence, s."""
+    """Duration of a delay, a pause, a stall or an absence, s."""
     bit: int = 0
 
 
 def random_fault(
     rng: np.random.Generator, direction: Direction, first: int, span: int
 ) -> LineFault:
-    """Return a fault of a random kind at one of ``span`` bytes from number ``first`` on."""
+    """Return a fault of a random kind at a random byte: one of the ``span`` bytes that begin with
+    number ``first``."""
     kind = list(FaultKind)[int(rng.integers(len(FaultKind)))]
     longest = {
         FaultKind.DELAY: 1.5,
@@ -84,7 +85,7 @@ def random_fault(
 
 
 class _Channel:
-    """One direction: counts bytes and holds the delayed ones."""
+    """One direction of the line: counts the bytes and holds back those that a fault delays."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -98,7 +99,7 @@ class _Channel:
 
     @property
     def undisturbed(self) -> bool:
-        """Whether no earlier fault affects the bytes that enter now."""
+        """Whether the bytes that enter now are not affected by an earlier fault."""
         return not (self._dropping or self._run_left or self._merge_left)
 
     def put(self, data: bytes, now: float) -> None:
@@ -106,7 +107,7 @@ class _Channel:
         self._queue.append((max(now, self._free), data))
 
     def feed(self, byte: int, now: float, fault: LineFault | None) -> None:
-        """Add one byte with the fault that is tied to it."""
+        """Add one byte, changed by the fault that is tied to it, if any."""
         if fault is not None:
             if fault.kind is FaultKind.DROP:
                 self._dropping = fault.length
@@ -136,7 +137,7 @@ class _Channel:
             if self._merge_left:
                 due = max(due, self._merge_until)
             else:
-                # The piece is complete: the held bytes are delivered with its last byte.
+                # All bytes to be merged have arrived: deliver them together with the last one.
                 self._queue = deque((min(at, due), held) for at, held in self._queue)
         self._queue.append((due, bytes((byte,))))
 
@@ -204,7 +205,7 @@ class FaultLayer:
         return self._back_at is None
 
     def count(self, direction: Direction) -> int:
-        """Return the number of bytes that have entered a direction."""
+        """Return the number of bytes that have entered the line in a direction."""
         return self._channel(direction).count
 
     def add(self, fault: LineFault) -> None:
@@ -255,7 +256,7 @@ class FaultLayer:
             self.on_plug(False)
 
     def next_on_line(self) -> float | None:
-        """Return the time of the next event, except bytes that only wait to be read by the host."""
+        """Return the time of the next event; bytes that wait to be read by the host are ignored."""
         due = _earlier(self.emulator.next_event(), self._to_device.next_time())
         return _earlier(due, self._back_at)
 

@@ -20,11 +20,12 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachin
 from tapping_cell.simulation.truth import MountsTruth
 
 RETURN_SPEED = 1.0
-"""Speed of a striker that its spring returns, m/s."""
+"""Speed at which the spring returns a striker, m/s."""
 
 OnFixedStrike = Callable[[Pose, float, float, TapperSection, float], tuple[float, float]]
-"""Callback of a release: true tip pose in ``table``, its height in m, commanded speed in m/s, the
-tapper, time in s. Returns the speed measured by the speed gate, m/s, and the tip's travel, m."""
+"""Callback when a striker is released. Arguments: true tip pose in ``table``, its height in m,
+commanded speed in m/s, the tapper, time in s. Returns the speed measured by the speed gate, m/s,
+and the tip's travel, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,8 @@ class Flight:
 
 
 def true_mounts(cell: Cell, truth: MountsTruth, seed: int) -> dict[str, Pose]:
-    """Return the strikers' true poses by name, drawn at random around the cell file's mounts."""
+    """Return the tappers' true mount poses by name, drawn at random around the mounts in the cell
+    file."""
     random = np.random.default_rng([seed, 22])
     mounts = {}
     for entry in cell.fixed_tappers.tappers:
@@ -118,7 +120,8 @@ class FixedTapperBoard:
 class FixedDevices:
     """All boards of a cell, each on a port that drivers open like a real one.
 
-    ``ports``: returns the path for a board number and the board's port in the cell file.
+    ``ports``: function that returns the path to use for a board number and the board's port in the
+    cell file.
 
     Raises:
         PortTakenError: a port's path belongs to a running process.

@@ -1,9 +1,9 @@
 """Emulator of a Grbl 1.1 controller with an arm: a state machine in simulated time.
 
-It follows Grbl's documentation and is independent of the driver's codec, with its own line parser.
-Real-time bytes take effect immediately, and lines wait for space in the planner. Each move is a
-trapezoid within the rates and accelerations of the axes, and every block ends at rest. Unsupported
-commands are rejected with Grbl's error number, never silently accepted.
+It follows Grbl's documentation and has its own line parser, independent of the driver's codec.
+Real-time bytes take effect immediately, and lines wait for space in the planner. Each move has a
+trapezoidal velocity profile within the rates and accelerations of the axes, and every block ends at
+rest. Unsupported commands are rejected with Grbl's error number, never silently accepted.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LINE_LENGTH = 80
 LINE_TIME = 0.001
 """Processing time of a line, s."""
 HOLD = 255
-"""Value of the hold setting with which the motors always keep their torque."""
+"""Value of the hold setting (``$1`` in Grbl) at which the motors always keep their torque."""
 
 
 @dataclass(slots=True)
@@ -87,14 +87,15 @@ class GrblEmulator:
         return self._axes.powered
 
     def enter_sleep(self, now: float) -> None:
-        """Cut the motors and end any move, as ``$SLP`` from another sender does."""
+        """Cut the motors' power and end any move, as ``$SLP`` from another sender does."""
         self._axes.freeze(now)
         self._blocks.clear()
         self._state = "Sleep"
         self._axes.disable(now)
 
     def push(self, joints: tuple[float, float, float, float], now: float) -> None:
-        """Move the resting, unpowered arm by hand to ``joints``, unknown to the controller."""
+        """Simulate that a person pushes the resting, unpowered arm to ``joints``, which the
+        controller does not detect."""
         self.advance(now)
         self._axes.push(joints, now)
 
@@ -129,7 +130,7 @@ class GrblEmulator:
         self._work(now)
 
     def advance(self, now: float) -> None:
-        """Finish everything that ends by ``now`` and start what follows."""
+        """Process all events that are due by ``now``."""
         while self._due is not None and self._due <= now:
             due, self._due = self._due, None
             after, self._after = self._after, None
@@ -147,7 +148,7 @@ class GrblEmulator:
         return self._output.take(now)
 
     def next_event(self) -> float | None:
-        """Return the time of the next end of a motion or a transmission."""
+        """Return the time when the next motion or transmission ends."""
         pending = (self._due, self._boots_until, self._output.next_time())
         times = [t for t in pending if t is not None]
         return min(times) if times else None
@@ -202,12 +203,13 @@ class GrblEmulator:
         return float(self._names[name]) if name else self._settings[1]
 
     def _power(self, now: float) -> None:
-        """Enable the motors; they hold a quill that has sunk, but the step count is unchanged."""
+        """Enable the motors. A quill that has sunk is then held at its new position, but the step
+        count is unchanged."""
         self._axes.enable(now)
         self._rests_since = now
 
     def _idle_out(self, now: float) -> None:
-        """Cut the motors after the idle time of the hold setting."""
+        """Cut the motors' power after the idle time in the hold setting."""
         if self._due is not None or self._blocks:
             self._rests_since = None
             return
@@ -269,7 +271,7 @@ class GrblEmulator:
         self._output.put(f"<{'|'.join(fields)}>\r\n".encode(), now)
 
     def _shown(self, values: Array) -> str:
-        """Format axis values as in a report, with as many axes as the build has."""
+        """Format axis values as in a status report, for all axes of the firmware build."""
         padded = [*(values + 0.0).tolist(), *[0.0] * self._variant.axes][: self._variant.axes]
         return ",".join(f"{value:.3f}" for value in padded)
 
@@ -300,7 +302,7 @@ class GrblEmulator:
     # Lines.
 
     def _work(self, now: float) -> None:
-        """Process lines until one has to wait."""
+        """Process received lines until one has to wait."""
         while self._waiting_for_block is None and self._waiting_for_rest is None:
             end = next((i for i, b in enumerate(self._received) if b in b"\r\n"), None)
             if end is None:
@@ -332,7 +334,7 @@ class GrblEmulator:
         idle = self._shown_state(now) in ("Idle", "Alarm", "Check")
         send = self._output.put
         if text in ("$$", "$I", "$#") and not idle:
-            # Real firmware answers only status queries and $G while it moves.
+            # While it moves, real firmware answers only status queries and $G.
             raise Refused(8)
         if text == "$$":
             for number, value in sorted(self._listed().items()):
@@ -383,7 +385,8 @@ class GrblEmulator:
         self._ok(now)
 
     def _listed(self) -> dict[int, float]:
-        """Return the settings in ``$$``; axis settings are listed for the axes of the build."""
+        """Return the settings that ``$$`` lists; the settings per axis are listed for all axes of
+        the firmware build."""
         variant = self._variant
         shown = {}
         for number, value in self._settings.items():
@@ -437,7 +440,7 @@ class GrblEmulator:
         self._ok(now)
 
     def _plan(self, line: Line, jog: bool, now: float) -> None:
-        """Plan a straight move, or wait for space in the planner."""
+        """Queue a straight move, or wait for space in the planner buffer."""
         modal, axes, feed = line.modal, line.axes, line.feed
         machine_frame = line.action == 53
         target = self._parser_position.copy()
@@ -474,7 +477,8 @@ class GrblEmulator:
             enqueue(now)
 
     def _block(self, modal: Modal, target: Array, rapid: bool, jog: bool) -> _Block | None:
-        """Return a block with the programmed feed, limited by each axis's rate and acceleration."""
+        """Return a block at the programmed feed rate, limited by each axis's maximum rate and
+        acceleration."""
         start = self._parser_position
         delta = target - start
         length = float(np.linalg.norm(delta))
@@ -518,7 +522,7 @@ class GrblEmulator:
             waiting(now)
 
     def _when_still(self, now: float, act: Callable[[float], None]) -> None:
-        """Run ``act`` when all blocks are finished."""
+        """Call ``act`` when all queued moves are finished."""
         if self._due is None and not self._blocks:
             act(now)
         else:
@@ -536,7 +540,8 @@ class GrblEmulator:
         self._due, self._after = now + seconds, done
 
     def _home(self, now: float) -> None:
-        """Seek the switches axis by axis (quill first), pull off, and set the homed position."""
+        """Seek the home switches axis by axis (quill first), pull off, and set the machine
+        position."""
         self._state, self._busy = "Idle", "Home"
         self._power(now)
         self._waiting_for_rest = _nothing
@@ -612,4 +617,4 @@ class GrblEmulator:
 
 
 def _nothing(now: float) -> None:
-    """Placeholder for a waiting line whose end is handled elsewhere."""
+    """Placeholder for the action of a waiting line whose end is handled elsewhere."""

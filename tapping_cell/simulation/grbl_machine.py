@@ -1,4 +1,4 @@
-"""Settings of the emulated Grbl controller and the arm behind it."""
+"""Settings of the emulated Grbl controller, and of the arm that it drives."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from tapping_cell.simulation.joint_motion import AxisErrors
 
 
 def default_settings() -> dict[int, float]:
-    """Return the settings of the simulated arm; rates in units/min, accelerations in units/s2,
-    travels in units."""
+    """Return the Grbl settings for the simulated arm; rates in units/min, accelerations in
+    units/s^2, travels in units."""
     return {
         0: 10,
         1: 255,
@@ -38,14 +38,14 @@ def default_settings() -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class GrblMachine:
-    """The arm behind the controller; joints in rad, rad, m, rad."""
+    """The arm that the emulated controller drives; joints in rad, rad, m, rad."""
 
     letters: str = "XYZA"
     axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
     start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
     """Position of the arm at power-on."""
     home_joints: tuple[float, float, float, float] = (0.0, 1.5708, 0.0, 0.0)
-    """Nominal position at the end of homing; ``errors`` determines the true one."""
+    """Nominal position at the end of homing; ``errors`` determines the true position."""
     errors: AxisErrors = field(default_factory=AxisErrors)
     settings: dict[int, float] = field(default_factory=default_settings)
     variant: GrblVariant = GRBL

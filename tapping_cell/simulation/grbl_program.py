@@ -12,7 +12,7 @@ _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
 
 
 class Refused(Exception):
-    """A line rejected with Grbl's error number."""
+    """A line was rejected; ``code``: Grbl's error number."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -42,7 +42,7 @@ class Modal:
 
 @dataclass(slots=True)
 class Line:
-    """Content of one line: the modes after it, and at most one action."""
+    """Content of one line: the modal state after it, and at most one non-modal action."""
 
     modal: Modal
     action: float | None
@@ -93,7 +93,7 @@ def read_line(text: str, letters: str, before: Modal) -> Line:
         elif letter not in "NS":
             raise Refused(20)
     if motions and line.action == 92:
-        # Both a motion and G92 need the axis words.
+        # A motion and G92 in one line would both use the axis words.
         raise Refused(24)
     if line.feed is not None:
         modal.feed = line.feed

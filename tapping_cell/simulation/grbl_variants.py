@@ -1,6 +1,7 @@
 """Differences between the controllers of the Grbl family that are visible to a host.
 
-Based on the source code of the firmwares, independent of the driver's table of controllers.
+The table is based on the source code of the firmwares and is independent of the driver's table of
+controllers.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ GREETING = b"\r\n%s ['$' for help]\r\n"
 
 @dataclass(frozen=True, slots=True)
 class GrblVariant:
-    """One firmware; ``GrblMachine`` describes the arm behind it."""
+    """Behaviour of one firmware; ``GrblMachine`` describes the arm that it drives."""
 
     banner: bytes = GREETING % b"Grbl 1.1h"
     information: tuple[bytes, ...] = (b"[VER:1.1h.20190825:]", b"[OPT:V,15,128]")
@@ -26,20 +27,20 @@ class GrblVariant:
     hold_name: str = ""
     """Named setting that replaces ``$1``."""
     alarm_cuts_torque: bool = True
-    """Whether an alarm or a reset in motion cuts the motors' power."""
+    """Whether an alarm, or a reset during a motion, cuts the motors' power."""
     reset_delay: float = 0.0
-    """Time from a soft reset in motion to the greeting, s; lines sent meanwhile are lost."""
+    """Time from a soft reset during a motion to the greeting, s; lines sent meanwhile are lost."""
     unhomed_alarm: int | None = None
-    """Alarm reported after the greeting before anything has been homed."""
+    """Alarm that is reported after the greeting until the arm has been homed."""
     reports_while_homing: bool = False
     homing_masks: tuple[int, ...] = ()
     """Settings that select the axes of each homing cycle; if empty, all four axes home."""
     unhomed_axes: frozenset[int] = frozenset()
     """Axes that homing does not move in this build."""
     forces_origin: bool = False
-    """Whether homing ends at machine position zero in this build."""
+    """Whether the machine position is zero after homing in this build."""
     ends_at_place: bool = False
-    """Whether homing ends at the named setting ``mpos_mm`` of each axis."""
+    """Whether the machine position after homing is the named setting ``mpos_mm`` of each axis."""
 
 
 GRBL = GrblVariant()
@@ -66,7 +67,8 @@ GRBL_HAL = GrblVariant(
 
 
 def fluid_nc(version: str, unlisted: frozenset[int]) -> GrblVariant:
-    """Return FluidNC of one version; its settings are stored in a file, and ``$$`` lists few."""
+    """Return one version of FluidNC, whose settings are stored in a file; ``$$`` lists only a few
+    of them."""
     names = {
         "/stepping/idle_ms": "255",
         "/report_inches": "false",

@@ -1,4 +1,5 @@
-"""Axis positions of the emulated arm over time: trapezoids, holds, backlash, repeatability."""
+"""Axis positions of the emulated arm over time: trapezoidal moves, holds, backlash,
+repeatability."""
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Distance along a line over time."""
+    """Distance along the line of a move as a function of time."""
 
     phases: tuple[Phase, ...]
 
@@ -51,7 +52,7 @@ class Profile:
         )
 
     def brake(self, time: float, deceleration: float) -> Profile:
-        """Return the same motion, braking to rest from ``time`` on."""
+        """Return the same motion up to ``time``, followed by braking to rest."""
         place, speed = self.at(time)
         kept = tuple(
             replace(phase, duration=min(phase.duration, time - phase.start))
@@ -62,7 +63,8 @@ class Profile:
 
 
 def trapezoid(start: float, length: float, speed: float, acceleration: float) -> Profile:
-    """Return a motion over ``length`` from rest to rest, starting at time ``start``."""
+    """Return a trapezoidal velocity profile over ``length``, from rest to rest, that starts at time
+    ``start``."""
     ramp = min(speed / acceleration, math.sqrt(length / acceleration))
     peak = acceleration * ramp
     cruise = max(length - peak * ramp, 0.0) / peak if peak > 0 else 0.0
@@ -78,11 +80,12 @@ def trapezoid(start: float, length: float, speed: float, acceleration: float) ->
 
 @dataclass(frozen=True, slots=True)
 class AxisErrors:
-    """Errors of the true arm that its controller does not know; joint order, rad or m.
+    """Errors of the true arm, which its controller does not know; in joint order, rad or m.
 
     ``offset``: true joint minus reported joint after homing. ``backlash``: full play of the drive.
-    ``repeatability``: standard deviation of the end position for the same target, drawn per move.
-    ``homing``: standard deviation of the home switches, drawn per homing.
+    ``repeatability``: standard deviation of the end position at the same target; one error is drawn
+    per move. ``homing``: standard deviation of the home switches' positions; one error is drawn per
+    homing.
     """
 
     offset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -101,7 +104,7 @@ class Piece:
     """Unit vector; zeros at rest."""
     profile: Profile
     play: Array
-    """Joint value at the start, after the backlash."""
+    """Joint values at the start, after the backlash but without random errors."""
     noise_before: Array
     noise_after: Array
     length: float
@@ -120,12 +123,13 @@ class Piece:
         return self.drive(motors, backlash) + noise
 
     def drive(self, motors: Array, backlash: Array) -> Array:
-        """Apply the play operator, which is exact because no axis reverses within a piece."""
+        """Apply the play operator (backlash). The result is exact because no axis reverses within a
+        piece."""
         return np.asarray(np.clip(self.play, motors - backlash / 2, motors + backlash / 2))
 
 
 class Torque:
-    """Torque state of the motors, and the sinking of an unpowered quill; SI units."""
+    """Whether the motors have power, and the sinking of a quill without power; SI units."""
 
     def __init__(self, sinks: float, floor: float) -> None:
         self._sinks = sinks
@@ -143,7 +147,8 @@ class Torque:
             self._off_since = time
 
     def sunk(self, quill: float, time: float) -> float:
-        """Return the distance that a quill has sunk from ``quill`` by ``time``, m."""
+        """Return the distance by which the quill has sunk from position ``quill`` at ``time``,
+        m."""
         if self._off_since is None or time <= self._off_since:
             return 0.0
         return min(self._sinks * (time - self._off_since), max(quill - self._floor, 0.0))
@@ -194,11 +199,12 @@ class AxisTrack:
         return self._piece(time).motors(time)
 
     def joints(self, time: float) -> Array:
-        """Return the true joint values at ``time``, up to :data:`HISTORY` s back."""
+        """Return the true joint values at ``time``, which may be up to :data:`HISTORY` s in the
+        past."""
         return self._piece(time).joints(time, self._backlash)
 
     def move(self, target: Array, start: float, speed: float, acceleration: float) -> float:
-        """Start a move from rest; return its end time."""
+        """Start a move from rest and return the time at which it ends."""
         before = self.last
         origin = before.motors(start)
         delta = np.asarray(target, dtype=float) - origin
@@ -236,7 +242,8 @@ class AxisTrack:
         self._rest(motors, piece.drive(motors, self._backlash), noise, time)
 
     def shift(self, motors: Array, time: float) -> None:
-        """At rest, set the motor values to ``motors``; the joints jump by the same amount.
+        """Set the motor values of a resting arm to ``motors``; the joint values change by the same
+        amount.
 
         Used when the arm slips or is moved by hand.
         """

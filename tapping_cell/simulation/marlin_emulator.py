@@ -1,8 +1,8 @@
 """Emulator of a Marlin 2 controller with an arm: a state machine in simulated time.
 
-Its answers to wrong, repeated and skipped lines are those of real boards: a duplicate of the last
-line is not answered, and an error is reported as ``Error``, ``Resend``, ``ok``. It has its own line
-parser, independent of the driver's codec.
+It answers wrong, repeated and skipped lines as real boards do: a duplicate of the last line is not
+answered, and an error is answered with the lines ``Error``, ``Resend`` and ``ok``. It has its own
+line parser, independent of the driver's codec.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ KILL_TIME = 0.03
 
 @dataclass(frozen=True, slots=True)
 class MarlinMachine:
-    """The arm behind the controller; joints in rad, rad, m, rad."""
+    """The arm that the emulated controller drives; joints in rad, rad, m, rad."""
 
     letters: str = "XYZA"
     axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
@@ -53,7 +53,7 @@ class MarlinMachine:
     soft_endstops: bool = False
     soft_low: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     soft_high: tuple[float, float, float, float] = (200.0, 200.0, 200.0, 200.0)
-    """Upper limits that ``M211`` reports; the emulated firmware does not clip."""
+    """Upper limits that ``M211`` reports; the emulated firmware does not clip targets to them."""
     idle_time: float = 120.0
     """Idle time after which the motors lose their power, s (DEFAULT_STEPPER_TIMEOUT_SEC)."""
     quill_sinks: float = 0.02
@@ -107,7 +107,7 @@ class MarlinEmulator:
         return self._axes.powered
 
     def enter_sleep(self, now: float) -> None:
-        """Cut the motors and end any move, as ``M84`` from another sender does."""
+        """Cut the motors' power and end any move, as ``M84`` from another sender does."""
         self.advance(now)
         self._axes.freeze(now)
         self._blocks.clear()
@@ -160,7 +160,8 @@ class MarlinEmulator:
         return self._output.take(now)
 
     def next_event(self) -> float | None:
-        """Return the time of the next end of a motion, busy message or transmission."""
+        """Return the time of the next event: the end of a motion or transmission, or a busy
+        message."""
         times = [t for t in (self._next_internal(), self._output.next_time()) if t is not None]
         return min(times) if times else None
 
@@ -189,7 +190,7 @@ class MarlinEmulator:
         self._relative = False
         self._inches = False
         self._feed = 1500.0
-        # The motors' position becomes zero; logical = native + shift.
+        # The present motor position becomes zero; logical position = native position + shift.
         self._axes.reference = self._axes.motors(now)
         self._commanded = np.zeros(AXES)
         self._shift: Array = np.zeros(AXES)
@@ -197,12 +198,13 @@ class MarlinEmulator:
             self._send_line(line, now)
 
     def _power(self, now: float) -> None:
-        """Enable the motors; they hold a quill that has sunk, but the step count is unchanged."""
+        """Enable the motors. A quill that has sunk is then held at its new position, but the step
+        count is unchanged."""
         self._axes.enable(now)
         self._rests_since = now
 
     def _idle_out(self, now: float) -> None:
-        """Cut the motors after the idle time; a limit of 0 keeps them on."""
+        """Cut the motors' power after the idle time; a limit of 0 keeps it on."""
         if self._due is not None or self._blocks:
             self._rests_since = now
         elif self._idle_limit and now >= self._rests_since + self._idle_limit:
@@ -214,7 +216,8 @@ class MarlinEmulator:
     # Received lines.
 
     def _read_line(self, line: bytes, now: float) -> None:
-        """Check number and checksum as the serial reader does, then queue the line."""
+        """Check a line's number and checksum, as Marlin's serial reader does, then queue the
+        line."""
         text = line.decode("ascii", "replace").split(";")[0].strip()
         stop = re.match(r"^(M112|M410)\b", text)
         if stop and (stop[1] == "M112" or self.machine.emergency_parser):
@@ -280,7 +283,7 @@ class MarlinEmulator:
     # Execution of queued lines.
 
     def _work(self, now: float) -> None:
-        """Execute queued lines until one takes time."""
+        """Execute queued lines until one of them takes time to complete."""
         while not self._killed:
             if self._running is not None:
                 if not self._running(now):
@@ -322,7 +325,7 @@ class MarlinEmulator:
             self._send_line("ok", now + LINE_TIME)
 
     def _begin(self, done: Callable[[float], bool], now: float) -> None:
-        """Delay a line's ``ok`` until ``done``; ``busy`` is sent meanwhile."""
+        """Delay the ``ok`` of a line until ``done`` returns True, and send ``busy`` meanwhile."""
         self._running = done
         self._busy_at = now + BUSY_PERIOD
 
@@ -337,7 +340,7 @@ class MarlinEmulator:
             self._last_number = int(words.get("N", self._last_number))
         elif code == "M114":
             logical = self._commanded + self._shift
-            # Marlin's counts follow G92, because it also sets the stepper position.
+            # G92 changes Marlin's step counts, because it also sets the stepper position.
             counts = np.round((self._axes.counted(now) + self._shift) * self._steps).tolist()
             place = " ".join(f"{a}:{v:.2f}" for a, v in zip(letters, logical, strict=True))
             count = " ".join(f"{a}:{int(n)}" for a, n in zip(letters, counts, strict=True))

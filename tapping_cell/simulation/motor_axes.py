@@ -1,7 +1,8 @@
-"""Motors and axes of an arm behind an emulated controller, whose step counts may be wrong.
+"""Motors and axes of the arm that an emulated controller drives; the controller's step counts may
+be wrong.
 
-Axis units are those of the controllers (deg, deg, mm, deg), with the directions of the motors.
-Joint values are in rad, rad, m, rad.
+Axis values are in the controllers' units (deg, deg, mm, deg) and have the motors' directions. Joint
+values are in rad, rad, m, rad.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ QUILL = 2
 TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
 """Factors from joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
 SLIP = 0.3
-"""Standard deviation of the steps lost by a sudden stop, in axis units."""
+"""Standard deviation of the motion that a sudden stop causes without being counted, in axis
+units."""
 
 Joints = tuple[float, float, float, float]
 
@@ -25,8 +27,9 @@ Joints = tuple[float, float, float, float]
 class MotorAxes:
     """Four axes in simulated time; all times in s.
 
-    sign: direction of each motor, +1 or -1. start: joint values at power-on. quill_sinks: speed at
-    which the unpowered quill sinks, m/s. quill_floor: its lowest position, m.
+    ``sign``: direction of each motor, +1 or -1. ``start``: joint values at power-on.
+    ``quill_sinks``: speed at which the quill sinks without power, m/s. ``quill_floor``: lowest
+    position of the quill, m.
     """
 
     def __init__(
@@ -52,7 +55,8 @@ class MotorAxes:
         """Position of the motors, in axis units, at which the controller counts zero steps."""
 
     def units(self, joints: Joints) -> Array:
-        """Convert joint values to axis units and directions, (4,)."""
+        """Convert joint values to axis values (4,) in the controller's units and the motors'
+        directions."""
         return np.asarray(np.asarray(joints, dtype=float) * TO_UNITS * self._sign, dtype=float)
 
     # State
@@ -92,12 +96,12 @@ class MotorAxes:
         return self._track.brake(time, deceleration)
 
     def freeze(self, time: float) -> None:
-        """Stop the motors immediately, with correct step counts."""
+        """Stop the motors immediately; the step counts remain correct."""
         self._track.freeze(time)
 
     def stop_abruptly(self, time: float) -> bool:
-        """Stop the motors immediately. If they were moving, they coast a little without being
-        counted by the controller, and the function returns True."""
+        """Stop the motors immediately. If they were moving, they coast a little, which the
+        controller does not count, and the function returns True."""
         if not self._track.moving(time):
             return False
         self._track.freeze(time)
@@ -105,15 +109,16 @@ class MotorAxes:
         return True
 
     def push(self, joints: Joints, time: float) -> None:
-        """Move the resting, unpowered axes by hand to ``joints``, which the controller does not
-        count."""
+        """Simulate that a person pushes the resting, unpowered axes to ``joints``, which the
+        controller does not count."""
         asked = (np.asarray(joints, dtype=float) - self._offset) * TO_UNITS * self._sign
         self._shift(asked - self._track.motors(time), time)
 
     # Torque
 
     def enable(self, time: float) -> None:
-        """Enable the motors. They hold a quill that has sunk; the step count is unchanged."""
+        """Enable the motors. A quill that has sunk is then held at its new position, but the step
+        count is unchanged."""
         sunk = self._torque.sunk(float(self._of_track(time)[QUILL]), time)
         self._torque.restore()
         if sunk > 0:

@@ -1,9 +1,10 @@
 """Timing of the simulated camera's images on a machine that may be too slow to render them.
 
 A real camera takes images at equal intervals, regardless of the computer's load. While the object
-slides, the world time therefore advances by one camera period per image and waits if the machine is
-late. The slide is then played in slow motion, but its stamps, in world time, are correct. Some time
-after the slide, the world time catches up with the machine's time.
+slides, the time of the simulated world (world time) therefore advances by one camera period per
+image, even if rendering is late. The slide is then played in slow motion, but the images' stamps,
+in world time, are correct. Some time after the slide, the world time catches up with the machine's
+time.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ import math
 from dataclasses import dataclass, field
 
 STEADY_S = 0.25
-"""Time after a slide during which images stay evenly spaced, because its end is still analysed."""
+"""Time after a slide for which the images remain evenly spaced, because the end of the slide is
+still being evaluated, s."""
 
 
 @dataclass(slots=True)
 class Pace:
-    """``period`` of the camera in s; ``slow_motion``: factor by which slides are played slower."""
+    """Pace of the images. ``period``: period of the camera in s; ``slow_motion``: factor by which
+    slides are slowed down."""
 
     period: float
     slow_motion: float = 1.0

@@ -15,9 +15,10 @@ from pathlib import Path
 from tapping_cell.simulation.device_emulator import DeviceEmulator
 
 LONGEST_SLEEP = 0.05
-"""Longest wait between updates of an idle emulator, s of real time."""
+"""Longest real time between updates of an idle emulator, s."""
 UNREAD_LIMIT = 65536
-"""Bytes kept for a driver that does not read; further bytes are lost, as on a real line."""
+"""Maximum number of bytes kept for a driver that does not read; further bytes are lost, as on a
+real line."""
 
 
 class PortTakenError(RuntimeError):
@@ -28,10 +29,10 @@ class PseudoTerminal:
     """Runs one emulator in a thread on a pseudo-terminal; ``path`` is a link to the terminal.
 
     The driver may close and open the path repeatedly. A lock file beside the path shows whether its
-    owner is running, so a link left by a crash is replaced but never the link of a live process.
-    The link points to a file descriptor of this process. After a crash it is therefore dangling,
-    whereas the terminal's number could soon be reused for another terminal. Use it as a context
-    manager, or call ``open`` and ``close``.
+    owner is still running. A link left by a crashed process is replaced; the link of a running
+    process never is. The link points to a file descriptor of this process, so it is dangling after
+    a crash. A link to the terminal's own path could instead soon lead to another terminal with the
+    same number. Use it as a context manager, or call ``open`` and ``close``.
 
     ``clock`` returns the emulator's time in s and runs ``time_scale`` times as fast as real time.
     ``reset_on_open``: opening the port restarts the board, as the DTR line does on many boards.
@@ -70,7 +71,7 @@ class PseudoTerminal:
         self.close()
 
     def open(self) -> None:
-        """Claim the path and start serving; raises PortTakenError."""
+        """Claim the path, create the terminal and start the thread; raises PortTakenError."""
         self._guard = self._take_path()
         self._wake_read, self._wake_write = os.pipe()
         self._stop.clear()
@@ -121,11 +122,11 @@ class PseudoTerminal:
             master, slave = os.openpty()
             tty.setraw(slave)
             os.set_blocking(master, False)
-            # O_PATH refers to the file without keeping the terminal open.
+            # With O_PATH, the descriptor refers to the file but does not keep the terminal open.
             self._linked = os.open(os.ttyname(slave), os.O_PATH | os.O_CLOEXEC)
             if self._reset_on_open:
-                # This process keeps no descriptor of this end, so that it can detect when a driver
-                # opens the terminal.
+                # This process keeps no descriptor of the driver's end, so that it can detect when a
+                # driver opens the terminal.
                 os.close(slave)
             else:
                 self._slave = slave
@@ -143,7 +144,7 @@ class PseudoTerminal:
         return self.path.with_name(self.path.name + ".lock")
 
     def _take_path(self) -> int:
-        """Lock the path's lock file; return its descriptor."""
+        """Claim the path by locking its lock file; return the descriptor of the lock file."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         while True:
             guard = os.open(self._guard_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -155,7 +156,8 @@ class PseudoTerminal:
                     f"{self.path} belongs to a running process: end it or choose another path"
                 ) from error
             try:
-                # The previous owner may have removed the file between our open and our lock.
+                # The previous owner may have removed the lock file after it was opened and before
+                # it was locked here.
                 current = os.stat(self._guard_path).st_ino == os.fstat(guard).st_ino
             except FileNotFoundError:
                 current = False
@@ -195,7 +197,7 @@ class PseudoTerminal:
             if self._reset_on_open:
                 wait = min(wait, self._watch_open(self._master, now))
             with contextlib.suppress(BlockingIOError, OSError):
-                # An OSError here means that the driver has closed its end: nothing to read.
+                # An OSError means that the driver has closed its end, so there is nothing to read.
                 data = os.read(self._master, 4096)
                 self.emulator.receive(data, now)
         self.emulator.advance(now)
@@ -211,7 +213,8 @@ class PseudoTerminal:
         return wait
 
     def _watch_open(self, master: int, now: float) -> float:
-        """Restart the board when a driver opens the port; return the time to the next check, s."""
+        """Restart the board if a driver has opened the port; return the time until the next check,
+        s."""
         poller = select.poll()
         poller.register(master, select.POLLIN)
         hung = any(event & select.POLLHUP for _, event in poller.poll(0))

@@ -2,8 +2,8 @@
 
 The images include perspective from a tilted pose, lens distortion, area sampling of markers, uneven
 light, sensor noise, motion blur, the object's side wall, and silhouettes above the table (the arm,
-a hand). The static scene is drawn once. Objects at rest are redrawn when one of them has moved, and
-a frame redraws only the regions around moving objects.
+a hand). The table is drawn once. The objects at rest are redrawn only when one of them has moved.
+In each frame, only the regions around moving objects are redrawn.
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ TOP_REFLECTANCE = 0.30
 WALL_REFLECTANCE = 0.16
 BRIGHT_TOP_REFLECTANCE = 0.78
 BRIGHT_WALL_REFLECTANCE = 0.42
-"""Reflectances of the top and the wall of an object that is brighter than the table."""
+"""Reflectances of the top and the side wall of an object that is brighter than the table."""
 DARK_DOT_REFLECTANCE = 0.08
 BRIGHT_DOT_REFLECTANCE = 0.95
 WHITE_LEVEL = 230.0
-"""Grey level of reflectance 1 in the brightest light."""
+"""Grey level of a surface with reflectance 1 in the brightest light."""
 _FRACTION = 16
-"""Fixed-point scale of the clean image per grey level, so that rounding happens after the noise."""
+"""Fixed-point units per grey level in the noise-free image, so that values are rounded only after
+the noise was added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +67,10 @@ class SceneSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Occluder:
-    """A silhouette above the table: corners (N, 3) in table, in m, and its grey level.
+    """A silhouette above the table: its corners (N, 3) in ``table``, m, and its grey level.
 
-    ``convex``: a solid whose silhouette is the convex hull of the projected corners; otherwise the
-    corners form a polygon in their order.
+    ``convex``: True if the silhouette is the convex hull of the projected corners, as for a convex
+    solid; otherwise the corners form a polygon in their order.
     """
 
     points: NDArray[np.float64]
@@ -81,7 +82,7 @@ class Occluder:
 class SceneObject:
     """An object in the image: its convex outline, points (N, 2) in m in its frame, and its top.
 
-    ``marker`` describes the height and the content of the top: a marker, or a plain top.
+    ``marker`` describes the top: its height, and whether it has a marker or is plain.
     """
 
     outline: NDArray[np.float64]
@@ -89,7 +90,7 @@ class SceneObject:
 
 
 class _Drawable:
-    """Pre-computed appearance of one object in the camera."""
+    """Pre-computed appearance of one object in the camera image."""
 
     def __init__(
         self,
@@ -98,7 +99,8 @@ class _Drawable:
         pixel: float,
         blur: float,
     ) -> None:
-        """``rays``: intersections of pixel rays with the plane of the top, (rows, columns, 2)."""
+        """``rays``: intersections of the pixel rays with the plane of the object's top, (rows,
+        columns, 2)."""
         marker = shown.marker
         self.outline, self.height = shown.outline, marker.height
         self.x, self.y = (np.ascontiguousarray(rays[..., i], dtype=np.float32) for i in (0, 1))
@@ -112,8 +114,9 @@ class _Drawable:
 class SceneRenderer:
     """Renders the table with its reference markers and the objects on it.
 
-    ``camera`` and ``pose`` are the true ones. ``outline`` and ``marker`` describe the first object
-    as in ``SceneObject``; ``others`` are further objects. ``seed`` sets the random noise.
+    ``camera`` and ``pose``: true parameters and true pose of the camera. ``outline`` and ``marker``
+    describe the first object as in ``SceneObject``; ``others`` are further objects. ``seed`` sets
+    the random noise.
     """
 
     def __init__(
@@ -132,7 +135,8 @@ class SceneRenderer:
         grain, field, state = _random_fields(seed, camera.height, camera.width)
         self._random = np.random.default_rng()
         self._random.bit_generator.state = state
-        # Pixel coverage already averages over a pixel's area, so the point spread excludes it.
+        # The pixel coverage already averages over the area of a pixel, so this area is removed from
+        # the point spread.
         self._point_spread = max(0.1, np.sqrt(max(0.0, self.settings.blur**2 - 1.0 / 12.0)))
         distance = float(pose.position[2])
         pixel = distance / camera.fx
@@ -152,7 +156,7 @@ class SceneRenderer:
             self._ground = ground.astype(np.float32)
         scale = np.float32(self.settings.noise * _FRACTION)
         self._noise = np.round(field * scale).astype(np.int16)
-        # Stationary objects are drawn into one image, moving objects over a copy of it.
+        # Objects at rest are drawn into one image, moving objects into a copy of it.
         self._still, self._still16 = background.copy(), self._background16.copy()
         self._still_key: tuple[tuple[float, ...], ...] = ()
         self._still_windows: list[tuple[slice, slice]] = []
@@ -169,9 +173,9 @@ class SceneRenderer:
     ) -> Image:
         """Render one frame, uint8 (height, width).
 
-        ``object_pose``: (x, y, theta) in table at the start of the exposure, or one row per object;
-        ``end_pose``: the same at its end (None: at rest). ``light`` scales the light of the whole
-        scene (0 is dark).
+        ``object_pose``: (x, y, theta) in ``table`` at the start of the exposure, or one row per
+        object. ``end_pose``: the same at the end of the exposure (None: at rest). ``light`` scales
+        the light of the whole scene (0 is dark).
         """
         start = np.atleast_2d(np.asarray(object_pose, dtype=float))
         end = start if end_pose is None else np.atleast_2d(np.asarray(end_pose, dtype=float))
@@ -188,13 +192,14 @@ class SceneRenderer:
                 cv2.fillPoly(clean, [corners], (level,), shift=4)
         if light != 1.0:
             clean = np.asarray(clean * light, dtype=np.int16)
-        # In place: a new array of this size would cost as much time as the sum.
+        # The sum is written to an existing array: allocating one of this size would take as long as
+        # the sum itself.
         noisy = cv2.add(clean, self._noise_field(), dst=self._noisy)
         cv2.threshold(noisy, 0.0, 0.0, cv2.THRESH_TOZERO, dst=noisy)
         return np.asarray(cv2.convertScaleAbs(noisy, alpha=1.0 / _FRACTION), dtype=np.uint8)
 
     def _light_map(self, ground: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the fraction of the full light at every pixel, 1 at the brightest."""
+        """Return the light at every pixel as a fraction of the brightest light."""
         s = self.settings
         along = ground[..., 0] * np.cos(s.light_direction) + ground[..., 1] * np.sin(
             s.light_direction
@@ -215,7 +220,7 @@ class SceneRenderer:
         grain: Array32,
     ) -> Array32:
         reflectance = np.full(ground.shape[:2], TABLE_REFLECTANCE, dtype=np.float32)
-        # A faint grain of the table, about a centimetre wide.
+        # The table has a faint grain with a width of about a centimetre.
         size = (ground.shape[1], ground.shape[0])
         smooth = cv2.resize(grain * np.float32(0.006), size, interpolation=cv2.INTER_CUBIC)
         reflectance += np.asarray(smooth, dtype=np.float32)
@@ -232,7 +237,7 @@ class SceneRenderer:
         return np.asarray(reflectance * self._light * np.float32(WHITE_LEVEL))
 
     def _window(self, pixels: NDArray[np.float64], margin: int = 5) -> tuple[slice, slice] | None:
-        """Return the region of the image around these pixels; None if it is outside."""
+        """Return the region of the image around these pixels; None if it is outside the image."""
         low = np.floor(pixels.min(axis=0)).astype(int) - margin
         high = np.ceil(pixels.max(axis=0)).astype(int) + margin + 1
         camera = self.view.camera
@@ -243,7 +248,7 @@ class SceneRenderer:
         return slice(low[1], high[1]), slice(low[0], high[0])
 
     def _draw_objects(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        """Redraw the objects at rest if one of them has moved, then draw the moving objects."""
+        """Redraw all objects at rest if one of them has moved, then draw the moving objects."""
         still = np.all(start == end, axis=-1)
         key = tuple((number, *start[number].tolist()) for number in np.flatnonzero(still).tolist())
         if key != self._still_key:
@@ -282,8 +287,8 @@ class SceneRenderer:
         end: NDArray[np.float64],
         floor: Array32,
     ) -> tuple[tuple[slice, slice], Array32] | None:
-        """Return an image region and the scene in it with an object moving between two poses; None
-        if it is out of view. ``floor`` is the image without the object."""
+        """Render an object that moves between two poses. Return the image region and its content,
+        or None if the object is out of view. ``floor``: image without the object."""
         ends = np.stack([start, end])
         base = se2.transform_points(ends[:, None, :], drawn.outline)
         rims = np.stack([self.view.project(base), self.view.project(base, drawn.height)])
@@ -306,7 +311,7 @@ class SceneRenderer:
         pose: NDArray[np.float64],
         floor: Array32,
     ) -> Array32:
-        """Render the scene in a region with the object at one pose."""
+        """Render a region of the image with the object at one pose."""
         light = self._light[window] * np.float32(WHITE_LEVEL)
         body = self._body_coverage(drawn, window, pose)
         if self.settings.shadow_depth > 0.0:
@@ -316,7 +321,8 @@ class SceneRenderer:
             floor = floor * (1 - np.float32(self.settings.shadow_depth) * shaded)
         x, y = drawn.x[window], drawn.y[window]
         top, covered = drawn.body.sample(*_local(pose, x, y))
-        # Coverages of top, wall and floor add up, so no wall appears at edges where it is hidden.
+        # The coverages of top, wall and floor add up to 1, so the wall does not appear at edges
+        # where it is hidden.
         behind = np.maximum(body - covered, 0.0) * light * np.float32(drawn.wall)
         patch = floor * (1 - np.maximum(body, covered)) + behind + top * light
         if drawn.label is not None:
@@ -328,7 +334,8 @@ class SceneRenderer:
     def _body_coverage(
         self, drawn: _Drawable, window: tuple[slice, slice], pose: NDArray[np.float64]
     ) -> Array32:
-        """Return the coverage of the whole body, from the outline on the table to the top."""
+        """Return the coverage of each pixel by the object's whole body, from its outline on the
+        table to its top."""
         base = se2.transform_points(pose, drawn.outline)
         rims = np.concatenate([self.view.project(base), self.view.project(base, drawn.height)])
         hull = cv2.convexHull(rims.astype(np.float32))[:, 0]
@@ -339,7 +346,7 @@ class SceneRenderer:
         return np.asarray(soft, dtype=np.float32)
 
     def _noise_field(self) -> NDArray[np.int16]:
-        """Return one of about 200 000 windows of the noise pool, chosen at random."""
+        """Return a random window of the noise pool, which has about 200 000 possible windows."""
         camera = self.view.camera
         _, rows, columns = self._noise.shape
         which = self._random.integers(self._noise.shape[0])
@@ -351,7 +358,8 @@ class SceneRenderer:
 def _label(
     shown: ObjectMarker | ObjectOutline, pixel: float, blur: float
 ) -> tuple[Layer | None, NDArray[np.float64]]:
-    """Return the layer on the object's top, and its pose in the object's frame."""
+    """Return the layer on the object's top (None for a plain top), and the layer's pose in the
+    object's frame."""
     if isinstance(shown, ObjectMarker):
         layer = marker_layer(shown.dictionary, shown.id, shown.size, pixel, blur)
         return layer, np.array(shown.offset)
@@ -371,8 +379,9 @@ def _local(pose: NDArray[np.float64], x: Array32, y: Array32) -> tuple[Array32, 
 
 @lru_cache(maxsize=2)
 def _random_fields(seed: int, height: int, width: int) -> tuple[Array32, Array32, dict[str, Any]]:
-    """Return what a scene draws at its start: the table's grain and the pool of noise, both of
-    deviation 1, and the state of the generator after them. Scenes of one seed share them."""
+    """Return the random fields of a scene: the table's grain and the noise pool, both with standard
+    deviation 1, and the state of the random generator afterwards. Scenes with the same seed share
+    them."""
     random = np.random.default_rng(seed)
     grain = random.standard_normal((64, 80)).astype(np.float32)
     field = random.standard_normal((4, height + 192, width + 256), dtype=np.float32)
@@ -385,8 +394,8 @@ def _fixed_point(image: Array32) -> NDArray[np.int16]:
 
 @lru_cache(maxsize=2)
 def _ray_map(camera: CameraModel) -> NDArray[np.float64]:
-    """Return the ray directions (height, width, 2) of all pixels: exact on a grid of 16 pixels,
-    interpolated by splines between."""
+    """Return the ray directions (height, width, 2) of all pixels. They are exact on a grid of 16
+    pixels and interpolated by splines between the grid points."""
     step = 16
     x = np.arange(-step, camera.width + 2 * step, step)
     y = np.arange(-step, camera.height + 2 * step, step)

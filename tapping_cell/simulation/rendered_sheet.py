@@ -17,15 +17,16 @@ from tapping_cell.vision.camera import CameraModel, CameraPose, Image, View
 
 SAMPLES = 3
 _PAPER, _INK, _TABLE = 215.0, 35.0, 120.0
-"""Grey levels of white and black print and of the table around the sheet, in full light."""
+"""Grey levels of white paper, black ink and the table around the sheet, in full light."""
 _NODE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sheet:
-    """A print: ``pattern`` (rows, columns), 255 for white, with a pixel size of ``pixel`` m.
+    """A printed sheet: ``pattern`` (rows, columns), 255 for white, with a pixel size of ``pixel``
+    m.
 
-    Its frame has the origin in the middle of the sheet, x to the right and y up.
+    The sheet's frame has its origin in the middle, x to the right and y up.
     """
 
     pattern: Image
@@ -38,7 +39,8 @@ class Sheet:
 
 
 class SheetCamera:
-    """A camera that takes photographs of sheets; its lens map is computed only once."""
+    """A camera that takes photographs of sheets. The lens distortion is computed only once per
+    camera."""
 
     def __init__(self, camera: CameraModel, seed: int = 0) -> None:
         self.camera = camera
@@ -56,10 +58,12 @@ class SheetCamera:
         blur: float = 0.6,
         falloff: float = 0.3,
     ) -> Image:
-        """Return an image, uint8 (height, width), taken from ``pose`` (of the sheet in the camera).
+        """Return an image, uint8 (height, width), of the sheet; ``pose``: pose of the sheet in the
+        camera's frame.
 
         ``noise`` in grey levels; ``blur``: sigma of the point spread function in pixels, without
-        the pixel's own area; ``falloff``: fraction of the light lost from left to right.
+        the averaging over a pixel; ``falloff``: fraction of the light that is lost from left to
+        right.
         """
         camera = self.camera
         image = np.full((camera.height, camera.width), _TABLE)

@@ -14,7 +14,7 @@ from tapping_cell.vision.camera import CameraModel, CameraPose
 
 
 def true_camera(calibrated: CameraModel, truth: CameraTruth) -> CameraModel:
-    """Return the calibrated camera with the true lens parameters."""
+    """Return the true camera: the calibrated camera with the lens errors of ``truth``."""
     first, *others = (
         (*calibrated.distortion, 0.0) if not calibrated.distortion else (calibrated.distortion)
     )
@@ -33,7 +33,8 @@ def make_renderer(
     seed: int,
     others: Sequence[SceneObject] = (),
 ) -> SceneRenderer:
-    """Return a renderer of the cell's table, its object and further ones, with true parameters."""
+    """Return a renderer of the cell's table, its object and the ``others``, with the true
+    parameters."""
     return SceneRenderer(
         camera=true_camera(cell.camera, truth),
         pose=CameraPose.above(truth.position, truth.aim, truth.turn),

@@ -1,9 +1,10 @@
 """A body sliding on the table, integrated in time from the friction under each support point.
 
-Independent of the closed forms of ``tapping_cell.mechanics`` on purpose: support, table and
-friction law may be more general than those forms allow. The friction at each support point opposes
-its velocity v + omega x r, with its fraction of the weight. The total torque is multiplied by the
-torque factor, an empirical finding of Huang and Mason (section 3.1.2).
+The integration is deliberately independent of the closed forms of ``tapping_cell.mechanics``:
+support, table and friction law may be more general than those forms allow. The friction at each
+support point opposes the point's velocity v + omega x r and is proportional to the point's fraction
+of the weight. The total torque is multiplied by the torque factor, an empirical finding of Huang
+and Mason (section 3.1.2).
 """
 
 from __future__ import annotations
@@ -19,20 +20,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LARGEST_LOSS = 0.1
-"""Maximum fraction of the speed that friction removes in one step. It keeps the change of direction
-small and shortens the steps as the body comes to rest."""
+"""Maximum fraction of the speed that friction removes in one step. This limit keeps the change of
+direction small and shortens the steps as the body comes to rest."""
 LONGEST_STEP_S = 0.005
 PATCH_STEP_M = 0.001
-"""Maximum distance of a step, m, on a table whose friction depends on the position."""
+"""Maximum distance per step on a table whose friction depends on the position, m."""
 STOP_SPEED = 0.0002
-"""Speed of the body's rim, m/s, below which the body is stopped: less than 0.1 um would remain."""
+"""Speed of the body's rim, m/s, below which the body is stopped; it would slide less than 0.1 um
+further."""
 _LONGEST_SLIDE_S = 60.0
 _STILL = 1e-9
-"""Speed below which a point has no direction of drag, m/s."""
+"""Speed below which the direction of friction at a point is undefined, m/s."""
 
 
 class Motion(NamedTuple):
-    """Pose and twist of the centre of mass in table axes; m, rad, s."""
+    """Pose and twist of the centre of mass in ``table``; m, rad, s."""
 
     x: float
     y: float
@@ -48,7 +50,7 @@ class Motion(NamedTuple):
 
 
 class Acceleration(NamedTuple):
-    """Acceleration of the centre of mass, m/s^2, and about it, rad/s^2."""
+    """Linear acceleration of the centre of mass, m/s^2, and angular acceleration, rad/s^2."""
 
     x: float
     y: float
@@ -85,8 +87,9 @@ class Slide:
     def __init__(
         self, points: Array, grip: Array, friction: TableFriction, gyration_squared: float
     ) -> None:
-        """``points`` (n, 2) in m from the centre of mass in the object's axes; ``grip`` (n,):
-        fraction of the grip at each; ``gyration_squared``: inertia over mass in m^2."""
+        """``points``: support points (n, 2) in m from the centre of mass, in the object's axes.
+        ``grip``: fraction (n,) of the total grip at each point. ``gyration_squared``: moment of
+        inertia divided by mass, m^2."""
         self._x, self._y = (np.ascontiguousarray(column) for column in points.T)
         self._grip = grip
         self._friction = friction
@@ -102,17 +105,17 @@ class Slide:
         return math.hypot(motion.vx, motion.vy) + self.reach * abs(motion.omega)
 
     def stays(self, motion: Motion) -> bool:
-        """Return whether friction holds a body at rest against the tilt."""
+        """Return whether friction holds a body at rest on the tilted table."""
         law = self._friction
         grip = float(np.sum(self._grip_at(motion)))
         hold = min(self._along, self._across) * law.friction * (1 + law.slow_rise) * grip
         return math.hypot(*self._pull) <= hold * law.gravity
 
     def acceleration(self, motion: Motion) -> Acceleration:
-        """Return the acceleration of a moving body by friction and tilt."""
+        """Return the acceleration of a moving body by friction and by the table's tilt."""
         law = self._friction
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
-        # In the object's axes, in which the support points are fixed.
+        # Velocities in the object's axes, in which the support points are fixed.
         ux = cos * motion.vx + sin * motion.vy - motion.omega * self._y
         uy = cos * motion.vy - sin * motion.vx + motion.omega * self._x
         grip = self._grip_at(motion)
@@ -136,7 +139,8 @@ class Slide:
         )
 
     def step(self, motion: Motion, longest: float = LONGEST_STEP_S) -> tuple[Motion, float]:
-        """Make one fourth-order Runge-Kutta step; return the motion after it and its length in s.
+        """Make one fourth-order Runge-Kutta step; return the motion after the step and the step's
+        length in s.
 
         The step is as long as the accuracy allows, at most ``longest``. The returned velocity is
         zero if the body has come to rest and friction holds it.
@@ -170,7 +174,7 @@ class Slide:
         return after, length
 
     def rest(self, motion: Motion) -> tuple[Motion, float]:
-        """Integrate until the body is at rest; return its motion then and the elapsed time in s.
+        """Integrate until the body is at rest; return its final motion and the elapsed time in s.
 
         Raises:
             ValueError: friction does not stop the body within a minute, as on a steep slope.
@@ -187,7 +191,8 @@ class Slide:
         return motion, elapsed
 
     def _grip_at(self, motion: Motion) -> Array:
-        """Return the grip of every support point at its position on the table."""
+        """Return the grip of every support point, including the friction of the table's patch at
+        the point."""
         if not self._friction.patches:
             return self._grip
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
@@ -202,8 +207,8 @@ class Slide:
     def _anisotropic_force(
         self, ux: Array, uy: Array, grip: Array, grain: float
     ) -> tuple[Array, Array]:
-        """Return the drag for direction-dependent friction: the limit curve is an ellipse, and the
-        force on it is the one that dissipates the most power."""
+        """Return the friction force if friction depends on the direction. The limit curve is an
+        ellipse, and the force is the point of this curve that dissipates the most power."""
         cos, sin = math.cos(grain), math.sin(grain)
         along = self._along * (cos * ux + sin * uy)
         across = self._across * (cos * uy - sin * ux)

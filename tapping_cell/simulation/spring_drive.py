@@ -1,7 +1,8 @@
 """The tapper's spring carriage: its counted steps and its true motion.
 
-It follows the same rules as ``firmware/tapper/drive.c``, computed from movement to movement instead
-of step by step. Positions are in steps from the point where the front switch closes.
+The model follows the same rules as ``firmware/tapper/drive.c``, but is computed movement by
+movement instead of step by step. Positions are in steps from the point where the front switch
+closes.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 LEAVE_STEPS = 400
-"""Maximum number of steps to move off a closed front switch."""
+"""Maximum number of steps to move off a closed front switch before homing fails."""
 HYSTERESIS_LIMIT = 50
-"""Step count from which the switch must be open."""
+"""Step count from which the front switch must be open when charging."""
 SLACK = 6
-"""Maximum difference of the switch's closing position from that at homing, steps."""
+"""Maximum difference between the positions at which the switch closes on a return and at homing,
+steps."""
 SETTLE_TIME = 0.002
 """Time for which the switch level must be constant to count, s; no steps are made meanwhile."""
 WAKE_TIME = 0.010
@@ -45,7 +47,7 @@ class SpringMechanism:
         return math.floor(math.sqrt(2 * energy / self.stiffness) / self.step_length + 0.5)
 
     def energy_at(self, place: float) -> float:
-        """Return the energy in J at ``place`` in steps."""
+        """Return the spring's energy in J with the carriage at ``place`` in steps."""
         return 0.5 * self.stiffness * (place * self.step_length) ** 2
 
     def can_store(self, energy: float) -> bool:
@@ -62,7 +64,7 @@ class Status(Enum):
     THERE = "there"
     MOVING = "moving"
     UNKNOWN = "unknown"
-    """The motor is off, and the position is unknown."""
+    """The motor is off, and the carriage's position is unknown."""
 
 
 class Phase(Enum):
@@ -78,7 +80,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    """End of the current movement: time, number of steps, next phase, and step count then."""
+    """End of the current movement: time, number of steps, next phase, and step count at the end."""
 
     at: float
     steps: int
@@ -87,7 +89,7 @@ class _End:
 
 
 class SpringDrive:
-    """One carriage; ``now`` in s must not decrease between calls."""
+    """The spring's carriage in simulated time; ``now`` in s must not decrease between calls."""
 
     def __init__(self, mechanism: SpringMechanism, now: float, place: float = 0.0) -> None:
         self.mechanism = mechanism
@@ -111,7 +113,8 @@ class SpringDrive:
         return Status.THERE if self._phase is Phase.HOLDING else Status.MOVING
 
     def place(self, now: float) -> float:
-        """Return the true position of the carriage, in steps from where the switch closes."""
+        """Return the true position of the carriage, in steps from the point where the front switch
+        closes."""
         self.advance(now)
         self._take(now)
         return self._place
@@ -131,7 +134,7 @@ class SpringDrive:
         return self.mechanism.energy_at(self.place(now))
 
     def at_mounts(self, now: float) -> int:
-        """Return 0, because a tapper on an arm has no switches at mounts."""
+        """Return 0: a tapper on an arm has no mount switches."""
         return 0
 
     def released(self, channel: int, now: float) -> None:
@@ -167,7 +170,7 @@ class SpringDrive:
     # Faults.
 
     def set_power(self, on: bool, now: float) -> None:
-        """Set the motor's supply, which the emergency stop cuts."""
+        """Switch the motor's supply on or off; the emergency stop switches it off."""
         self._take(now)
         self._powered = on
         self._begin(self._phase, now)
@@ -179,7 +182,7 @@ class SpringDrive:
         self._begin(self._phase, now)
 
     def lose_steps(self, count: int, now: float) -> None:
-        """Make the next ``count`` steps move nothing."""
+        """Make the motor lose the next ``count`` steps."""
         self._take(now)
         self._lose = count
         self._begin(self._phase, now)
@@ -213,7 +216,7 @@ class SpringDrive:
         )
 
     def _take(self, now: float) -> None:
-        """Update position and step count to ``now``."""
+        """Update the position and the step count to ``now``."""
         if self._phase is Phase.OFF:
             if now > self._since and self._place > 0.0:
                 slip = self.mechanism.back_drive * (now - self._since)
@@ -238,7 +241,7 @@ class SpringDrive:
         self._lose = max(0, self._lose - steps)
 
     def _switch_after(self, steps: int) -> bool:
-        """Return the state of a working switch after ``steps`` more steps."""
+        """Return whether a working front switch is closed after ``steps`` more steps."""
         place = self._place + self._direction() * self._effective(steps)
         return place < self.mechanism.switch_hysteresis if self._closed else place <= 0.0
 
@@ -246,13 +249,14 @@ class SpringDrive:
         return self._closed if self._stuck is None else self._stuck
 
     def _steps_until(self, distance: float) -> float:
-        """Return the steps until the switch changes after ``distance`` true steps; inf if never."""
+        """Return the motor steps until the switch changes; the carriage must move by ``distance``
+        steps. Inf if it never changes."""
         if not self._powered or self._stuck is not None:
             return math.inf
         return self._lose + max(0.0, math.ceil(distance))
 
     def _plan(self) -> _End | None:
-        """Return the end of the current phase; None if it does not end."""
+        """Return the end of the current phase; None if the phase does not end by itself."""
         rate, hysteresis = self.mechanism.step_rate, self.mechanism.switch_hysteresis
 
         def after(steps: float, phase: Phase, count: int, settle: float = 0.0) -> _End:

@@ -1,9 +1,9 @@
 """Support of the object: the distribution of its weight over its underside.
 
 The underside is a set of points, each with a fraction of the weight. The fractions are corrected so
-that the centre of pressure lies under the centre of mass, as for a body at rest. As for a rigid
-body on an elastic foundation, the correction is linear in the position, and points that would have
-to pull are removed.
+that the centre of pressure lies under the centre of mass, as for a body at rest. The correction is
+linear in the position, as for a rigid body on an elastic foundation, and points that would have to
+pull are removed.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from tapping_cell.simulation.truth import SupportTruth
 Array = NDArray[np.float64]
 
 _RINGS, _SPOKES = 8, 32
-"""Sample of a disk: 256 points, which give a slide within 0.5 % of the exact one."""
+"""Numbers of rings and spokes that sample a disk. With these 256 points, a slide is within 0.5 % of
+the exact slide."""
 _RIM_POINTS = 180
 _GRID = 20
-"""Number of points along the longer side of a polygon."""
+"""Number of sample points along the longer side of a polygon."""
 
 
 def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Array, Array]:
-    """Return points (n, 2) in the object's frame, m, and the grip (n,) of each, with sum 1.
+    """Return support points (n, 2) in the object's frame, m, and the grip (n,) at each point.
 
-    The grip is the fraction of the weight times the point's friction relative to the mean
-    (``lean``).
+    The grip of a point is its fraction of the weight, multiplied by its friction relative to the
+    mean (``lean``). The grips add up to 1.
     """
     points: Array
     shares: Array
@@ -55,10 +56,10 @@ def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Ar
 
 
 def balanced(points: Array, shares: Array, centre: Array) -> tuple[Array, Array]:
-    """Return the loaded points and their fractions of the weight, balanced about ``centre`` (m).
+    """Return the points that carry weight, and the fraction of the weight at each; the centre of
+    pressure is at ``centre`` (m).
 
-    Raises:
-        ValueError: the centre is outside all points, so that the object would tip over.
+    Raises: ValueError: the points do not surround the centre, so that the object would tip over.
     """
     scale = float(np.max(np.hypot(points[:, 0], points[:, 1])))
     for _ in range(len(points)):
@@ -78,12 +79,14 @@ def balanced(points: Array, shares: Array, centre: Array) -> tuple[Array, Array]
 
 
 def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
-    """Return equally loaded points over the underside of a body with even pressure."""
+    """Return points and their fractions of the weight for even pressure over the whole
+    underside."""
     if isinstance(body, Ring):
         return _rim(body)
     if isinstance(body, Disk):
         radius = body.radius * np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
-        # Each ring is rotated relative to the next, so that the points do not form rows.
+        # Each ring is rotated relative to the next one, so that the points do not form straight
+        # rows.
         turn = np.arange(_RINGS) * (math.pi * (3 - math.sqrt(5)))
         angles = (np.arange(_SPOKES) + 0.5) * (2 * math.pi / _SPOKES) + turn[:, None]
         circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -94,7 +97,8 @@ def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
 
 
 def _rim(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
-    """Return points along the outline, weighted by the length that each represents."""
+    """Return points along the outline; each one's fraction of the weight is proportional to the
+    length that it represents."""
     if isinstance(body, Polygon):
         lengths = body.edge_lengths
         points, shares = [], []

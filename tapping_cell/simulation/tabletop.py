@@ -1,8 +1,8 @@
 """Several objects on one simulated table: a struck object slides and may collide with others.
 
-Each object is a ``World``. The tabletop keeps all worlds at the same time, lets the striker hit the
-first object in its path, and computes collisions (``simulation.collision``). Time steps shrink
-before a contact, so that objects overlap by less than 0.1 mm.
+Each object is a ``World``. The tabletop advances all worlds to the same time, lets the striker hit
+the first object in its path, and computes collisions (``simulation.collision``). The time steps are
+shortened before a contact, so that objects overlap by less than 0.1 mm.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from tapping_cell.simulation.world import World
 
 SHORTEST_STEP_S, LONGEST_STEP_S = 1e-4, 2e-3
 TOUCHING_M = 2e-5
-"""Distance below which objects touch, m."""
+"""Distance below which two objects touch, m."""
 NOTED_SPEED = 0.001
-"""Minimum closing speed of a reported contact, m/s; excludes objects sliding side by side."""
+"""Minimum closing speed of a reported contact, m/s. It excludes objects that slide side by side."""
 APART_S = 0.05
 """Time after a contact within which further contacts of the same objects are ignored, s."""
 START_GAP_M = 0.04
@@ -37,8 +37,8 @@ TRIES, RESTARTS = 300, 40
 
 @dataclass(frozen=True, slots=True)
 class TrueContact:
-    """Contact of two objects: moving object, object hit, time (s), point (m, in table), and closing
-    speed (m/s)."""
+    """Contact of two objects: ``name`` moved and hit ``other``. Time in s, point in ``table`` in m,
+    closing speed in m/s."""
 
     name: str
     other: str
@@ -59,8 +59,8 @@ class Tabletop:
         seed: int,
         size: tuple[float, float],
     ) -> None:
-        """``contents``: the cell's own object first; ``stroke``: see ``World``; ``size``: length
-        and width of the table, m.
+        """``contents``: object files, beginning with the cell's own object. ``stroke``: see
+        ``World``. ``size``: length and width of the table, m.
 
         Raises:
             ValueError: there is not enough free space, or a centre of mass is outside its support.
@@ -122,11 +122,11 @@ class Tabletop:
             world.take_striker(striker, stroke)
 
     def travel_to_meet(self, tip: Pose, tip_height: float, speed: float) -> float:
-        """Return ``World.travel_to_meet`` for the first object in the path."""
+        """Return ``World.travel_to_meet`` for the first object in the striker's path."""
         return min(world.travel_to_meet(tip, tip_height, speed) for world in self.worlds.values())
 
     def gate_speed(self, speed: float) -> float:
-        """Return the speed that the tapper's gate measures, see ``World.gate_speed``."""
+        """Return the speed that the tapper's speed gate measures; see ``World.gate_speed``."""
         return next(iter(self.worlds.values())).gate_speed(speed)
 
     def reseed(self, seed: int) -> None:
@@ -147,7 +147,8 @@ class Tabletop:
     ) -> Pose:
         """Return a random pose on the table, away from its edges and from the other objects.
 
-        ``disc``: middle x and y, and radius (m) of a disc that must contain its centre.
+        ``disc``: x and y of the centre, and radius, of a disc that must contain the object's
+        centre, m.
 
         Raises:
             ValueError: there is not enough free space.
@@ -179,7 +180,8 @@ class Tabletop:
         return contacts
 
     def _spread(self, truth: TruthFile) -> None:
-        """Place the further objects at the poses of the simulation parameters, or at random."""
+        """Place the further objects at the poses in the simulation parameters, or at random free
+        poses."""
         own, *further = self.worlds
         for name, start in zip(further, truth.further_starts, strict=False):
             self.worlds[name].place(Pose(*start))
@@ -191,7 +193,7 @@ class Tabletop:
                     self.worlds[name].place(self.free_pose(name, placed))
                     placed.append(name)
             except ValueError:
-                # The objects placed before may be in unfavourable places: start over.
+                # The objects that were already placed may be in unfavourable places, so start over.
                 if attempt == RESTARTS - 1:
                     raise
             else:
@@ -203,7 +205,8 @@ class Tabletop:
             world.advance(self._now)
 
     def _pairs(self) -> list[tuple[str, str, float]]:
-        """Return each pair with a moving object, and an upper bound of its closing speed, m/s."""
+        """Return each pair of objects of which at least one moves, and an upper bound of its
+        closing speed, m/s."""
         speeds = {}
         for name, world in self.worlds.items():
             vx, vy, omega = world.twist
@@ -215,8 +218,8 @@ class Tabletop:
         ]
 
     def _step_length(self, pairs: Sequence[tuple[str, str, float]]) -> float:
-        """Return a time during which no objects can meet, s."""
-        # While a striker may hit an object, its speed may still increase; all others only slow
+        """Return a time step in which no two objects can meet, s."""
+        # An object that the striker may still hit can become faster; all other objects only slow
         # down.
         struck = any(world.struck for world in self.worlds.values())
         longest = LONGEST_STEP_S if struck else math.inf
@@ -251,7 +254,8 @@ class Tabletop:
 
 
 def _clearance(one: World, other: World) -> float:
-    """Return a lower bound of the distance between two objects for any rotation, m."""
+    """Return a lower bound of the distance between two objects that holds for any rotation of them,
+    m."""
     here, there = one.motion, other.motion
     between = math.hypot(here.x - there.x, here.y - there.y)
     return between - one.solid.reach - other.solid.reach

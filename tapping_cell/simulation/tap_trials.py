@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 class SimulatedTaps:
     """Simulates taps, with the striker placed according to the planner's mechanics.
 
-    model: mechanics of the planner, which convert a displacement into a strike; content: object
-    file to which ``truth`` is relative; standoff: distance from the tip at rest to the contact, m;
-    stroke: maximum travel of the tip, m; round_position, round_angle: increments to which the tip's
-    pose at rest is rounded (m, rad), 0 for none.
+    ``model``: mechanics of the planner, which convert a displacement into a strike. ``content``:
+    object file to which ``truth`` is relative. ``standoff``: distance from the tip at rest to the
+    contact, m. ``stroke``: maximum travel of the tip, m. ``round_position``, ``round_angle``:
+    increments to which the tip's pose at rest is rounded (m, rad); 0 for none.
     """
 
     model: Tap
@@ -46,11 +46,12 @@ class SimulatedTaps:
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """Return true displacements (n, 3) of taps on objects at ``poses``, planned for ``seen``.
+        """Return the true displacements (n, 3) of taps on objects at ``poses``; each tap was
+        planned for the pose in ``seen``.
 
-        All arrays but ``gains`` are (n, 3) in table axes. The first two of ``gains`` (n, 4) also
-        multiply distance and rotation; the other two are ignored, because ``truth`` gives the
-        centre of mass. A tap that misses moves nothing.
+        All arrays except ``gains`` are (n, 3) in ``table`` axes. The first two columns of ``gains``
+        (n, 4) also multiply distance and rotation. The other two are ignored, because ``truth``
+        contains the centre of mass. A tap that misses does not move the object.
         """
         plan = self.model.plan(commanded, seen)
         tips = tips_at_rest(plan.strike_pose, self.standoff, self.round_position, self.round_angle)

@@ -19,7 +19,8 @@ CLEAR_WINDOW = 10.0
 SHORTEST_PRESS = 0.5
 """Minimum duration of a press of the clear button, s."""
 FORGET_PRESS = 5.0
-"""Duration of a press that resets the used shot numbers while the board is at rest, s."""
+"""Duration of a press of the clear button that resets the used shot numbers if the board is at
+rest, s."""
 LONGEST_WINDOW_MS = 100
 LARGEST_JUMP = 2**32
 OLD_VERSION = "2.0.0-sim"
@@ -31,11 +32,12 @@ SETTLING = {
     "CHARGED": "CHARGED",
     "DISCHARGING": "SAFE",
 }
-"""States with a movement, and the states that follow when it has ended successfully."""
+"""For each state in which parts may move: the state that follows when the motion has ended
+successfully."""
 
 FireCallback = Callable[[int, float, float], float | None]
-"""Callback of a release with shot, energy in J and time in s; returns the measured speed in m/s or
-None."""
+"""Callback when a striker is released. Arguments: shot, energy in J, time in s. Returns the
+measured speed in m/s, or None."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +109,7 @@ class TapperEmulator:
         self.channel = 0
         """Channel of the last shot that was charged."""
         self._boot = boot - 1
-        self._used = 0  # kept in EEPROM: the highest shot number ever charged
+        self._used = 0  # greatest shot number ever charged; the board stores it in EEPROM
         self._enabled = False
         self._button = False
         self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
@@ -159,13 +161,14 @@ class TapperEmulator:
         return self._state
 
     def press_clear_button(self, now: float) -> None:
-        """Press the clear button long enough and release it at ``now``."""
+        """Simulate a sufficiently long press of the clear button that ends at ``now``."""
         self.advance(now)
         if self._state == "STOPPED":
             self._acknowledged = now
 
     def set_clear_button(self, pressed: bool, now: float) -> None:
-        """Press or release the clear button; a press takes effect at its end, by its duration."""
+        """Press or release the clear button. A press takes effect when it ends; the effect depends
+        on its duration."""
         self.advance(now)
         if pressed == self._button:
             return
@@ -196,13 +199,14 @@ class TapperEmulator:
         self._leave_setup_limit(now)
 
     def set_motor_power(self, on: bool, now: float) -> None:
-        """Switch the supply of the spring's motor; without it, steps move nothing."""
+        """Switch the supply of the spring's motor on or off; without the supply, steps do not move
+        the carriage."""
         self.advance(now)
         assert isinstance(self.drive, SpringDrive), "coils have no motor"
         self.drive.set_power(on, now)
 
     def open_stop_loop(self, now: float) -> None:
-        """Open and close the emergency stop's loop, which cuts the motor's power meanwhile."""
+        """Open and close the emergency stop loop; while it is open, the motor has no power."""
         self.advance(now)
         self._stop(by_wire=True, now=now)
 
@@ -232,7 +236,8 @@ class TapperEmulator:
         while True:
             due = self._next_internal()
             if due is None or due > now:
-                # The motions of the strikers of coils do not end with an event.
+                # The end of a coil-driven striker's motion is not an event, so check the strikers
+                # here.
                 if self._state == "SAFE" or (self.machine.coils and self._state in SETTLING):
                     self._settle(SETTLING[self._state], self._state)
                 return
@@ -264,7 +269,8 @@ class TapperEmulator:
         self._start(now)
 
     def _limit(self) -> float:
-        """Return the time when silence or the timeout ends the current action."""
+        """Return the time when the current action ends because of missing requests or its
+        timeout."""
         if self._state == "HOMING":
             return self._received + SILENCE
         if self._state in ("CHARGING", "CHARGED"):

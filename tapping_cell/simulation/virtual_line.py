@@ -1,7 +1,8 @@
-"""Drivers and emulated devices in one thread in virtual time, as fast as they can be computed.
+"""Drivers and emulated devices that run in one thread and in virtual time, as fast as they can be
+computed.
 
 While a driver waits, the clock jumps from event to event, so hours of operation take seconds and
-every run is repeatable. The driver is the real one; only its transport is replaced.
+every run is repeatable. The drivers are the real drivers; only their transport is replaced.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.simulation.fault_layer import FaultLayer
 
 IDLE_READS = 100_000
-"""Number of reads without progress of time after which the driver counts as stuck in a loop."""
+"""Number of reads at the same virtual time after which the driver counts as stuck in a loop."""
 
 
 class HangError(Exception):
@@ -25,7 +26,7 @@ class VirtualClock:
     def __init__(self) -> None:
         self.now = 0.0
         self.limit = float("inf")
-        """Time after which a call counts as hanging, s."""
+        """Virtual time after which a driver's call counts as hanging, s."""
         self._lines: list[FaultLayer] = []
         self._still = 0
 
@@ -34,9 +35,10 @@ class VirtualClock:
         self._lines.append(line)
 
     def step(self, until: float, reading: FaultLayer | None = None) -> None:
-        """Go to the next event of any line, at most to ``until``; raises HangError past the limit.
+        """Advance to the next event of any line, at most to ``until``. Raises HangError after
+        ``limit``.
 
-        ``reading``: the line from which the caller waits for bytes.
+        ``reading``: line from which the caller awaits bytes.
         """
         times = [t for line in self._lines if (t := line.next_on_line()) is not None]
         if reading is not None and (output := reading.next_event()) is not None:
@@ -101,7 +103,8 @@ class VirtualTransport:
         """Return the available bytes, waiting up to ``timeout`` s for the first."""
         deadline = self._clock.now + timeout
         if timeout > 0:
-            # As real time does, virtual time must advance during every wait, despite rounding.
+            # Like real time, virtual time must advance during every wait, even if rounding would
+            # remove a short wait.
             deadline = max(deadline, math.nextafter(self._clock.now, math.inf))
         while True:
             self._require()
@@ -114,7 +117,8 @@ class VirtualTransport:
         """Write all of ``data``."""
         self._require()
         self._line.receive(data, self._clock.now)
-        # A port that disappeared during this write may have received some of the bytes or none.
+        # If the port disappeared during this write, the device may have received some of the bytes
+        # or none.
         self._require()
 
     def stop(self, data: bytes) -> bool:

@@ -1,8 +1,9 @@
-"""The simulated table, object and striker: computes the object's pose over time after a tap.
+"""The simulated table, object and striker, which determine the object's pose as a function of time
+after a tap.
 
 The striker's flight, its contacts with the object and the slide are integrated in time with the
-true parameters (``TruthFile``). Time is an argument. The step lengths depend only on the motion, so
-the final pose of the object does not depend on the times of the calls.
+true parameters (``TruthFile``). Time is passed as an argument. The step lengths depend only on the
+motion, so the final pose of the object does not depend on the times of the calls.
 """
 
 from __future__ import annotations
@@ -23,19 +24,20 @@ from tapping_cell.simulation.support import sample_support
 from tapping_cell.simulation.truth import TruthFile
 
 _SHORTEST_STEP_S = 2e-6
-"""Minimum step of a flight close to the object, s."""
+"""Minimum time step of the striker's flight close to the object, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Scatter:
-    """Random deviation of one tap from the mechanics."""
+    """Random deviation of one tap from the deterministic mechanics."""
 
     faster: float
     spinnier: float
     turn: float
 
     def apply(self, before: Motion, after: Motion) -> Motion:
-        """Return the motion after a contact, with random errors on its change of the twist."""
+        """Return the motion after a contact, with random errors in the change of velocity and
+        spin."""
         vx, vy = after.vx - before.vx, after.vy - before.vy
         cos, sin = math.cos(self.turn), math.sin(self.turn)
         return after._replace(
@@ -47,7 +49,7 @@ class _Scatter:
 
 @dataclass(slots=True)
 class _Tap:
-    """A released striker and the tap's own deviations."""
+    """A released striker and the random deviations of its tap."""
 
     flight: Flight
     scatter: _Scatter
@@ -66,7 +68,8 @@ class World:
         truth: TruthFile,
         random: int | np.random.Generator,
     ) -> None:
-        """``stroke``: maximum travel of the released tip, in m; ``random``: a seed or a generator.
+        """``stroke``: maximum travel of the released tip, m. ``random``: seed or generator of the
+        random errors.
 
         Raises:
             ValueError: the true centre of mass is not over the object's support.
@@ -106,12 +109,12 @@ class World:
         self.solid = Solid.of(body, offset, inertia)
         """The object's shape for collisions with other objects."""
         self._random = np.random.default_rng(random)
-        # Separate generators are used, so that a speed measurement or a scatter of the end does not
-        # change the other random errors of the taps.
+        # Speed measurements and errors of the end position have their own random generators, so
+        # that they do not change the other random errors of the taps.
         self._gate_random, self._end_random = self._random.spawn(2)
         self._tap: _Tap | None = None
         self._now = -math.inf
-        # Beginning and end of the current step, at which the motion is known.
+        # Times of the beginning and the end of the current step, and the motions at these times.
         self._begun = self._done = -math.inf
         self._before = self._after = self._centred(Pose(*truth.object_start))
 
@@ -133,7 +136,7 @@ class World:
 
     @property
     def pose(self) -> Pose:
-        """Pose of the object at the time that the world was last advanced to."""
+        """Pose of the object at the time of the last ``advance``."""
         motion = self._motion()
         x, y = self._truth.support.mass_offset
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
@@ -179,7 +182,7 @@ class World:
         self._cut(self._centred(pose))
 
     def take_striker(self, striker: Striker, stroke: float) -> None:
-        """Change the striker and its stroke in m; with several tappers, each has its own."""
+        """Change the striker and its stroke in m, because each of several tappers has its own."""
         self._stroke = stroke
         if striker != self._striker:
             self._striker, self._contact = striker, self._contact_with(striker)
@@ -187,8 +190,9 @@ class World:
     def strike(self, tip: Pose, tip_height: float, speed: float, now: float) -> bool:
         """Release the striker at a true tip pose in ``table`` with a speed in m/s.
 
-        Returns whether it will hit the object at its current pose. A striker misses if it is above
-        the object's top, below the table, beside the object, or farther away than the stroke.
+        Returns whether the striker will hit the object at the object's current pose. A striker
+        misses if it is above the object's top, below the table, beside the object, or farther away
+        than the stroke.
         """
         self.advance(now)
         self._cut(self._motion())
@@ -217,8 +221,8 @@ class World:
         return meets
 
     def travel_to_meet(self, tip: Pose, tip_height: float, speed: float) -> float:
-        """Return the travel of a released striker until it meets the object at its current pose, m;
-        inf if it misses."""
+        """Return the distance in m that a released striker travels until it meets the object at the
+        object's current pose; inf if it misses."""
         if not 0 < tip_height < self._height or speed <= 0:
             return math.inf
         axis = (math.cos(tip.theta), math.sin(tip.theta))
@@ -245,7 +249,8 @@ class World:
                 self._step()
 
     def settle(self, longest: float = 60.0) -> float:
-        """Advance until the object is at rest, for at most ``longest`` s; return the time then."""
+        """Advance until the object is at rest, for at most ``longest`` s; return the time
+        reached."""
         until = self._now + longest
         while not self.at_rest and self._now < until:
             self.advance(min(until, max(self._done, math.nextafter(self._now, math.inf))))
@@ -262,7 +267,7 @@ class World:
         self._done = self._begun + length
 
     def _step_with(self, tap: _Tap) -> float:
-        """Make a step while the striker is out; return its length in s."""
+        """Make a step while the striker is out; return the length of the step in s."""
         contact, flight, before = self._contact, tap.flight, self._before
         gap = contact.gap(before, flight)
         closing = contact.closing_speed(before, flight)
@@ -294,11 +299,12 @@ class World:
         return length
 
     def _with_shifted_end(self, launch: Motion) -> Motion:
-        """Return a launch whose slide ends beside the original end by the floor of the scatter.
+        """Change the launch so that the slide ends with random errors, whose standard deviations
+        are ``position_floor`` and ``angle_floor``.
 
-        The errors of the end are converted to the launch with the deceleration at the beginning of
-        the slide: x = v^2 / 2 a, and theta = omega v / (a + alpha v / omega) for small spins, with
-        the decelerations a and alpha.
+        The errors of the end pose are converted to errors of the launch. With the decelerations a
+        and alpha at the beginning of the slide, x = v^2 / 2 a, and theta = omega v / (a + alpha v /
+        omega) for small spins.
         """
         scatter, speed = self._truth.scatter, math.hypot(launch.vx, launch.vy)
         if speed <= 0 or scatter.position_floor == scatter.angle_floor == 0:
@@ -319,8 +325,8 @@ class World:
         )
 
     def _end(self, tap: _Tap, time: float) -> None:
-        """Retract the striker if its stroke or its time is over, or if it can no longer meet the
-        object."""
+        """Retract the striker if it has reached the end of its stroke, if its time is over, or if
+        it can no longer meet the object."""
         flight = tap.flight
         over = flight.left <= 0 or flight.speed <= 0 or time >= tap.ends
         if over or (self._after.at_rest and not self._meets(replace(flight))):
@@ -334,11 +340,13 @@ class World:
             flight.y -= back * flight.axis[1]
 
     def _meets(self, flight: Flight) -> bool:
-        """Return whether a striker that continues would meet the object at its current pose."""
+        """Return whether a striker that continues to move would meet the object at the object's
+        current pose."""
         return math.isfinite(self._travel(flight))
 
     def _travel(self, flight: Flight) -> float:
-        """Return the travel of a continuing striker until it meets the object; inf if it misses."""
+        """Return the distance that the striker still travels until it meets the object; inf if it
+        misses."""
         nearest, left = math.inf, flight.left
         while flight.left > 0:
             gap = self._contact.gap(self._after, flight)
@@ -346,14 +354,14 @@ class World:
                 meets = self._contact.closing_speed(self._after, flight) > 0
                 return left - flight.left if meets else math.inf
             if gap > nearest:
-                # The outline is convex, so an increasing gap never decreases again.
+                # The outline is convex, so a gap that has begun to increase never decreases again.
                 return math.inf
             nearest = gap
             flight.fly(max(gap, TOUCH_M) / flight.speed)
         return math.inf
 
     def _motion(self) -> Motion:
-        """Return the current motion, interpolated by a cubic within the current step."""
+        """Return the current motion, interpolated within the current step by a cubic polynomial."""
         before, after = self._before, self._after
         length = self._done - self._begun
         if self._now >= self._done or length <= 0:
@@ -370,13 +378,13 @@ class World:
         return Motion(*where, *twist)
 
     def _cut(self, motion: Motion) -> None:
-        """Continue from the current time with another motion."""
+        """From the current time on, continue with another motion."""
         self._begun = self._done = self._now
         self._before = self._after = motion
 
     def _centred(self, pose: Pose) -> Motion:
-        """Return the state of an object at rest whose frame is at ``pose``; it holds the centre of
-        mass."""
+        """Return the motion of the centre of mass of an object at rest whose frame is at
+        ``pose``."""
         x, y = self._truth.support.mass_offset
         cos, sin = math.cos(pose.theta), math.sin(pose.theta)
         return Motion(pose.x + cos * x - sin * y, pose.y + sin * x + cos * y, pose.theta)

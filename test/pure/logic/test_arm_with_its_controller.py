@@ -343,7 +343,7 @@ BAD_TRAJECTORIES: dict[str, tuple[list[str], list[tuple[list[float], float]], st
     "back in time": (
         JOINT_NAMES,
         [([0.3, 1.0, -0.01, 0.5], 2.0), ([0.2, 1.0, -0.01, 0.5], 1.0)],
-        "point 2 is due at 1 s, its predecessor at 2 s",
+        "point 2 is due at 1 s, but must be later than 2 s",
     ),
 }
 
