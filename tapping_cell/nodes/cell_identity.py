@@ -38,8 +38,9 @@ def claim(name: str) -> socket.socket | None:
     """Reserve a name on this machine, for all users, until the returned socket is closed or this
     process ends. Return None if another process holds the name.
 
-    The name is a Linux abstract socket address. It leaves no file behind, and its scope is the
-    network namespace, as for the loopback interface over which the nodes of two cells would meet.
+    The name is a Linux abstract socket address. It leaves no file behind. It is valid within one
+    network namespace, like the loopback interface through which the nodes of two cells could
+    disturb each other.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:

@@ -2,8 +2,8 @@
 
 rclpy reports such endpoints through two events of each publisher and subscription. Its executor
 adds every event to the wait set again before each callback, which takes more processor time than
-the messages themselves: 0.4 ms of the planner's 0.55 ms. A node of the cell therefore has no such
-events, and queries the graph for the same information every few seconds.
+the messages themselves: 0.4 ms of the 0.55 ms that the planner needs for a callback. The cell's
+nodes therefore disable these events and query the graph for the same information every few seconds.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ class Track:
         return Motion(pose, covariance, 1, velocity, None)
 
     def heading(self, stamp: float, pose: Array, motion: Motion) -> Array:
-        """Velocity (3,) that predicts the pose in the next frame from the pose just added.
+        """Velocity (3,) with which to predict the pose in the next frame from the pose just added.
 
         This is the velocity of the last step, plus the last change of velocity if the velocity
         changes steadily. ``motion.velocity``, the slope over several frames, is less noisy but lags

@@ -68,7 +68,7 @@ Event = ObjectTapped | ArrangementEnded
 
 
 class ArrangeClient(ActionFollower[Event]):
-    """Receive the topics for an arrangement, send it and monitor it. Use as a context manager."""
+    """Client that sends an arrangement and monitors its progress. Use as a context manager."""
 
     last_event = ArrangementEnded
 

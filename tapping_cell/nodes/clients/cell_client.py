@@ -44,7 +44,7 @@ class NotDone(RuntimeError):
 
 
 class CellClient(ClientNode):
-    """See the module's docstring; use as a context manager."""
+    """Client that monitors and commands a whole cell. Use as a context manager."""
 
     def __init__(self, namespace: str = "") -> None:
         super().__init__(NAME, namespace)

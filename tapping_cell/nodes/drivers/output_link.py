@@ -122,13 +122,13 @@ class RosOutputLink(RosLink):
 
     @property
     def guard(self) -> InputLevel | None:
-        """Last message on whether the guard is closed."""
+        """Last message from the safety guard, which states whether it is closed."""
         with self._received:
             return self._guard
 
     @property
     def read_back(self) -> InputLevel | None:
-        """Last read-back of whether the output is on."""
+        """Last read-back, which states whether the output is on."""
         with self._received:
             return self._read_back
 

@@ -206,7 +206,7 @@ MAX_OBJECTS = 20
 
 
 def parse(text: str | bytes) -> Request:
-    """Parse a message. It contains values in mm and degrees, as people type them.
+    """Parse a message, whose values are in mm and degrees, as people type them.
 
     Raises:
         BadRequest: the message is invalid, for the stated reason.

@@ -429,7 +429,8 @@ class PageSocket(_Guarded, WebSocketHandler):
             self.close(BAD_TOKEN, "no hello")
 
     def on_message(self, message: str | bytes) -> None:
-        """Process one message. Whatever its content, the page receives a readable response."""
+        """Process one message. Even if the message is invalid, the page receives a readable
+        response."""
         if self.ws_connection is None:  # closed by the server, so remaining messages are ignored
             return
         if self._messages.add() > MAX_MESSAGES:

@@ -145,8 +145,8 @@ def _points(name: str, kind: int, points: Points, size: float, colour: ColorRGBA
 
 @lru_cache(maxsize=256)
 def _message_points(numbers: bytes) -> tuple[Point, ...]:
-    """Return points (n, 2), given as the bytes of their array, as messages. Results are cached,
-    because most points of a scene are those of the previous scene."""
+    """Convert points (n, 2) to messages; ``numbers`` are the bytes of the points' array. Results
+    are cached, because most points of a scene were already in the previous scene."""
     return tuple(Point(x=x, y=y) for x, y in np.frombuffer(numbers).reshape(-1, 2).tolist())
 
 

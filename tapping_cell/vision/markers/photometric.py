@@ -1,14 +1,15 @@
 """Photometric alignment of a marker at rest, which uses every pixel of the pattern.
 
 The grey values are modelled by the blurred printed pattern, projected by the known camera at the
-known height. The pose has three unknowns. Illumination and ink enter linearly (a gain and an
-offset, each with a gradient across the marker), and so does, to first order, the deviation of the
-blur from the assumed blur. Gauss-Newton starts from the pose given by the edges (Lucas and Kanade
-1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so it
-causes no bias.
+known height. The pose has three unknowns. The parameters of illumination and ink are linear: a gain
+and an offset, each with a gradient across the marker. To first order, the deviation of the blur
+from the assumed blur is linear too. Gauss-Newton starts from the pose given by the edges (Lucas and
+Kanade 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so
+it causes no bias.
 
 Smoothing, sharpening and compression make the noise of neighbouring pixels correlated. The
-autocorrelation of the residuals determines how this changes the covariance.
+covariance is corrected for this correlation, which is estimated from the autocorrelation of the
+residuals.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ class Linearisation:
     """An alignment linearised at ``pose`` (3,), for frames in which the marker has not moved.
 
     It holds the pixels on the marker (flat indices), the design matrix (N, 14) and its normal
-    matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3, 3) is the
-    factor on the covariance of independent pixels, see :func:`_together`.
+    matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3, 3) corrects
+    the covariance for correlated noise, see :func:`_together`.
     """
 
     pixels: NDArray[np.intp]
@@ -284,7 +285,8 @@ def _pixels(
 def _columns(
     template: Template, marker: ObjectMarker, x: Array, y: Array, pose: Array, gain: Array
 ) -> tuple[Array, Array]:
-    """Design matrix (N, 14), and the columns (N, 3) by which a gain is multiplied.
+    """Design matrix (N, 14), and the three functions (N, 3) by which the gain may vary across the
+    marker: constant, and linear along both axes.
 
     The columns are: gain and its gradients, offset and its gradients, blur, nonlinear grey levels
     at blurred edges (gamma, ink bleeding), two stretches and a shear, x, y, theta.

@@ -1,11 +1,11 @@
-"""Check that the object's marker appears as the square, at the height, that the files state.
+"""Check that the object's marker appears as a square with the size and height that the files state.
 
 A marker that is lifted, tilted or of another size than stated appears as a square of another size,
-or not as a square. One image does not show which of these is the cause, but the error of the shape
-limits the error of the pose. If a marker at the horizontal distance r from the camera is higher
-than assumed by a fraction s of the camera's height, it appears larger by s and further away by s r.
-A marker tilted by a appears rotated by up to a r / (2 h), h being the camera's height, and sheared
-or elongated by the same amount.
+or not as a square. A single image does not show which of these is the cause, but the deviation of
+the shape limits the error of the pose. If a marker at the horizontal distance r from the camera is
+higher than assumed by a fraction s of the camera's height, it appears larger by s and further away
+by s r. A marker tilted by a appears rotated by up to a r / (2 h), h being the camera's height, and
+sheared or elongated by the same amount.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ _SIGN = np.array([1.0, -1.0, 1.0, -1.0])
 _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 """Stretch and strain that are not significant.
 
-In this order: a constant fraction (print, lens); pixels of the side (position of edges between
-pixels, nonlinear grey levels); pixels, times p / (1 - p), for edges with ``MarkerEdges.pull`` p;
-standard deviations of the noise. None of 140 images exceeded the sum. The markers' sides measured
-28 to 149 pixels, and the images included gamma, Bayer patterns and blur.
+The limit is the sum of four contributions: a constant fraction (print, lens); an error of the
+side's length in pixels (position of edges within pixels, nonlinear grey levels); for blurred edges,
+an error in pixels that is multiplied by p / (1 - p), where p is ``MarkerEdges.pull``; and a number
+of standard deviations of the noise. None of 140 images exceeded this limit. The markers' sides
+measured 28 to 149 pixels, and the images included gamma, Bayer patterns and blur.
 """
 
 
@@ -39,7 +40,7 @@ class ShapeDeviation:
 
     ``stretch`` is the relative enlargement and ``strain`` the relative elongation or shear; values
     up to ``allowance`` are not significant. ``covariance`` (3, 3) is the uncertainty of the
-    object's pose (m, m, rad) due to the remainder.
+    object's pose (m, m, rad) due to the part that is significant.
     """
 
     stretch: float
@@ -118,24 +119,25 @@ class ShapeWarnings:
             self._reported = reported = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * reported[0] * 1e3
         return (
-            f"{self._described(*reported)}: lifted (by {lifted:.0f} mm?), tilted, or of another "
-            "size or height than in the object file; the reported uncertainty includes this"
+            f"{self._described(*reported)}: the object may be lifted (by {lifted:.0f} mm?) or "
+            "tilted, or its size or height in the object file may be wrong; the reported "
+            "uncertainty includes this"
         )
 
     def refusal(self, shape: ShapeDeviation, limit: float) -> str:
         """Error message for a shape whose deviation exceeds ``limit``."""
         self._reported = None
         return (
-            f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
-            "lifted, tilted or of another size or height than in the object file"
+            f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): the "
+            "object may be lifted or tilted, or its size or height in the object file may be wrong"
         )
 
     def _described(self, stretch: float, strain: float) -> str:
         text = (
-            f"the object's marker appears {stretch * 100:+.1f} % larger than its "
+            f"the apparent size of the object's marker differs by {stretch * 100:+.1f} % from "
             f"{self._marker.size * 1e3:.1f} mm"
         )
-        return text if strain < 0.001 else f"{text} and {strain * 100:.1f} % out of square"
+        return text if strain < 0.001 else f"{text}, and it is {strain * 100:.1f} % out of square"
 
 
 def _beyond(share: float, allowance: float) -> float:

@@ -1,8 +1,8 @@
-"""Find objects divided by the edge of a shadow, as evenly lit patches and pairs of patches.
+"""Find objects across which the edge of a shadow runs, as evenly lit patches or pairs of patches.
 
-If a hard shadow falls across an object, no threshold separates the object from the table. The parts
-of the object are still patches without edges inside, and two of them together form the object's
-shape.
+If a hard shadow falls across an object, no threshold separates the object from the table. However,
+its lit part and its shaded part are patches without inner edges, and together they have the
+object's shape.
 """
 
 from __future__ import annotations

@@ -44,7 +44,8 @@ def centroid(corners: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Dot:
-    """A round dot on the top: radius and centre in m; ``brighter`` or darker than the top."""
+    """A round dot on the top: radius and centre in m. ``brighter`` is True if it is brighter than
+    the top, False if it is darker."""
 
     radius: float
     offset: tuple[float, float]
@@ -56,7 +57,8 @@ class ObjectOutline:
     """Visible outline of an object without a marker.
 
     It is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise) in m. Its top
-    is ``height`` m above the table and ``brighter`` or darker than the table.
+    is ``height`` m above the table. ``brighter`` is True if the top is brighter than the table,
+    False if it is darker.
     """
 
     height: float
@@ -71,7 +73,7 @@ class ObjectOutline:
             raise OutlineError("an outline is either a disk (radius) or a polygon (vertices)")
         if self.vertices is not None:
             _check_convex(np.array(self.vertices))
-            # A list is also accepted, but is not hashable.
+            # Callers may pass a list; it is converted to a tuple, which is hashable.
             corners = tuple((float(x), float(y)) for x, y in self.vertices)
             object.__setattr__(self, "vertices", corners)
         turns = self.turns()

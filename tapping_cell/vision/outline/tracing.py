@@ -73,8 +73,9 @@ class TracedObject:
 
     The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise). Its
     frame has its origin at the centre of the area and is aligned with the marker or, without a
-    marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is relative
-    to the table. ``deviation`` is the root mean square distance of the rim from the shape.
+    marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is True if
+    the object is brighter than the table. ``deviation`` is the root mean square distance of the rim
+    from the shape.
     """
 
     radius: float | None
@@ -334,7 +335,7 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     inside = np.median(read[:, _ACROSS <= -4.0], axis=1, keepdims=True)
     beside = np.median(read[:, _ACROSS >= 4.0], axis=1, keepdims=True)
     share = (read - beside) / np.where(np.abs(inside - beside) < 1.0, np.nan, inside - beside)
-    # Use the outermost crossing of one half.
+    # Use the outermost position at which the share falls below one half.
     above = share > 0.5
     last = above.shape[1] - 1 - above[:, ::-1].argmax(axis=1)
     good = above.any(axis=1) & (last > 0) & (last < above.shape[1] - 1)

@@ -35,8 +35,8 @@ _SIDE_BIAS = 0.0007
 """Standard deviation of an averaged side, in pixels, due to its position between pixels (measured:
 0.0005)."""
 _STEP = 0.08
-"""Maximum increase, in pixels, of the bloom and of half the residual of two references that is
-attributed to a move of the camera."""
+"""Limit, in pixels, on the change of the bloom and on half the increase of the residual when only
+two reference markers are used. A larger change means that a marker moved, not the camera."""
 _EDGE_BIAS = 0.0002
 """Systematic error common to all averaged edges, in pixels (measured: below 0.0002)."""
 
@@ -308,8 +308,8 @@ def pose_changes(points: Array, shifts: Array) -> Array:
 def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
     """Jacobian (3, 6) of a measured pose (x, y, theta) with respect to the camera's pose.
 
-    The pose is measured at ``height``. Computed by differences of 1e-6 in steps of rotation (rad)
-    and translation (m).
+    The pose is measured at ``height``. It is computed by finite differences with steps of 1e-6 in
+    rotation (rad) and translation (m).
     """
     points = transform_points(object_pose, CROSS)
     seen = view.pose.apply(np.column_stack([points, np.full(len(points), height)]))
