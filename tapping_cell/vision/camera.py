@@ -24,7 +24,7 @@ _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
 # up to 100 degrees. Newton's method handles the rays that do not converge.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
 _FOUND = 1e-6
-"""Maximum reprojection error, in pixels, of a ray that counts as found."""
+"""Maximum reprojection error, in pixels, at which a ray counts as found."""
 _NEWTON_STEPS = 40
 _LARGEST = 30_000
 """Maximum width or height of an image in pixels, more than any camera has."""

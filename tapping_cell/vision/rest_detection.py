@@ -181,8 +181,8 @@ class Track:
         fused, spread = self._fused
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
-        # To detect a motion too slow to exceed the noise of one frame, compare the mean of the last
-        # few frames with the mean of all.
+        # A motion may be too slow to exceed the noise of one frame. To detect it, compare the mean
+        # of the last few frames with the mean of all frames.
         if len(self._resting) < 12:
             return True
         poses, information = self._resting.last(4)

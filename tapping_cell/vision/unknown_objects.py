@@ -55,9 +55,10 @@ _BESIDE_ARM = 0.012
 _OF_ARM = 0.3
 """Fraction of an area within the arm's shadow above which the whole area is part of the arm."""
 _SHADOW_EXTRA = 0.004
-"""Width in m by which the shadow beside an object may exceed the object's height."""
+"""An area beside a measured object is its shadow if it is wider than the object's height by at most
+this distance in m."""
 _SAME = 0.004
-"""Distance in m by which an area may change while its outline is kept."""
+"""Maximum change of an area, as a distance in m, for which its outline is kept."""
 _MARGIN = 0.004
 """Distance in m by which an outline encloses its area."""
 _MISSES = 2

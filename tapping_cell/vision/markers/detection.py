@@ -190,7 +190,7 @@ class ReferenceMap:
     deviation: float = field(default=0.0, compare=False)
 
     def __post_init__(self) -> None:
-        """Raise MarkerError if the map is empty, repeats an id or has an invalid marker."""
+        """Raise MarkerError if the map is empty, contains an id twice or has an invalid marker."""
         if not self.markers:
             raise MarkerError("the table has no reference markers; list at least two")
         ids = [marker.id for marker in self.markers]

@@ -1,7 +1,7 @@
 """Measure the marker of a nearly stationary object from all its pixels.
 
 Pixel noise differs from frame to frame and averages out. The errors due to the print, to
-differences between pixels and to the positions of the edges between pixels remain as long as the
+differences between pixels and to the positions of the edges within the pixels remain as long as the
 object does not move. The fraction of the variance that remains is estimated by comparing the
 unexplained residual of a frame with the change from one frame to the next.
 """

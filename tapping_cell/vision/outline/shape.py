@@ -17,7 +17,8 @@ from tapping_cell.vision.camera import Array
 
 _SAME = 0.03
 """Difference (rms, relative to the mean radius) below which a rotated outline counts as the same.
-The manufacturing tolerance is a tenth of this value; the rest allows for a hidden part."""
+The manufacturing tolerance is a tenth of this value; the remainder allows for hidden parts of the
+rim."""
 ANGLES = 720
 """Number of angles at which radii of a rim are compared."""
 _MIN_DOT = 0.002

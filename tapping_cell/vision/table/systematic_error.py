@@ -38,24 +38,26 @@ _STATED_ASPECT = 0.25
 if the latter is stated. Measured: 0.05 for calibrations from images of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
-"""Grids of the amplitude of the lens errors, in units of these standard deviations, and of the
-amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if the true
-value is between two of them."""
+"""Grids of the amplitude of the lens errors, in units of the standard deviations in ``_LENS``, and
+of the amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if
+the true value is between two of them."""
 _TURNS = (0.1, 0.3, 1.0)
-"""Ratios of corner displacement due to a marker's rotation to that due to its shift, for markers
-printed on one sheet up to markers glued individually."""
+"""Displacement of a marker's corners by its rotation, divided by the displacement by its shift. The
+lowest ratio is typical of markers printed on one sheet, the highest of markers glued
+individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
-"""Typical values of the two amplitudes, and the logarithmic standard deviations of these. This
-prior matters if there are only two or three references."""
+"""Each amplitude's typical value and its logarithmic standard deviation: lens errors, misplacement.
+This prior matters if there are only two or three references."""
 _EXACT = (0.3, 0.1, 0.25)
-"""Prior probabilities that lens and print are practically exact (then the smallest amplitude
-applies): both; only the lens; only the print."""
+"""Prior probabilities that both lens and print are practically exact, that only the lens is, and
+that only the print is. The smallest amplitude then applies."""
 _STATED = 1.0, 0.5
 """Typical amplitude of the lens errors in units of the deviations stated by the calibration, and
 its logarithmic standard deviation. A lens with stated deviations is never assumed to be exact."""
 _LEFT_OUT = 1e-3
-"""Total probability of the unlikely pairs of amplitudes that are dropped. Each pair may be only a
-fiftieth as likely as an exact lens and print, but together they matter."""
+"""Total probability of the unlikely pairs of amplitudes that may be dropped. This limit is low
+because the unlikely pairs matter in total, even if each is only a fiftieth as likely as an exact
+lens and print."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
