@@ -1,7 +1,8 @@
 """Identity of a cell on this machine: its ROS domain and its namespace.
 
-Every resource of a cell outside ROS (the ports of simulated devices, the stored goal, learnt gains)
-contains both in its name and is in the home folder of the user.
+Some resources of a cell are outside ROS: the ports of simulated devices, the stored goal and learnt
+gains. Their names contain the domain and the namespace, and they are in the home folder of the
+user.
 """
 
 from __future__ import annotations

@@ -55,7 +55,8 @@ LATCHED = QoSProfile(
 COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )
-"""For commands: every command is delivered, but none to a subscriber that joins later."""
+"""For commands: each one is delivered reliably to the present subscribers, but not to a subscriber
+that joins later."""
 BEST_EFFORT_COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )

@@ -284,7 +284,7 @@ class LogicHost(Generic[Machine]):
     # Jobs
 
     def start(self, driver: Any) -> None:
-        """Start to run jobs with a driver."""
+        """Start the worker, whose jobs use this driver."""
         self.driver = driver
         self._worker = Worker(self._node.get_name(), lambda: None, 60.0)
         self._worker.start()

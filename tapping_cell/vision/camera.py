@@ -39,7 +39,7 @@ class CameraModel:
     """Image size in pixels, focal lengths and principal point in pixels, and lens distortion.
 
     ``deviations`` are the standard deviations of fx, fy, cx, cy, k1, k2, p1 and p2 if the
-    calibration states them, otherwise empty. They are excluded from comparisons.
+    calibration states them, otherwise empty. Comparisons of two models ignore them.
     """
 
     width: int

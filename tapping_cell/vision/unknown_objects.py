@@ -14,7 +14,7 @@ footprint, because a camera above the table sees the side walls of an object out
 The outlines are therefore conservative.
 
 An outline is kept unchanged while the area changes by less than ``_SAME``, so that a planner can
-compare outlines; it is removed when its place has been seen without the object several times.
+compare outlines. It is removed when its place has been seen without the object several times.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Mask = NDArray[np.uint8]
 CELL = 0.002
 """Size of a cell of the rectified image in m."""
 _EVERY = 8
-"""Spacing of the cells that are projected; those between are interpolated."""
+"""Spacing of the cells that are projected; the cells between them are interpolated."""
 _MIN_WIDTH = 0.010
 """Width in m of a differing area below which it is a printed line or dirt. The rectified image
 widens areas by up to a cell on both sides."""
@@ -174,8 +174,9 @@ class UnknownObjects:
     def _differs(self, seen: NDArray[np.float32], free: NDArray[np.bool_]) -> Mask:
         """Return the cells whose brightness differs from the table's.
 
-        The table's brightness is a cubic surface, fitted with the weights of the least sum of
-        absolute deviations, because objects cover a part of the table.
+        The table's brightness is modelled by a cubic surface. It is fitted by least absolute
+        deviations (iteratively reweighted least squares), because objects cover a part of the
+        table.
         """
         rows = np.flatnonzero(free)
         rows = rows[:: max(1, len(rows) // _FIT_POINTS)]

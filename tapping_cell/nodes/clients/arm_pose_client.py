@@ -1,6 +1,6 @@
 """Client for arm calibration: moves the arm to postures and measures the marker that it holds.
 
-It is not an executable of its own. The verb `calibrate arm --record` uses it.
+The verb `calibrate arm --record` uses this client, which is not a separate executable.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Client that sends an arrangement of several objects and monitors it.
 
-It is not an executable of its own. The verbs `arrange` and `demo --objects` use it.
+The verbs `arrange` and `demo --objects` use this client, which is not a separate executable.
 """
 
 from __future__ import annotations

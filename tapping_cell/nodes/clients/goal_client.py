@@ -1,7 +1,7 @@
 """Client of a running cell: checks that it is ready, sends a goal, reports every tap and the
 result.
 
-It is not an executable of its own. The verbs `demo` and `goal` use it.
+The verbs `demo` and `goal` use this client, which is not a separate executable.
 """
 
 from __future__ import annotations

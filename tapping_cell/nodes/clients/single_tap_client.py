@@ -1,6 +1,6 @@
 """Client for single-tap experiments: makes prescribed taps and records the data of each.
 
-It is not an executable of its own. The verb `single-tap` uses it.
+The verb `single-tap` uses this client, which is not a separate executable.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Common base of the links to a robot's own ROS driver: a node, a thread, a latched stop.
 
-A link has its own node and thread, so that the age of received messages does not depend on the load
-of the driver's node, and so that a blocking driver call can wait for messages.
+A link has its own node and thread. Therefore the age of received messages does not depend on the
+load of the driver's node, and a blocking driver call can wait for messages.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class RosLink(ABC):
         return self._open
 
     def now(self) -> float:
-        """Return the monotonic clock, in s."""
+        """Return the time of the monotonic clock, in s."""
         return time.monotonic()
 
     def open(self, timeout: float) -> None:

@@ -266,7 +266,7 @@ class OperatorPage(CellNode[Parameters]):
         return DiagnosticStatus.OK, "ok", values
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Also show an emergency stop message on the page."""
+        """Process an emergency stop message, show it on the page and pause the queue."""
         super().on_emergency_stop(message)
         self._view.emergency_stop = message.data
         if message.data:
@@ -648,8 +648,8 @@ class OperatorPage(CellNode[Parameters]):
                 _answer(
                     "cancel",
                     False,
-                    "no goal of an action is active; a goal from the topic goal_pose is "
-                    "ended by a stop or by another goal",
+                    "no goal that was sent through an action is active; a goal from the topic "
+                    "goal_pose is ended by a stop or by another goal",
                 )
             )
 

@@ -52,7 +52,8 @@ class StopLink:
         self._thread.start()
 
     def stop(self, who: str) -> bool:
-        """Hold the stop. Return False if the process did not accept this. Does not block."""
+        """Hold the stop, without blocking. Return False if the process does not accept the
+        request."""
         return self._send({"do": "stop", "who": who})
 
     def release(self) -> bool:

@@ -1,5 +1,5 @@
 """Recorder: writes a run folder with bag, tables, image and page for every goal and every
-arrangement of several objects. It moves nothing.
+arrangement of several objects. This node moves nothing.
 
 It writes in a separate thread. A write failure is published on /diagnostics, and the goal
 continues. Messages of the last seconds are buffered, so that a bag starts before its goal.

@@ -25,7 +25,8 @@ UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 
 _ENLARGED = 2_200_000
-"""Number of pixels above which an image is not enlarged; such images show larger markers."""
+"""Number of pixels above which an image is not enlarged, because markers appear larger in such an
+image."""
 
 
 class Effort(enum.IntEnum):

@@ -52,12 +52,12 @@ class MarkerEdges:
     ``points`` (M, 4, BINS, 2) are in pixels, ``weights`` (M, 4, BINS) are the numbers of rows that
     they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
     ``spread`` (M,) is the standard deviation of the edge position measured in one row,
-    perpendicular to the side, in pixels; divide it by the square root of the number of rows to
-    obtain that of the side. ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) states how
-    far the measured side moves if its window moves by one unit, for the worst side: ideally 0; 1
-    means that the measurement contains no information. It is caused by blur or objects at the ends
-    of the window, where the grey levels of black and white are measured. ``good`` (M,) marks
-    markers with four complete sides whose blur is not excessive.
+    perpendicular to the side, in pixels. For the whole side, divide it by the square root of the
+    number of rows. ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) states how far the
+    measured side moves if its window moves by one unit, for the worst side: ideally 0; 1 means that
+    the measurement contains no information. It is caused by blur or objects at the ends of the
+    window, where the grey levels of black and white are measured. ``good`` (M,) marks markers with
+    four complete sides whose blur is not excessive.
     """
 
     points: Array
@@ -236,7 +236,8 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
 
 @lru_cache(maxsize=16)
 def _sums(half_width: int) -> NDArray[np.float32]:
-    """Matrix (window, 5): sum of a window, levels at its inner and outer ends, slopes there."""
+    """Matrix (window, 5) that maps the pixels of a window to their sum, the grey levels at its
+    inner and outer ends, and the slopes at these ends."""
     size = 2 * half_width + 1
     end = _outermost(size)
     matrix = np.zeros((size, 5), dtype=np.float32)
@@ -304,7 +305,7 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     The levels are measured at a distance m outside and inside the edge. If the illumination
     increases outwards by a fraction g per pixel, the levels at the edge differ from the measured
     levels. To first order, an edge in a window of L pixels to either side then appears L g (m - L /
-    2) too far out; opposite sides of a marker are displaced in the same direction. The slope of the
+    2) too far out. Opposite sides of a marker are displaced in the same direction. The slope of the
     illumination comes from ``white`` (S,) beside the sides.
     """
     corners, each = samples.corners, np.arange(len(white))

@@ -17,7 +17,8 @@ _SMALL = 4.5
 """Pixels per module below which the whole pattern is fitted. The fit is then four times as accurate
 as the edges, because the windows across the edges no longer end in uniform black and white."""
 _SMALL_EDGES = 2.5
-"""Factor on the noise of the edges of a marker below ``_SMALL`` whose pattern cannot be fitted."""
+"""Factor by which the noise of the edges is increased if a marker is smaller than ``_SMALL`` and
+its pattern cannot be fitted."""
 
 
 def measure(

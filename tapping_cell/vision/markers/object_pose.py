@@ -26,7 +26,7 @@ _CLEAN, _SMEARED = 0.03, 0.25
 """Noise level of ``MarkerEdges.pull``, and error of motion-blurred edges in pixels.
 
 An edge with a pull p above the noise level has an additional standard deviation of ``_SMEARED`` * p
-/ (1 - p), measured on rendered slides with motion blur of up to 14 pixels.
+/ (1 - p). This was measured on rendered slides with motion blur of up to 14 pixels.
 """
 _FREE, _USUAL_FREE = 4.0, 8.0
 """Degrees of freedom of the residuals when a square is fitted to four sides, and degrees of freedom
@@ -35,10 +35,9 @@ _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width, in pixels and as a fraction of the side. A larger
 difference means that an object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MAX_OBLONG = 4.0, 0.03
-"""The difference of length and width may also be this multiple of the same difference of nearby
-reference markers (root mean square), because a poor lens, bent paper or a sharpened image affects
-all markers. The second value limits the difference that is allowed in this way, as a fraction of
-the side."""
+"""A larger difference is allowed up to this multiple of the root mean square difference of nearby
+reference markers, because a poor lens, bent paper or a sharpened image affects all markers. The
+second value limits the difference that is allowed in this way, as a fraction of the side."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:

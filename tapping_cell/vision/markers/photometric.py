@@ -28,11 +28,12 @@ from tapping_cell.vision.markers.detection import ObjectMarker, marker_pattern
 _MARGIN = 0.4
 """Width of the white border used, in modules; an adjacent object may begin beyond it."""
 _LARGEST_STEP = 0.5
-"""Maximum distance of the result from the initial pose, in pixels; the edges are more accurate."""
+"""Maximum distance of the result from the initial pose, in pixels. The initial pose, which comes
+from the edges, is more accurate than this."""
 _SMALLEST_STEP = 0.002
 """Step in pixels at which Gauss-Newton has converged (a tenth of the error due to noise)."""
 _POSE = slice(11, 14)
-"""Columns of the design matrix that move the marker."""
+"""Columns of the design matrix for the pose of the marker (x, y, theta)."""
 _LAGS = 4
 """Maximum lag, in pixels, of the noise autocorrelation."""
 _MIN_POWER = 0.1
@@ -230,9 +231,9 @@ def _together(
     """Covariance (3, 3) of whitened parameters; the identity for pixels with independent noise.
 
     ``influence`` (N, 3) are the derivatives of the parameters with respect to the pixels ``chosen``
-    (flat indices, rows of ``width``). The correlation of the noise comes from the autocorrelation
-    of ``residual`` (N,), filtered through the influence (the sandwich estimator of Huber 1967 and
-    White 1980, for noise that is stationary over the marker).
+    (flat indices, rows of ``width``). The correlation of the noise is estimated from the
+    autocorrelation of ``residual`` (N,) and filtered through the influence. This is the sandwich
+    estimator of Huber 1967 and White 1980, for noise that is stationary over the marker.
     """
     rows, columns = np.divmod(chosen, width)
     rows, columns = rows - rows.min(), columns - columns.min()

@@ -4,8 +4,8 @@ A marker that is lifted, tilted or of another size than stated appears as a squa
 or not as a square. A single image does not show which of these is the cause, but the deviation of
 the shape limits the error of the pose. If a marker at the horizontal distance r from the camera is
 higher than assumed by a fraction s of the camera's height, it appears larger by s and further away
-by s r. A marker tilted by a appears rotated by up to a r / (2 h), h being the camera's height, and
-sheared or elongated by the same amount.
+by s r. A marker tilted by an angle t appears rotated by up to t r / (2 h), where h is the camera's
+height, and sheared or elongated by the same amount.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from tapping_cell.vision.markers.object_pose import PoseFit
 _NORMALS = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])
 _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
-"""Stretch and strain that are not significant.
+"""Limit below which stretch and strain are not significant.
 
-The limit is the sum of four contributions: a constant fraction (print, lens); an error of the
-side's length in pixels (position of edges within pixels, nonlinear grey levels); for blurred edges,
-an error in pixels that is multiplied by p / (1 - p), where p is ``MarkerEdges.pull``; and a number
-of standard deviations of the noise. None of 140 images exceeded this limit. The markers' sides
-measured 28 to 149 pixels, and the images included gamma, Bayer patterns and blur.
+The limit is the sum of four contributions. The first is a constant fraction (print, lens). The
+second is an error of the side's length in pixels (position of edges within pixels, nonlinear grey
+levels). The third is an error of blurred edges in pixels, multiplied by p / (1 - p), where p is
+``MarkerEdges.pull``. The fourth is a number of standard deviations of the noise. None of 140 images
+exceeded this limit. The markers' sides measured 28 to 149 pixels, and the images included gamma,
+Bayer patterns and blur.
 """
 
 
@@ -97,7 +98,7 @@ def shape_deviation(
 
 
 class ShapeWarnings:
-    """Creates warnings about the shape, whose values change only if the shape changes
+    """Creates warnings about the shape. The values in a warning change only if the shape changes
     noticeably."""
 
     def __init__(self, marker: ObjectMarker) -> None:
@@ -141,7 +142,8 @@ class ShapeWarnings:
 
 
 def _beyond(share: float, allowance: float) -> float:
-    """Significant part of a deviation: zero up to the allowance, all of it far above."""
+    """Significant part of a deviation: zero up to the allowance, nearly the whole deviation if it
+    is far above the allowance."""
     return math.sqrt(max(0.0, share**2 - allowance**2))
 
 

@@ -42,8 +42,9 @@ _MODULE_OFF = 0.4
 """Maximum deviation of a module's mean from the pattern, relative to the contrast."""
 _MODULES_WRONG = 0.04
 _PRINTED = 0.02
-"""Standard deviation of a fitted corner, in pixels, that is independent of the noise. Errors due to
-sharpening and compression of the image do not average out (measured on photographs)."""
+"""Part of the standard deviation of a fitted corner, in pixels, that does not depend on the noise.
+Errors due to sharpening and compression of the image do not average out (measured on
+photographs)."""
 
 
 _TANH = 0.7978846, 0.0356774
@@ -206,8 +207,8 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
 
 
 def _fields(places: Array) -> tuple[Array, Array]:
-    """Displacements in u and v, (N, 8) each, of marker points (N, 2) for a unit change of each of
-    the eight parameters of a small homography: the matrix 1 + (a b c; d e f; g h 0)."""
+    """Derivatives in u and in v, (N, 8) each, of marker points (N, 2) with respect to the eight
+    parameters of a small homography. Its matrix is 1 + (a b c; d e f; g h 0)."""
     u, v = places.T
     one, none = np.ones_like(u), np.zeros_like(u)
     return (

@@ -1,11 +1,11 @@
 """Fit an outline to an image, using all pixels of a band along the rim and those around the dot.
 
-In the model (``model.py``), the grey levels of top, wall and surroundings are free in every sector
-of the rim, because light, shadows and reflections of the wall differ around the object. The rim is
-therefore located as an edge, not at a fixed grey level. A wall too narrow to be distinguished from
-the edge increases the covariance. Occluded sectors are outliers and are excluded. The solver is
-Gauss-Newton, with the levels eliminated sector by sector (Schur complement). A stationary object is
-measured with the last linearisation, levels and weights.
+In the model (``model.py``), the grey levels of top, wall and surroundings are fitted separately in
+every sector of the rim, because light, shadows and reflections of the wall differ around the
+object. The rim is therefore located as an edge, not at a fixed grey level. A wall too narrow to be
+distinguished from the edge increases the covariance. Occluded sectors are outliers and are
+excluded. The solver is Gauss-Newton, with the levels eliminated sector by sector (Schur
+complement). A stationary object is measured with the last linearisation, levels and weights.
 """
 
 from __future__ import annotations

@@ -52,7 +52,8 @@ def _hull(points: Points) -> Points:
 
 
 def _rim(labels: Points, box: Points, label: int) -> Points:
-    """Points (N, 1, 2) of a patch's rim, dilated by the pixel that its edge occupies."""
+    """Points (N, 1, 2) of a patch's rim. The patch is dilated by the one pixel that its edge
+    occupies."""
     x, y = int(box[cv2.CC_STAT_LEFT]), int(box[cv2.CC_STAT_TOP])
     width, height = int(box[cv2.CC_STAT_WIDTH]), int(box[cv2.CC_STAT_HEIGHT])
     mask = np.pad((labels[y : y + height, x : x + width] == label).astype(np.uint8), 2)

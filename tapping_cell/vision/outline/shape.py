@@ -1,7 +1,7 @@
 """Outlines of objects without a marker: a disk or a convex polygon, optionally with a dot.
 
 All coordinates are in the object's frame, in m. If an outline is symmetric under a rotation (a
-disk, a square, a rectangle), its angle is only defined by a dot off its centre.
+disk, a square, a rectangle), an off-centre dot is needed to define its angle.
 """
 
 from __future__ import annotations

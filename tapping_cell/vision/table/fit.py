@@ -72,7 +72,8 @@ class TableFit:
 def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> CameraPose | None:
     """Compute the pose from table points (N, 2) in m and their pixels (N, 2); None if impossible.
 
-    Planar pose (Collins and Bartoli, IPPE, as implemented in OpenCV), refined by least squares.
+    The pose is computed by IPPE (Collins and Bartoli, as implemented in OpenCV) and refined by
+    least squares.
     """
     p = np.asarray(points, dtype=float).reshape(-1, 2)
     flat = np.column_stack([p, np.zeros(len(p))])
@@ -243,10 +244,10 @@ def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float
     ``noise`` (M,) and of the ``usual`` deviation, in units of directions.
 
     Position and rotation of each marker depend on print and lens
-    (:mod:`tapping_cell.vision.table.systematic_error`). The other five degrees of freedom of a
-    marker's corners ``left`` (M, 8) are noise, the small deformation of a square by a lens, or
-    errors of the sides due to blur, objects nearby or a shadow. The result is 0 if it cannot be
-    distinguished from noise (three standard deviations of chi square).
+    (:mod:`tapping_cell.vision.table.systematic_error`). The residuals ``left`` (M, 8) of a marker's
+    corners have five other degrees of freedom. They contain noise, the small deformation of a
+    square by a lens, and errors of the sides due to blur, objects nearby or a shadow. The result is
+    0 if it cannot be distinguished from noise (three standard deviations of chi square).
     """
     count = len(left)
     arm = rays - rays.mean(axis=1, keepdims=True)

@@ -4,8 +4,8 @@ After the camera's pose is fitted, the references still deviate from their posit
 Part of this is due to an inaccurate lens calibration, part is individual to each marker (printing,
 gluing), and part is noise. Given the amplitudes of the first two, all three are Gaussian.
 Conditioned on the references, the model gives the expected error of a pose measured at any place
-and height above the table, and the remaining uncertainty (kriging with the camera's pose as trend;
-Rasmussen and Williams 2006, chapter 2). The amplitudes are averaged over a grid with their
+and height above the table, and the remaining uncertainty. This is kriging with the camera's pose as
+trend (Rasmussen and Williams 2006, chapter 2). The amplitudes are averaged over a grid with their
 restricted likelihood as weight, so that the ambiguity left by few references increases the
 covariance.
 """
@@ -82,8 +82,8 @@ class SystematicError:
     members: _Members
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
-        """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the
-        remainder.
+        """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the remaining
+        error.
 
         ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
         ``lens`` (3, 8) that with respect to the lens parameters (:func:`lens_shifts`). The
@@ -204,9 +204,9 @@ def _turned(points: Array) -> Array:
 
 
 def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]:
-    """Directions (..., 2) of points (..., 2) of the plane at ``height``, and their changes (..., 2,
-    8) if the true lens differs from the calibrated lens by one standard deviation, stated or
-    typical, of each parameter."""
+    """Directions (..., 2) of points (..., 2) of the plane at ``height``, and the changes (..., 2,
+    8) of the directions if each lens parameter in turn differs from its calibrated value by one
+    standard deviation, stated or typical."""
     camera = view.camera
     rays = camera.rays(view.project(points, height))
     shifts = [

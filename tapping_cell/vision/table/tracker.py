@@ -176,8 +176,8 @@ class TableTracker:
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
         limit = max(s.bloom, s.bloom_share * side)
         two = len(self.used) <= 2
-        # If two markers move relative to each other, their fitted size or the fit's error changes.
-        # A motion of the camera changes neither.
+        # If two markers move relative to each other, their apparent size or the error of the fit
+        # changes. A motion of the camera changes neither.
         self.apart = False
         if two and self._before is not None:
             bloom, error = self._before
@@ -258,8 +258,8 @@ class TableTracker:
     def judge(self, pose: ArrayLike, height: float) -> tuple[Array, Array]:
         """Systematic error of a pose (x, y, theta) measured at ``height``.
 
-        Returns its expected value (3,) and the covariance (3, 3) of the remainder, due to the
-        camera's pose, lens and printing, without the noise of the object's marker.
+        Returns the expected error (3,) and the covariance (3, 3) of the remaining error due to the
+        camera's pose, the lens and the printing. The noise of the object's marker is not included.
         """
         assert self.pose is not None and self._field is not None
         place = np.asarray(pose, dtype=float)
