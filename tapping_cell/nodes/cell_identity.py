@@ -1,7 +1,8 @@
 """Identity of a cell on this machine: its ROS domain and its namespace.
 
-Every resource of a cell outside ROS (the ports of simulated devices, the stored goal, learnt gains)
-contains both in its name and is in the home folder of the user.
+Some resources of a cell are outside ROS: the ports of simulated devices, the stored goal and learnt
+gains. Their names contain the domain and the namespace, and they are in the home folder of the
+user.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ def claim(name: str) -> socket.socket | None:
     """Reserve a name on this machine, for all users, until the returned socket is closed or this
     process ends. Return None if another process holds the name.
 
-    The name is a Linux abstract socket address. It leaves no file behind, and its scope is the
-    network namespace, as for the loopback interface over which the nodes of two cells would meet.
+    The name is a Linux abstract socket address. It leaves no file behind. It is valid within one
+    network namespace, like the loopback interface through which the nodes of two cells could
+    disturb each other.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:

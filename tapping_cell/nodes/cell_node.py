@@ -55,7 +55,8 @@ LATCHED = QoSProfile(
 COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )
-"""For commands: every command is delivered, but none to a subscriber that joins later."""
+"""For commands: each one is delivered reliably to the present subscribers, but not to a subscriber
+that joins later."""
 BEST_EFFORT_COMMAND = QoSProfile(
     depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
@@ -94,7 +95,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     """
 
     actor = False
-    """True for a node that moves hardware. Its ``stopped`` reports a latched stop."""
+    """True for a node that moves hardware. Its property ``stopped`` reports a latched stop."""
     carries_pictures = True
     """False for a node that neither sends nor receives images: see :func:`choose_transport`."""
     changeable: tuple[str, ...] = ()
@@ -109,7 +110,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         self._parameter_class = parameter_class
         self.settings = parameters.read(self, parameter_class)
         self.role = name
-        """Name of the node unless ``__node:=`` gives it another name."""
+        """Default name of the node. It does not change if ``__node:=`` renames the node."""
         self.active = False
         """True while the node may act."""
         self.configured = False
@@ -157,7 +158,7 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         """Stop acting."""
 
     def cleanup(self) -> None:
-        """Close the resources that configure opened. Called at every shutdown, also after a
+        """Close the resources that configure opened. Called at every shutdown, even after a
         failure."""
 
     def stop_now(self) -> None:
@@ -312,10 +313,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 def choose_transport(pictures: bool) -> None:
     """Select the Fast DDS profile, unless the environment already names a custom profile.
 
-    Without a shared-memory segment of several frames, nearly every image is lost. However,
-    shared-memory files remain after a process was killed and disturb its successor, so only nodes
-    that transport images use shared memory. Fast DDS reads the variable when the first node is
-    created.
+    Without a shared-memory segment that holds several frames, nearly every image is lost. However,
+    the shared-memory files of a killed process remain and disturb the process that replaces it, so
+    only nodes that transport images use shared memory. Fast DDS reads the variable when the first
+    node is created.
     """
     chosen = os.environ.get(PROFILE_VARIABLE, "")
     if not chosen or Path(chosen).name in PROFILES.values():
@@ -361,7 +362,7 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
             time.sleep(0.01)
         return 0
     finally:
-        # A launcher sends a second signal after that of the terminal. The first signal is
+        # After Ctrl-C, the terminal and the launcher both send a signal. The first one is
         # sufficient for an orderly shutdown.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)

@@ -1,6 +1,6 @@
 """Service server that can respond after its callback has returned, which rclpy does not support.
 
-A callback that waited for the result as a coroutine would block a single-threaded executor.
+A callback that is a coroutine and waits for its result would block a single-threaded executor.
 """
 
 from __future__ import annotations

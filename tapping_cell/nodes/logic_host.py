@@ -32,7 +32,8 @@ from tapping_cell.nodes.message_conversion import Mirrored, from_ros, ros_class,
 from tapping_cell.nodes.worker import Worker
 
 LEVELS_WAIT_S = 0.5
-"""Time for which publishers of ``emergency_stop`` may resend their level to a new subscription."""
+"""Time within which the publishers of ``emergency_stop`` must resend their current value to a new
+subscription."""
 
 
 Machine = TypeVar("Machine", bound=Logic)
@@ -283,7 +284,7 @@ class LogicHost(Generic[Machine]):
     # Jobs
 
     def start(self, driver: Any) -> None:
-        """Start to run jobs with a driver."""
+        """Start the worker, whose jobs use this driver."""
         self.driver = driver
         self._worker = Worker(self._node.get_name(), lambda: None, 60.0)
         self._worker.start()
@@ -346,5 +347,6 @@ def _node_names(publishers: Iterable[TopicEndpointInfo]) -> tuple[str, ...]:
 
 
 def _is_volatile(publisher: TopicEndpointInfo) -> bool:
-    """Return whether a publisher does not resend its level to a new subscription."""
+    """Return whether a publisher is volatile: it does not resend its last value to a new
+    subscription."""
     return publisher.qos_profile.durability is DurabilityPolicy.VOLATILE

@@ -15,8 +15,8 @@ bytes."""
 def keep_memory() -> None:
     """Keep up to 64 MB of freed memory in the process. Call once at the start of the process.
 
-    Otherwise, glibc returns an image's memory to the kernel as soon as it is freed, and each new
-    image needs about a thousand newly zeroed pages, which is half the cost of receiving it. The
+    Otherwise, glibc returns an image's memory to the kernel as soon as it is freed. Each new image
+    then needs about a thousand newly zeroed pages, which is half the cost of receiving it. The
     function does nothing with another C library.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)

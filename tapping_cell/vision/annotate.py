@@ -62,7 +62,7 @@ def annotate(
 
 
 def _state(observation: Observation) -> tuple[str, Colour]:
-    """Label and colour of the object's state; one frame alone does not show whether the object
+    """Label and colour of the object's state. A single frame does not show whether the object
     moves."""
     if observation.at_rest:
         return f"AT REST   {observation.frames_fused} frames", GREEN

@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
-# Fixed-point undistortion gains at least one digit per iteration for lenses up to 100 degrees.
-# Newton's method handles the rays that do not converge.
+# Fixed-point undistortion gains at least one digit per iteration for lenses with a field of view of
+# up to 100 degrees. Newton's method handles the rays that do not converge.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
 _FOUND = 1e-6
-"""Maximum reprojection error, in pixels, of a ray that counts as found."""
+"""Maximum reprojection error, in pixels, at which a ray counts as found."""
 _NEWTON_STEPS = 40
 _LARGEST = 30_000
 """Maximum width or height of an image in pixels, more than any camera has."""
@@ -39,7 +39,7 @@ class CameraModel:
     """Image size in pixels, focal lengths and principal point in pixels, and lens distortion.
 
     ``deviations`` are the standard deviations of fx, fy, cx, cy, k1, k2, p1 and p2 if the
-    calibration states them, otherwise empty. They are excluded from comparisons.
+    calibration states them, otherwise empty. Comparisons of two models ignore them.
     """
 
     width: int
@@ -180,8 +180,8 @@ class CameraModel:
         """Solve for rays (N, 2) by Newton's method from the undistorted pixels; NaN if it fails.
 
         With barrel distortion, the image radius grows less than linearly, so every step stops short
-        of the solution and the next step continues from there. A step beyond the fold of the lens
-        model cannot return.
+        of the solution and the next step continues from there. If a step passes the fold of the
+        lens model, the iteration cannot return.
         """
         rays = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
         zero = np.zeros(3)

@@ -51,7 +51,8 @@ class FrameValidator:
         if signature in self._seen:
             return (
                 Problem.FROZEN_FRAME,
-                "the frame and its noise equal those of a recent frame: the camera repeats frames",
+                "the frame is identical to a recent frame, even in its noise: the camera repeats "
+                "frames",
             )
         self._seen.append(signature)
         sample = image[::16, ::16]

@@ -1,4 +1,5 @@
-"""Visibility of points on the table for a camera whose view is partly occluded by bars."""
+"""Visibility of points on the table for a camera whose view is partly occluded by bars, which model
+the links of the arm."""
 
 from __future__ import annotations
 
@@ -40,7 +41,8 @@ def view_clearance(
 def shadows(
     camera: ArrayLike, start: ArrayLike, end: ArrayLike, radius: ArrayLike
 ) -> tuple[Array, Array, Array]:
-    """Return the areas of the table that K bars hide from the camera: bars in the plane z = 0.
+    """Return the areas of the table that K bars hide from the camera. Each area is itself a bar in
+    the plane z = 0.
 
     Args:
         camera: position of the lens, (3,).
@@ -48,7 +50,7 @@ def shadows(
         radius: radii of the bars, (K,).
 
     Returns:
-        The ends (K, 2) and (K, 2), and the radii (K,), in m.
+        The starts (K, 2) and the ends (K, 2) of the areas' centre lines, and the radii (K,), in m.
     """
     lens, ground = np.asarray(camera, dtype=float), np.zeros(1)
     a, scale_a = _projected(lens, np.asarray(start, dtype=float), ground)
@@ -61,7 +63,7 @@ def _projected(lens: Array, places: Array, height: Array) -> tuple[Array, Array]
     """Project places (N, 3) from the lens to the planes at the heights (M,).
 
     Returns points (N, M, 2) and magnification (N, M). A place above the lens hides nothing below
-    it; a place level with the lens hides everything.
+    it. A place at the height of the lens hides everything.
     """
     below = np.maximum(lens[2] - places[:, None, 2], 1e-3)
     scale = (lens[2] - height[None, :]) / below

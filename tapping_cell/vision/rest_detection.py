@@ -1,8 +1,8 @@
 """Decide from the measured poses and their covariances whether the object is at rest or moving.
 
 The decision is a test of speed. A line fitted to the last few poses gives a velocity and its
-standard deviation, and the object is at rest only if even the upper confidence bound of the speed
-is below the limit. The time until rest is detected therefore depends on the noise, not on a timer.
+standard deviation. The object is at rest only if even the upper confidence bound of the speed is
+below the limit. The time until rest is detected therefore depends on the noise, not on a timer.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from tapping_cell.vision.fusion import fuse_information
 
 _BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
 """Standard deviation of the first pose after a rest, as a fraction of the displacement from the
-rest pose, and the displacement (m) beyond which the standard deviation no longer grows.
+rest pose. The second value is the displacement (m) beyond which the standard deviation no longer
+grows.
 
 If the motion begins within the exposure, the blurred image does not correspond to the middle of the
 exposure. The resulting error is at most the whole displacement, and zero if the displacement
@@ -153,7 +154,7 @@ class Track:
         return Motion(pose, covariance, 1, velocity, None)
 
     def heading(self, stamp: float, pose: Array, motion: Motion) -> Array:
-        """Velocity (3,) that predicts the pose in the next frame from the pose just added.
+        """Velocity (3,) with which to predict the pose in the next frame from the pose just added.
 
         This is the velocity of the last step, plus the last change of velocity if the velocity
         changes steadily. ``motion.velocity``, the slope over several frames, is less noisy but lags
@@ -181,8 +182,8 @@ class Track:
         fused, spread = self._fused
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
-        # To detect a motion too slow to exceed the noise of one frame, compare the mean of the last
-        # few frames with the mean of all.
+        # A motion may be too slow to exceed the noise of one frame. To detect it, compare the mean
+        # of the last few frames with the mean of all frames.
         if len(self._resting) < 12:
             return True
         poses, information = self._resting.last(4)

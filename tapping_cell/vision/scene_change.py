@@ -1,9 +1,9 @@
 """Detect cheaply whether a frame differs from the last measured frame.
 
 Windows around the reference markers and the object are compared pixel by pixel. Between two frames
-of a static scene, the mean squared difference is twice the variance of the noise, and the scatter
-of this mean decreases with the number of pixels in the window. An edge that moves by a twentieth of
-a pixel is therefore detected.
+of a static scene, the mean squared difference is twice the variance of the noise. The scatter of
+this mean decreases with the number of pixels in the window, so even an edge that moves by a
+twentieth of a pixel is detected.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class SceneChange:
         self._limits: list[float] = []
 
     def watch(self, image: Image, regions: list[NDArray[np.float64]]) -> None:
-        """Start from a measured frame, with a window around each region, points (N, 2) in
-        pixels."""
+        """Start from a measured frame. Each region, given as points (N, 2) in pixels, gets a
+        window."""
         self._windows = tuple(_window(points, image) for points in regions)
         self._noise = [deque(maxlen=4 * _LEARNT) for _ in self._windows]
         self._limits = []

@@ -142,7 +142,8 @@ class PoseTracker:
         return observation, found
 
     def _moving_others(self) -> list[int]:
-        """Return the other objects that are seen but have not been at rest for long."""
+        """Return the other objects that are visible but have not been at rest for
+        ``settled_frames`` frames."""
         enough = self.settings.settled_frames
         return [n for n, seen in self._seen.items() if seen.visible and seen.frames_fused < enough]
 

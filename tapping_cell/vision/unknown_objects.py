@@ -8,12 +8,13 @@ differs from the table's are such objects, unless they are
 - covered by the arm according to its joints, or
 - narrower than ``_MIN_WIDTH``, as printed lines are.
 
-A flat print wider than this, or an object of the table's brightness, cannot be recognised as such.
-The silhouette on the table's plane contains the footprint, because a camera above the table sees
-the sides of an object outwards. The outlines are therefore conservative.
+A flat print wider than ``_MIN_WIDTH`` is taken for an object, and an object of the table's
+brightness is not found. The silhouette projected to the table's plane contains the object's
+footprint, because a camera above the table sees the side walls of an object outside its footprint.
+The outlines are therefore conservative.
 
 An outline is kept unchanged while the area changes by less than ``_SAME``, so that a planner can
-compare outlines; it disappears when the place was seen without the object several times.
+compare outlines. It is removed when its place has been seen without the object several times.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ Mask = NDArray[np.uint8]
 CELL = 0.002
 """Size of a cell of the rectified image in m."""
 _EVERY = 8
-"""Spacing of the cells that are projected; those between are interpolated."""
+"""Spacing of the cells that are projected; the cells between them are interpolated."""
 _MIN_WIDTH = 0.010
 """Width in m of a differing area below which it is a printed line or dirt. The rectified image
 widens areas by up to a cell on both sides."""
 _MIN_RADIUS = 0.0075
-"""Radius in m of the disk whose area is the least area of an object."""
+"""The minimum area of an object is that of a disk with this radius in m."""
 _MIN_CONTRAST = 5.0
 _RELATIVE_CONTRAST = 0.1
 _NOISE_DEVIATIONS = 6.0
@@ -54,9 +55,10 @@ _BESIDE_ARM = 0.012
 _OF_ARM = 0.3
 """Fraction of an area within the arm's shadow above which the whole area is part of the arm."""
 _SHADOW_EXTRA = 0.004
-"""Width in m by which the shadow beside an object may exceed the object's height."""
+"""An area beside a measured object is its shadow if it is wider than the object's height by at most
+this distance in m."""
 _SAME = 0.004
-"""Distance in m by which an area may change while its outline is kept."""
+"""Maximum change of an area, as a distance in m, for which its outline is kept."""
 _MARGIN = 0.004
 """Distance in m by which an outline encloses its area."""
 _MISSES = 2
@@ -172,8 +174,9 @@ class UnknownObjects:
     def _differs(self, seen: NDArray[np.float32], free: NDArray[np.bool_]) -> Mask:
         """Return the cells whose brightness differs from the table's.
 
-        The table's brightness is a cubic surface, fitted with the weights of the least sum of
-        absolute deviations, because objects cover a part of the table.
+        The table's brightness is modelled by a cubic surface. It is fitted by least absolute
+        deviations (iteratively reweighted least squares), because objects cover a part of the
+        table.
         """
         rows = np.flatnonzero(free)
         rows = rows[:: max(1, len(rows) // _FIT_POINTS)]
@@ -191,7 +194,8 @@ class UnknownObjects:
             _RELATIVE_CONTRAST * table, max(_MIN_CONTRAST, _NOISE_DEVIATIONS * noise)
         )
         other = (free & (np.abs(np.nan_to_num(seen) - table) > least)).astype(np.uint8)
-        # Between a dark and a bright part of an object, a line has the table's brightness.
+        # Between a dark and a bright part of an object, there is a thin line with the table's
+        # brightness.
         return np.asarray(cv2.morphologyEx(other, cv2.MORPH_CLOSE, _kernel(CELL)), dtype=np.uint8)
 
     # -- masks
@@ -242,7 +246,8 @@ class UnknownObjects:
     ) -> list[Mask]:
         """Return the cells of each object; add those of arms and hands to ``hidden``."""
         wide = cv2.morphologyEx(other, cv2.MORPH_OPEN, _kernel(0.5 * _MIN_WIDTH))
-        # The corners that this removed are added again, but not the lines.
+        # Opening removes thin lines but also the corners of wide areas. Only the corners are added
+        # again.
         other = np.asarray(_grown(np.asarray(wide), 0.5 * _MIN_WIDTH) & other)
         outer, _ = cv2.findContours(other, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         other = np.asarray(cv2.drawContours(other, outer, -1, (1,), cv2.FILLED))
@@ -311,6 +316,6 @@ def _grown(mask: Mask, distance: float) -> Mask:
 
 
 def _kernel(radius: float) -> Mask:
-    """Return a disk of a radius in m as cells."""
+    """Return a disk with this radius in m as a structuring element for morphological operations."""
     size = 2 * max(1, int(radius / CELL)) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)

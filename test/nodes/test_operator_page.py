@@ -388,7 +388,7 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
                 log = (await page.state(lambda s: len(s["log"]) >= 2))["log"]
                 assert log[-1]["text"] == f"goal refused: {refused['text']}"
                 await page.send({"do": "cancel"})
-                assert "no goal of an action" in (await page.answer("cancel"))["text"]
+                assert "no goal that was sent" in (await page.answer("cancel"))["text"]
                 await page.send({"do": "goal", "x": 50, "y": 0, "angle": 10})
                 # The planner's state may be received before or after this answer.
                 assert (await page.answer("goal"))["text"] == "goal sent"

@@ -21,7 +21,8 @@ class AnnotatedImages:
     """Publishers of ``camera/image_annotated`` and ``camera/image_annotated/compressed``."""
 
     def __init__(self, node: Node, rate: float, compressed_rate: float, width: int) -> None:
-        """Maximum rates in Hz; ``width``: maximum width of a compressed image, pixels."""
+        """``rate``, ``compressed_rate``: maximum rates of the raw and of the compressed images, Hz.
+        ``width``: maximum width of a compressed image, pixels."""
         self._raw = node.create_publisher(Image, images.ANNOTATED, images.PICTURES)
         self._compressed = node.create_publisher(
             CompressedImage, images.ANNOTATED_COMPRESSED, images.COMPRESSED_PICTURES
@@ -35,7 +36,8 @@ class AnnotatedImages:
         return any(self._is_due(publisher, now) for publisher in self._periods)
 
     def publish(self, picture: NDArray[np.uint8], header: Header, now: float) -> None:
-        """Publish a colour image (BGR, height x width x 3) in each form that is due."""
+        """Publish a colour image (BGR, height x width x 3), raw or compressed or both, as is
+        due."""
         if self._is_due(self._raw, now):
             raw = images.to_message(picture, "bgr8")
             raw.header = header

@@ -1,9 +1,9 @@
 """Pose measurement node: receives images and publishes the object's pose with its covariance.
 
 Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are measured in
-turn; the object that ``plan_state`` names, and every object that has not been at rest for long, is
-measured in every image. While the planner waits for observations, every object is measured in every
-image. Each measurement is published on ``other_objects``, and the latest states of all objects on
+turn; the object that ``plan_state`` names, and every object that moved recently, is measured in
+every image. While the planner waits for observations, all objects are measured in every image. Each
+measurement is published on ``other_objects``, and the latest states of all objects on
 ``object_states``, with the outlines of the objects that no object file describes.
 """
 
@@ -249,7 +249,7 @@ class CameraPose(CellNode[Parameters]):
             self._tracker = self._camera = None
             return
         if camera == self._cell.camera:
-            camera = self._cell.camera  # the calibration file also contains the standard deviations
+            camera = self._cell.camera  # the file also has standard deviations
         self._camera_problem = ""
         self._camera = camera
         self._make_trackers(camera, self._cell)
@@ -269,7 +269,7 @@ class CameraPose(CellNode[Parameters]):
         self._backlog.answered(time.time())
 
     def _newest(self, message: Image, info: dict[str, int]) -> Image:
-        """Return this image, or a newer image from the queue if this one is stale (see
+        """Return ``message``, or a newer image from the queue if ``message`` is stale (see
         ``Backlog``)."""
         self._backlog.arrived(_arrival(info))
         while self._backlog.stale(time.time()):
@@ -381,7 +381,7 @@ class CameraPose(CellNode[Parameters]):
         self._note(observation)
 
     def _note(self, observation: Observation) -> None:
-        """Log a condition under which the pose is still valid, such as an occluded reference."""
+        """Log a warning that does not invalidate the pose, such as an occluded reference marker."""
         if observation.visible and observation.sentence != self._notice:
             self._notice = observation.sentence
             if self._notice:
@@ -399,8 +399,8 @@ class CameraPose(CellNode[Parameters]):
         message.header.stamp = picture.header.stamp
         message.header.frame_id = TABLE
         self._camera_publisher.publish(message)
-        # The camera is fixed relative to the table, so each new transform is only a better
-        # estimate.
+        # A static transform may be sent repeatedly: the camera is fixed relative to the table, and
+        # each new transform is only a more accurate estimate.
         stamp = message.header.stamp
         self._broadcaster.send_fixed([transform(TABLE, "camera_optical", message.pose, stamp)])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 LONGEST_WAIT_S = 0.15
 """An image that waited longer is dropped if a newer image is queued, so that the node catches up
 immediately after a long delay. After shorter delays, every queued image is processed, so that the
-track has no gaps."""
+track has no gaps, unless images always arrive faster than they can be processed."""
 SHORTEST_WAIT_S = 0.005
 _SHARE = 0.2
 """Weight of the newest sample in the moving averages of arrival interval and processing time."""
@@ -24,7 +24,7 @@ class Backlog:
         self._each: float | None = None
 
     def arrived(self, when: float) -> None:
-        """Record that an image that arrived at ``when`` was taken from the queue."""
+        """Record the arrival time ``when`` (s) of the image just taken from the queue."""
         if self._arrived is not None:
             self._between = _mean(self._between, when - self._arrived)
         self._arrived = when
@@ -39,7 +39,8 @@ class Backlog:
         self._answered = now
 
     def stale(self, now: float) -> bool:
-        """Return whether a newer image, if one is queued, should replace the last one."""
+        """Return whether the last image waited so long that a newer queued image should replace
+        it."""
         assert self._arrived is not None
         waited = now - self._arrived
         return waited > LONGEST_WAIT_S or (waited > SHORTEST_WAIT_S and self.overrun)

@@ -53,8 +53,8 @@ ENCODINGS = {
     "uyvy": Encoding(2, cv2.COLOR_YUV2GRAY_UYVY),
     "yuv422_yuy2": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
     "yuyv": Encoding(2, cv2.COLOR_YUV2GRAY_YUY2),
-    # ROS names a Bayer pattern by its top left 2x2 pixels, OpenCV by the pixels of the second row,
-    # second and third column.
+    # ROS names a Bayer pattern by its top left 2x2 pixels. OpenCV names it by the second and third
+    # pixels of the second row.
     "bayer_rggb8": Encoding(1, cv2.COLOR_BayerBG2GRAY),
     "bayer_bggr8": Encoding(1, cv2.COLOR_BayerRG2GRAY),
     "bayer_gbrg8": Encoding(1, cv2.COLOR_BayerGR2GRAY),
@@ -145,7 +145,8 @@ def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
         return np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
     except cv2.error as error:
         raise ImageRefused(
-            f"an image of {message.width} x {message.height} cannot be {message.encoding}"
+            f"an image of {message.width} x {message.height} pixels cannot have the encoding "
+            f"'{message.encoding}'"
         ) from error
 
 

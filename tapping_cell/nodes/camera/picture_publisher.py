@@ -25,7 +25,7 @@ class PicturePublisher:
         return self._raw.get_subscription_count() + self._compressed.get_subscription_count()
 
     def publish(self, picture: Image, info: CameraInfo) -> None:
-        """Publish an image and its calibration, which receives the image's stamp."""
+        """Publish an image, and the calibration with the same stamp."""
         info.header.stamp = picture.header.stamp
         self._info.publish(info)
         self._raw.publish(picture)

@@ -10,7 +10,7 @@ from tapping_cell.vision import CameraPose
 
 
 def camera_to_message(camera: CameraPose) -> PoseMessage:
-    """Return X_TC, the pose of ``camera_optical`` in ``table``, of a camera above the table."""
+    """Return X_TC, the pose of the frame ``camera_optical`` in the frame ``table``."""
     message = PoseMessage()
     place, q = message.position, message.orientation
     place.x, place.y, place.z = (float(value) for value in camera.position)

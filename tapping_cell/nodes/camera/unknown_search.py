@@ -28,13 +28,14 @@ PERIOD_S = 0.5
 AWAITED_PERIOD_S = 0.15
 """Time between two searches while the planner waits for an observation."""
 MEMORY_S = 2.0
-"""Time for which an object that is not measured any more is still expected at its last pose."""
+"""Time for which an object that is no longer measured is still expected at its last pose."""
 
 
 class UnknownSearch:
     """Searches the images of a cell with an arm, and keeps the outlines found.
 
-    Without an arm nothing is searched for: the strikers of fixed tappers are always in the image.
+    A cell without an arm is never searched, because the strikers of its fixed tappers are always in
+    the image and would be taken for objects.
     """
 
     def __init__(self, node: Node, cell: Cell, others: Sequence[ObjectFile]) -> None:
@@ -80,7 +81,7 @@ class UnknownSearch:
     ) -> None:
         """Search an image, unless something moves in it or the last search was recent.
 
-        ``states``: present states of the cell's objects; ``awaited``: the planner waits for an
+        ``states``: current states of the cell's objects; ``awaited``: the planner waits for an
         observation.
         """
         period = AWAITED_PERIOD_S if awaited else PERIOD_S
@@ -93,7 +94,7 @@ class UnknownSearch:
         # Search also if the camera's clock was set back.
         due = not 0.0 <= stamp - self._searched_at < period
         arm = self._arm()
-        # An arm at an unknown place would be taken for an unknown object.
+        # If the position of the arm is unknown, the arm would be taken for an unknown object.
         known = arm is not None or not self._is_scara
         if view is None or not (self._clear and still and measured and due and known):
             return
@@ -123,7 +124,8 @@ class UnknownSearch:
         return Standing(transform_points(from_message(state.pose.pose), outline), height)
 
     def _arm(self) -> ArmBars | None:
-        """Return the arm's bars in ``table``, or None if its joints or its shape are not known."""
+        """Return the bars that model the arm's links, in ``table``, or None if the arm's joint
+        positions or its shape are not known."""
         if not self._is_scara or any(name not in self._joints for name in self._names):
             return None
         joints = [[self._joints[name] for name in self._names]]

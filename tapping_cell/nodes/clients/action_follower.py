@@ -66,8 +66,8 @@ class ActionFollower(ClientNode, Generic[Event]):
 
     def _send_goal(self, message: Any) -> None:
         self._handle = None
-        # Sent from the executor's thread, because from another thread the response can arrive
-        # before rclpy has registered the request, and is then dropped.
+        # The goal is sent from the executor's thread. If another thread sent it, the response could
+        # arrive before rclpy has registered the request, and would then be dropped.
         self._executor.create_task(self._send, message)
 
     def _send(self, message: Any) -> None:
@@ -91,7 +91,7 @@ class ActionFollower(ClientNode, Generic[Event]):
         handle.get_result_async().add_done_callback(end)
 
     def _event_of_silence(self) -> Event | None:
-        """Return the event to report because messages are missing, if any."""
+        """Return the event that reports missing messages, or None if no messages are missing."""
         return None
 
     @abstractmethod

@@ -1,6 +1,6 @@
 """Client for arm calibration: moves the arm to postures and measures the marker that it holds.
 
-It is not an executable of its own. The verb `calibrate arm --record` uses it.
+The verb `calibrate arm --record` uses this client, which is not a separate executable.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class ArmPoseClient(GoalClient):
     """:class:`GoalClient` that moves the arm to postures. Use as a context manager."""
 
     def __init__(self, namespace: str = "", own_driver: Ros2ControlSection | None = None) -> None:
-        """``own_driver``: driver section of an arm that publishes its joint states itself, with its
-        own joint names."""
+        """``own_driver``: section of the cell file for an arm with its own ROS driver, which
+        publishes the joint states under its own joint names."""
         super().__init__("arm_pose_client", namespace)
         self._names = own_driver.joints if own_driver else Joints._fields
         self._joints: JointState | None = None

@@ -1,6 +1,6 @@
 """Client that sends an arrangement of several objects and monitors it.
 
-It is not an executable of its own. The verbs `arrange` and `demo --objects` use it.
+The verbs `arrange` and `demo --objects` use this client, which is not a separate executable.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ Event = ObjectTapped | ArrangementEnded
 
 
 class ArrangeClient(ActionFollower[Event]):
-    """Receive the topics for an arrangement, send it and monitor it. Use as a context manager."""
+    """Client that sends an arrangement and monitors its progress. Use as a context manager."""
 
     last_event = ArrangementEnded
 

@@ -1,7 +1,7 @@
 """Client that monitors and commands a whole cell from a terminal, as the page does in a browser.
 
-It is not an executable of its own. The verbs `up`, `status`, `watch`, `home`, `stop`, `clear` and
-`commission` use it.
+The verbs `up`, `status`, `watch`, `home`, `stop`, `clear` and `commission` use this client, which
+is not a separate executable.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class NotDone(RuntimeError):
 
 
 class CellClient(ClientNode):
-    """See the module's docstring; use as a context manager."""
+    """Client that monitors and commands a whole cell. Use as a context manager."""
 
     def __init__(self, namespace: str = "") -> None:
         super().__init__(NAME, namespace)
@@ -128,7 +128,7 @@ class CellClient(ClientNode):
         stop.
 
         Raises:
-            NotDone: a device did not confirm the stop. The message names it.
+            NotDone: a device did not confirm the stop. The message names the device.
         """
         asked: dict[str, Future] = {}
         actors = self._actors()

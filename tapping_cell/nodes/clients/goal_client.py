@@ -1,7 +1,7 @@
 """Client of a running cell: checks that it is ready, sends a goal, reports every tap and the
 result.
 
-It is not an executable of its own. The verbs `demo` and `goal` use it.
+The verbs `demo` and `goal` use this client, which is not a separate executable.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ Event = PhaseChanged | TapDone | TapProposed | PlannerLost | Finished
 
 
 class GoalClient(ActionFollower[Event]):
-    """Receive the topics for a goal, send it and monitor it. Use as a context manager."""
+    """Client that sends a goal and monitors its progress. Use as a context manager."""
 
     last_event = Finished
 
@@ -158,8 +158,7 @@ class GoalClient(ActionFollower[Event]):
         """Send a goal in ``table``. A tolerance (m, rad) of 0 selects the cell's default.
         ``probe``: start with a few of the smallest taps. ``ask``: every tap waits for confirmation.
 
-        If the goal is relative to an observation ``observed``, it receives the stamp of this
-        observation.
+        ``observed``: observation to which the goal is relative; the goal receives its stamp.
         """
         message = PositionObject.Goal()
         message.goal_pose.header.frame_id = "table"

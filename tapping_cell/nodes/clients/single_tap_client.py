@@ -1,6 +1,6 @@
 """Client for single-tap experiments: makes prescribed taps and records the data of each.
 
-It is not an executable of its own. The verb `single-tap` uses it.
+The verb `single-tap` uses this client, which is not a separate executable.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from tapping_cell.se2 import Pose
 
 BEFORE_S = 1.0
 AFTER_S = 0.7
-"""A track starts BEFORE_S before the release and ends AFTER_S after the object came to rest."""
+"""A track of the object starts BEFORE_S before the striker is fired and ends AFTER_S after the
+object has come to rest."""
 KEPT_POSES = 4000
 LONGEST_TAP_S = 120.0
 LONGEST_AWAY_S = 3.0
@@ -110,13 +111,13 @@ class SingleTapClient(GoalClient):
         An exception from ``check``, or a KeyboardInterrupt, cancels the tap.
 
         Raises:
-            NoAnswer: the planner has gone.
+            NoAnswer: the planner did not end the tap in time, or its action server disappeared.
         """
         message = SingleTap.Goal(
             striker_speed=striker_speed, incidence=incidence, direction=direction, slack=slack
         )
         self._handle = None
-        # Sent from the executor's thread, as in GoalClient.send.
+        # The goal is sent from the executor's thread for the same reason as in ActionFollower.
         self._executor.create_task(self._send_tap, message)
         begun = there = time.monotonic()
         try:

@@ -69,19 +69,19 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         """Connect to the device and notify the state machine. Return the result of
         ``driver.connect``.
 
-        ``port``: path of the port, for diagnostics. ``read``: converts that result for the state
-        machine.
+        ``port``: path of the port, for diagnostics. ``read``: converts the result of
+        ``driver.connect`` for the state machine.
 
         Raises:
             NotReady: a stop could not be stored, the device is absent or its response is not
-                understood; the life cycle retries.
+                understood; the life cycle then tries again.
         """
         try:
             self.host.stop_file.require_writable()
         except OSError as error:
             raise NotReady(
-                f"the file that keeps a stop over a restart cannot be written ({error}); make its"
-                " folder writable and free some space on its disk"
+                f"the file that preserves a stop across restarts cannot be written ({error}); make"
+                " its folder writable and free some space on its disk"
             ) from error
         try:
             answer = driver.connect(timeout=self.logic.patience)

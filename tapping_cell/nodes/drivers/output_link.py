@@ -23,7 +23,8 @@ from tapping_cell.nodes.kept_content import KeptContent
 
 KEPT_REQUESTS = 100
 INPUT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Also receives from reliable publishers. A lost message is superseded by the next."""
+"""QoS profile of the inputs. A best-effort subscription also receives from reliable publishers. A
+lost message is superseded by the next."""
 KINDS = {"topic": Bool, "commands": Float64MultiArray, "pulse": Float64}
 
 
@@ -90,7 +91,7 @@ class RosOutputLink(RosLink):
 
     @property
     def times_pulse(self) -> bool:
-        """Whether the receiver times the pulse."""
+        """Whether the receiver, not this process, times the pulse."""
         return self._section.interface == "pulse"
 
     @property
@@ -122,13 +123,13 @@ class RosOutputLink(RosLink):
 
     @property
     def guard(self) -> InputLevel | None:
-        """Last message on whether the guard is closed."""
+        """Last message from the safety guard, which states whether it is closed."""
         with self._received:
             return self._guard
 
     @property
     def read_back(self) -> InputLevel | None:
-        """Last read-back of whether the output is on."""
+        """Last read-back, which states whether the output is on."""
         with self._received:
             return self._read_back
 
@@ -153,14 +154,14 @@ class RosOutputLink(RosLink):
     # Output
 
     def switch(self, on: bool) -> int:
-        """Send a level. Return a request number for ``answer``."""
+        """Switch the output on or off. Return a request number for ``answer``."""
         with self._lock:
             # A stop that arrives now waits for the lock and then switches the output off.
             self._require()
             return self._send(on, 0.0)
 
     def pulse(self, duration: float) -> int:
-        """Send a pulse that the receiver times. A duration of 0 ends a pulse."""
+        """Send the duration (s) of a pulse that the receiver times; 0 ends a pulse."""
         with self._lock:
             self._require()
             return self._send(duration > 0, duration)

@@ -1,7 +1,7 @@
 """Common base of the links to a robot's own ROS driver: a node, a thread, a latched stop.
 
-A link has its own node and thread, so that the age of received messages does not depend on the load
-of the driver's node, and so that a blocking driver call can wait for messages.
+A link has its own node and thread. Therefore the age of received messages does not depend on the
+load of the driver's node, and a blocking driver call can wait for messages.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ POLL_S = 0.05
 
 
 class RosLink(ABC):
-    """Link whose topics stay open as long as the instance exists. The next ``open`` finds a peer
-    that started later.
+    """Link whose topics stay open as long as the instance exists, so that ``open`` also finds a
+    peer that started after the link.
 
-    A subclass creates its topics and services on ``_node``, then calls ``_start``. It notifies
-    ``_received`` of new messages. ``_lock`` serialises commands and stops.
+    A subclass creates its topics and services on ``_node``, then calls ``_start``. It notifies the
+    condition ``_received`` when a message arrives. ``_lock`` serialises commands and stops.
     """
 
     def __init__(self, parent: Node, suffix: str) -> None:
@@ -55,7 +55,7 @@ class RosLink(ABC):
         return self._open
 
     def now(self) -> float:
-        """Return the monotonic clock, in s."""
+        """Return the time of the monotonic clock, in s."""
         return time.monotonic()
 
     def open(self, timeout: float) -> None:
@@ -111,7 +111,7 @@ class RosLink(ABC):
         """Return the error message for an absent peer."""
 
     def _found(self) -> None:  # noqa: B027 - most links have nothing to do
-        """Discard previously received data when the peer has been found."""
+        """Called when the peer has been found: discard the data received before."""
 
     def _before_destruction(self) -> None:  # noqa: B027
         """Destroy resources that the node does not destroy itself."""

@@ -51,7 +51,8 @@ class Parameters:
         default=0.3,
     )
     silence_limit: float = quantity(
-        "maximum age of the last messages of planner and camera for the tapper to charge or fire",
+        "maximum age of the last messages of planner and camera; if one is older, the tapper "
+        "neither charges nor fires",
         "s",
         0.1,
         5.0,

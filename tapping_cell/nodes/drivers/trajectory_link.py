@@ -125,7 +125,7 @@ class RosTrajectoryLink(RosLink):
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of this arm's joints."""
+        """Joint names in the last message that did not contain all joints of this arm."""
         return self._other_names
 
     @property

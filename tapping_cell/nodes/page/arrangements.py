@@ -55,7 +55,7 @@ class Arrangements:
         self._progress = ArrangementState()
 
     def use_cell(self, cell: Cell) -> None:
-        """Take the objects of a cell. Raises ConfigurationError for an invalid object file."""
+        """Use the objects of this cell. Raises ConfigurationError for an invalid object file."""
         self.cells = cells_of(cell)
         self.checks = {name: GoalCheck(each) for name, each in self.cells.items()}
         self.checks[cell.object.name].prepare()
@@ -122,7 +122,7 @@ class Arrangements:
         answer({"type": "preset", "goals": rows})
 
     def send(self, request: Arrange, who: str, answer: Answer) -> None:
-        """Send an arrangement to the planner, and its end to the page."""
+        """Send an arrangement to the planner, and its result to the page when it has ended."""
         if not self._action.server_is_ready():
             answer(_answer(False, "the planner is not running; start tap_planner"))
             return
@@ -154,7 +154,8 @@ class Arrangements:
         self._action.send_goal_async(goal).add_done_callback(taken)
 
     def _prepare(self) -> None:
-        """Prepare the goal checks of the further objects. Until then the planner alone refuses."""
+        """Prepare the goal checks of the further objects. Until they are ready, only the planner
+        refuses goals of these objects."""
         for check in list(self.checks.values()):
             if not check.ready:
                 check.prepare()

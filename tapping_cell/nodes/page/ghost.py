@@ -22,8 +22,8 @@ from tapping_cell.vision import View
 HANDLE_BEYOND = 0.03
 """Distance in m from the farthest point of the outline to the handle that rotates the ghost."""
 ARROW, ARROW_AHEAD = 0.06, 0.012
-"""Lengths in m of the striker's line as drawn, behind and in front of the tip of the striker at
-rest."""
+"""Lengths in m of the line that represents the striker: behind and in front of the position of its
+tip at rest."""
 ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % of a bivariate normal distribution, in standard
 deviations."""

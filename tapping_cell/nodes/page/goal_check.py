@@ -1,4 +1,4 @@
-"""Check of goals as the planner does it, for one object of the cell."""
+"""Check of goals for one object of the cell, by the same rules as in the planner."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from tapping_cell.se2 import Pose
 
 
 class GoalCheck:
-    """The planner's refusals for one object. ``cell``: the cell with this object as its own."""
+    """Finds out whether the planner would refuse a goal of one object. In ``cell``, this object is
+    the cell's own object."""
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell

@@ -77,7 +77,7 @@ class Guard:
         parts = urlsplit(origin) if _plain(origin) else None
         expected = host if page_port is None else _with_port(name, page_port)
         if parts is None or parts.scheme not in ("http", "https") or parts.netloc != expected:
-            return f"a page of {origin[:100]} may not connect to this cell"
+            return f"a page from {origin[:100]} may not connect to this cell"
         return ""
 
     def admits(self, token: object) -> bool:

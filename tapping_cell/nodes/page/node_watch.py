@@ -22,7 +22,7 @@ VISION = "camera_pose"
 CORE = (VISION, "tap_planner", ARM, "tapper_trigger")
 """Roles that every cell needs, in addition to a camera. ARM is not required with fixed tappers."""
 CAMERAS = ("sim_world", "overhead_camera")
-"""Roles that publish images. Any other ROS driver of a camera may take their place."""
+"""Roles of the cell's own nodes that publish images. Another camera driver may replace them."""
 SILENCE_LIMIT_S = 3.5
 """Maximum age of the last diagnostics, which are sent every second, before a node counts as
 silent."""
@@ -126,8 +126,8 @@ class NodeWatch:
         return tuple(name for name in CORE if self.has_arm or name != ARM)
 
     def name_of(self, role: str) -> str:
-        """Return the name of the node with this role, of a running one if there is one; the role
-        itself if there is none."""
+        """Return the name of the node with this role. If several nodes have it, prefer a running
+        one; if none has it, return the role itself."""
         found = [(not peer.life, name) for name, peer in self._peers.items() if peer.role == role]
         return min(found)[1] if found else role
 
@@ -138,7 +138,7 @@ class NodeWatch:
 
     @property
     def has_camera(self) -> bool:
-        """Whether a node of the cell publishes images, or camera_pose receives those of another
+        """Whether a node of the cell publishes images, or camera_pose receives images of another
         driver."""
         peer = self._peers.get(self.name_of(VISION))
         measuring = peer is not None and peer.life == "active" and peer.level == "ok"

@@ -266,7 +266,7 @@ class OperatorPage(CellNode[Parameters]):
         return DiagnosticStatus.OK, "ok", values
 
     def on_emergency_stop(self, message: Bool) -> None:
-        """Also show an emergency stop message on the page."""
+        """Process an emergency stop message, show it on the page and pause the queue."""
         super().on_emergency_stop(message)
         self._view.emergency_stop = message.data
         if message.data:
@@ -372,8 +372,8 @@ class OperatorPage(CellNode[Parameters]):
         }
 
     def _ghost_of(self, name: str) -> Ghost | None:
-        """Return the ghost of an object, or of the cell's own if the name is empty; None while the
-        camera's pose is unknown."""
+        """Return the ghost of an object, or of the cell's own object if ``name`` is empty; None
+        while the camera's pose is unknown."""
         ghosts = self._ghosts
         return ghosts.get(name) if name else next(iter(ghosts.values()), None)
 
@@ -560,7 +560,8 @@ class OperatorPage(CellNode[Parameters]):
         return self.create_client(SetParameters, f"{node}/set_parameters")
 
     def _follow_planner(self, name: str) -> None:
-        """Use the parameter service of the planner's node, which has the name of the node."""
+        """Use the parameter service of the planner's node ``name``; the service's name begins with
+        it."""
         if self._set_client.srv_name != f"{name}/set_parameters":
             self.destroy_client(self._set_client)
             self._set_client = self._parameter_client(name)
@@ -647,8 +648,8 @@ class OperatorPage(CellNode[Parameters]):
                 _answer(
                     "cancel",
                     False,
-                    "no goal of an action is active; a goal from the topic goal_pose is "
-                    "ended by a stop or by another goal",
+                    "no goal that was sent through an action is active; a goal from the topic "
+                    "goal_pose is ended by a stop or by another goal",
                 )
             )
 
@@ -697,8 +698,8 @@ class OperatorPage(CellNode[Parameters]):
         answer: server.Answer,
         done: Callable[[Future], None] | None = None,
     ) -> None:
-        """Call a service. The page receives its response, or a message that no server is
-        available."""
+        """Call a service. The page receives the response of the service, or a message that no
+        server is available."""
         if not client.service_is_ready():
             answer(_answer(to, False, f"{name}: does not answer; is it running?"))
             return

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from tapping_cell.se2 import Pose
 
 LARGEST_MESSAGE = 4096
-"""Maximum number of bytes in a message. An arrangement has about 90 for each object."""
+"""Maximum number of bytes in a message. An arrangement needs about 90 bytes for each object."""
 LARGEST_NUMBER = 1e6
 """Maximum absolute value of lengths in mm and angles in degrees."""
 
@@ -37,7 +37,8 @@ class Move:
     """Query the pose of the ghost whose centre appears at (u, v) in the image.
 
     ``u`` and ``v`` are fractions of the image's width and height from its top left corner; the
-    angle is in rad. ``object`` is the name of its object; if empty, the cell's own.
+    angle is in rad. ``object`` is the name of the ghost's object; if empty, it is the cell's own
+    object.
     """
 
     number: int
@@ -206,7 +207,7 @@ MAX_OBJECTS = 20
 
 
 def parse(text: str | bytes) -> Request:
-    """Parse a message. It contains values in mm and degrees, as people type them.
+    """Parse a message, whose values are in mm and degrees, as people type them.
 
     Raises:
         BadRequest: the message is invalid, for the stated reason.
@@ -329,7 +330,7 @@ def _number(content: dict[str, object], name: str) -> float:
 def _whole(content: dict[str, object], name: str) -> int:
     value = content.get(name)
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
-        raise BadRequest(f"{name} is {_shown(value)}, not a whole number from 0")
+        raise BadRequest(f"{name} is {_shown(value)}, not a whole number of at least 0")
     return value
 
 

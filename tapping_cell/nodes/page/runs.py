@@ -66,7 +66,8 @@ class Runs:
     def archive(self, name: str) -> Path | None:
         """Return a ZIP file of a run, which the caller removes, or None if there is no such run.
 
-        Links are always omitted. Bags are already compressed, so they are only stored.
+        Links are always omitted. Bags are already compressed, so they are stored without further
+        compression.
 
         Raises:
             OSError: the run is unreadable, or the disk is full.

@@ -93,7 +93,7 @@ PICTURE_HEADER = struct.Struct("!Idd")
 """Header before the JPEG: number of the image, its stamp and its age when sent, both in s."""
 
 Answer = Callable[[dict[str, object]], None]
-"""Function that sends a page its response, from any thread."""
+"""Function that sends a page its response; may be called from any thread."""
 
 
 class Backend(Protocol):
@@ -152,20 +152,20 @@ class PageServer:
         return any(page.wants_picture for page in tuple(self.pages))
 
     def show(self, state: dict[str, object]) -> None:
-        """Send this state to every page, from any thread."""
+        """Send this state to every page. May be called from any thread."""
         self._call(self._show, json.dumps({"type": "state", **state}, allow_nan=False))
 
     def show_runs(self, runs: list[dict[str, object]]) -> None:
-        """Send the list of runs to every page, from any thread."""
+        """Send the list of runs to every page. May be called from any thread."""
         content = {"type": "runs", "folder": str(self.backend.runs.folder), "runs": runs}
         self._call(self._show_runs, json.dumps(content, allow_nan=False))
 
     def show_picture(self, jpeg: bytes, stamp: float, age: float) -> None:
-        """Send an image to every page that waits for one, from any thread."""
+        """Send an image to every page that waits for one. May be called from any thread."""
         self._call(self._show_picture, jpeg, stamp, age)
 
     def later(self, give: Callable[[dict[str, object]], None], answer: dict[str, object]) -> None:
-        """Send a response in the server's thread, from any thread."""
+        """Send a response in the server's thread. May be called from any thread."""
         self._call(give, answer)
 
     # Executed in the server's thread; ``_call`` schedules work there from any thread
@@ -429,7 +429,8 @@ class PageSocket(_Guarded, WebSocketHandler):
             self.close(BAD_TOKEN, "no hello")
 
     def on_message(self, message: str | bytes) -> None:
-        """Process one message. Whatever its content, the page receives a readable response."""
+        """Process one message. Even if the message is invalid, the page receives a readable
+        response."""
         if self.ws_connection is None:  # closed by the server, so remaining messages are ignored
             return
         if self._messages.add() > MAX_MESSAGES:

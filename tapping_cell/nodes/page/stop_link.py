@@ -20,7 +20,7 @@ END_TIMEOUT_S = 2.0
 class StopLink:
     """Keep one process running that serves STOP on sockets that are already bound.
 
-    A stop that was held when the process died is held again by its successor.
+    If the process dies while it holds a stop, the process that replaces it holds the stop again.
     """
 
     def __init__(
@@ -32,8 +32,8 @@ class StopLink:
         topic: str,
         on_level: Callable[[bool, str], None],
     ) -> None:
-        """``topic``: resolved name of the stop topic. ``on_level``: called for each stop, with its
-        author, and for each release, in a thread of this link."""
+        """``topic``: resolved name of the stop topic. ``on_level``: called in a thread of this link
+        with True and the name of the requester for each stop, and with False for each release."""
         self.held = False
         self.ready = threading.Event()
         self._sockets = sockets
@@ -52,11 +52,13 @@ class StopLink:
         self._thread.start()
 
     def stop(self, who: str) -> bool:
-        """Hold the stop. Return False if the process does not accept it. Does not block."""
+        """Hold the stop, without blocking. Return False if the process does not accept the
+        request."""
         return self._send({"do": "stop", "who": who})
 
     def release(self) -> bool:
-        """Release the stop for a person. Return False if the process does not accept it."""
+        """Release the stop at a person's request. Return False if the process does not accept the
+        request."""
         return self._send({"do": "release"})
 
     def close(self) -> None:

@@ -1,8 +1,9 @@
 """Process that serves STOP and publishes the page's ``emergency_stop``.
 
-:class:`tapping_cell.nodes.page.stop_link.StopLink` starts it and writes first its configuration and
-then its requests to standard input, one JSON value per line. The process writes each change of the
-level to standard output. It ends when standard input is closed, so it never outlives the page.
+:class:`tapping_cell.nodes.page.stop_link.StopLink` starts this process and writes to its standard
+input: first the configuration, then requests, one JSON value per line. The process writes each
+change of the stop state to standard output. It ends when standard input is closed, so it never
+outlives the page.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 A request is one JSON object in plain text, ``{"do": "stop", "token": ...}`` or ``{"do": "check",
 ...}``, and the response is ``{"held": ...}``. A stop needs no existing connection. When too many
 connections are open, the oldest one is closed to accept the newest, so that no client can occupy
-all of them. Connections of pages, which have sent an admitted request, are closed last, so that a
-page keeps its connection even during a flood of new connections. A check and every refused request
-are answered slowly, which limits the request rate of a connection.
+all of them. Connections that have sent an admitted request belong to pages and are closed last, so
+that a page keeps its connection even during a flood of new connections. A check and every refused
+request are answered slowly, which limits the request rate of a connection.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tapping_cell.nodes.page.guard import Guard
 LONGEST_BODY = 1024
 MAX_CONNECTIONS = 256
 REPEAT_PERIOD_S = 0.02
-"""Stops within this time after the last one are published once."""
+"""Several stops within this time (s) after a published stop are published together, once."""
 SLOW_ANSWER_S = 0.1
 
 
@@ -36,8 +36,9 @@ class StopLevel:
     def __init__(
         self, publish: Callable[[bool], None], report: Callable[[bool, str], None], held: bool
     ) -> None:
-        """``publish``: sends the level to the cell. ``report``: sends the level and its author to
-        the page's node. ``held``: continue a stop that was held before this process started."""
+        """``publish``: sends the stop state (True: stopped) to the cell. ``report``: sends the stop
+        state and the name of the requester to the page's node. ``held``: whether a stop was held
+        before this process started; it is then held again."""
         self.held = held
         self._publish = publish
         self._report = report
@@ -58,7 +59,7 @@ class StopLevel:
             self._repeat = asyncio.get_running_loop().call_later(wait, self._publish_again)
 
     def release(self) -> None:
-        """Release the stop for a person."""
+        """Release the stop at a person's request."""
         if self._repeat is not None:
             self._repeat.cancel()
             self._repeat = None
@@ -171,7 +172,8 @@ class StopServer(HTTPServer):
         super().handle_stream(stream, address)
 
     def admit(self, connection: Any) -> None:
-        """Close the connection of a page, which has sent an admitted request, after others."""
+        """Mark a connection as that of a page, because it has sent an admitted request, so that it
+        is closed after the other connections."""
         stream = connection.stream
         if stream in self._streams:
             self._streams.remove(stream)

@@ -36,8 +36,8 @@ class DeferredActionServer:
         ]
 
     def close(self) -> None:
-        """Destroy the action servers. Call before the node is destroyed, which does not destroy
-        them."""
+        """Destroy the action servers. Call this before destroying the node, because
+        ``destroy_node`` does not destroy them."""
         for server in self._servers:
             server.destroy()
 

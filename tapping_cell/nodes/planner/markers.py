@@ -1,8 +1,8 @@
 """Markers of the cell for RViz and Foxglove, in ``table``.
 
-They show the outlines of table, object, goal and predicted final pose, the goal tolerance, the
-arrow of the tap, keep-out zones, the workspace of the object, its path so far, and the tappers at
-fixed mounts with their lines.
+They show the outlines of the table, the object, the goal and the predicted final pose. They also
+show the goal tolerance, an arrow for the tap, keep-out zones, the workspace of the object and its
+path so far, and fixed tappers with the lines along which they strike.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def _circle(radius: float) -> Points:
 
 
 def _sector(radius: float, half_angle: float) -> Points:
-    """Return the sector of accepted final headings."""
+    """Return the corners of a sector that shows the accepted final headings of the object."""
     ends = radius * np.stack([np.cos([half_angle] * 2), np.sin([-half_angle, half_angle])], axis=-1)
     return np.array([ends[0], (0.0, 0.0), ends[1]])
 
@@ -145,8 +145,8 @@ def _points(name: str, kind: int, points: Points, size: float, colour: ColorRGBA
 
 @lru_cache(maxsize=256)
 def _message_points(numbers: bytes) -> tuple[Point, ...]:
-    """Return points (n, 2), given as the bytes of their array, as messages. Results are cached,
-    because most points of a scene are those of the previous scene."""
+    """Convert points (n, 2) to messages; ``numbers`` are the bytes of the points' array. Results
+    are cached, because most points of a scene were already in the previous scene."""
     return tuple(Point(x=x, y=y) for x, y in np.frombuffer(numbers).reshape(-1, 2).tolist())
 
 

@@ -230,8 +230,8 @@ class TapPlanner(CellNode[Parameters]):
         token = self._tokens.get(bytes(handle.goal_id.uuid))
         if token is None:
             return CancelResponse.REJECT
-        # Runs after this callback, because the goal must be in state "canceling" before its result
-        # is set.
+        # The cancellation is processed after this callback has returned, because the goal must be
+        # in state "canceling" before its result is set.
         self.host.later(lambda: self.host.cancel(token))
         return CancelResponse.ACCEPT
 

@@ -40,7 +40,7 @@ class PolledTopics:
 
     def take(self, topics: Iterable[str]) -> Iterator[tuple[str, bytes, int]]:
         """Yield topic, serialised message and time of reception (ns, system clock; 0 if unknown)
-        of every message that waits, topic by topic."""
+        of every waiting message, topic by topic."""
         for topic in topics:
             subscription = self._subscriptions[topic]
             with subscription.handle:
@@ -50,4 +50,4 @@ class PolledTopics:
 
 
 def _ignore(_: object) -> None:
-    """Stand for the callback that rclpy requires."""
+    """Do nothing; rclpy requires a callback, although it is never called."""

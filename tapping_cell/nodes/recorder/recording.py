@@ -51,11 +51,11 @@ class RecordedTopic:
 def new_folder(
     parent: Path, name: str, most_runs: int, least_free: float, prepared: bool = False
 ) -> Path:
-    """Create a folder for a run, which must not exist yet. ``least_free`` is in bytes.
+    """Create a new folder for a run. ``least_free`` is in bytes.
 
-    ``prepared``: a folder of this name without a run was created for this run, as the verb demo
-    does for the nodes' logs. Otherwise, an existing folder belongs to another cell whose run
-    started in the same second.
+    ``prepared``: a folder of this name that does not contain a run yet was created for this run and
+    is used. The verb demo creates it in advance for the nodes' logs. Otherwise, an existing folder
+    belongs to another cell whose run started in the same second.
 
     Raises:
         CannotRecord: there are too many runs, the free disk space is too small, or the folder
@@ -107,8 +107,8 @@ def run_name(began: float, namespace: str, goal: Any) -> str:
 
 
 def arrangement_name(began: float, namespace: str, report: ArrangementState) -> str:
-    """Return the name of the run of an arrangement: with the goal of one object, or else with the
-    number of objects."""
+    """Return the run name of an arrangement. It contains the goal if there is a single object,
+    otherwise the number of objects."""
     goals = [one for one in report.objects if one.has_goal]
     if len(goals) == 1:
         words = f"{goals[0].object_id}_{_goal_words(goals[0].goal_pose)}"

@@ -8,7 +8,7 @@ the name is taken."""
 
 
 def is_run_name(name: str) -> bool:
-    """Return whether this name is valid for a run folder and contains no path to another place."""
+    """Return whether this name is valid for a run folder and cannot refer to another folder."""
     return (
         bool(name)
         and name.isprintable()

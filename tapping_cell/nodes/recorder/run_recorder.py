@@ -1,5 +1,5 @@
 """Recorder: writes a run folder with bag, tables, image and page for every goal and every
-arrangement of several objects. It moves nothing.
+arrangement of several objects. This node moves nothing.
 
 It writes in a separate thread. A write failure is published on /diagnostics, and the goal
 continues. Messages of the last seconds are buffered, so that a bag starts before its goal.
@@ -73,20 +73,21 @@ LEAD_S = 2.0
 TAIL_S = 1.0
 """Time from the end of a goal to the end of its bag, which thus contains the final observation."""
 SILENCE_S = 30.0
-"""Timeout for messages of the planner, after which the recording ends without the end of the
-goal."""
+"""Time without a message of the planner after which the recording ends, even if the goal has not
+ended."""
 END_TIMEOUT_S = 4.0
 WRITE_PERIOD_S = 0.5
 POLL_PERIOD_S = 0.1
 REPEATED_WITHIN_S = 10.0
-"""A refusal that is repeated within this time gets no folder of its own."""
+"""No folder is created for a refusal that repeats an earlier one within this time."""
 RATE_SHARE = 0.8
-"""Share of the period of recorded images after which an image is recorded. Images arrive in the
-period of the camera, so a full period would skip every second image of the same rate."""
+"""Minimum interval between recorded images, as a fraction of the period of the requested rate. With
+a minimum of a full period, every second image would be lost if images arrive at that rate, because
+their intervals vary slightly."""
 LONGEST_PATH = 1024
 DEPTH = 200
-"""Maximum number of messages of a topic between two polls, and in FRAMES before a goal. A camera at
-30 Hz fills it in 6.7 s."""
+"""Queue depth of a topic: the oldest messages are lost if more than this number arrive between two
+polls or, for the topics in FRAMES, before a goal begins. Images at 30 Hz fill it in 6.7 s."""
 
 _STREAM = QoSProfile(
     depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
@@ -104,8 +105,8 @@ STATES: dict[str, type] = {
     "tapper_state": TapperState,
     "arrangement_state": ArrangementState,
 }
-"""Latched topics. arrangement_state is read last: the planner publishes it before the plan_state of
-the same report. When this plan_state is read, arrangement_state has therefore arrived as well."""
+"""Latched topics. arrangement_state is read last. The planner publishes it before the corresponding
+plan_state, so it has already arrived when that plan_state is read."""
 STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
@@ -331,7 +332,7 @@ class RunRecorder(CellNode[Parameters]):
         return int(self.get_clock().now().nanoseconds)
 
     def _receive(self, names: Iterable[str]) -> None:
-        """Process the messages that wait, in the order of their reception."""
+        """Process the waiting messages, in the order of their reception."""
         now, clock = self._now(), time.time_ns()
         waiting = [
             (now - max(0, clock - received) if received else now, name, data)

@@ -80,8 +80,8 @@ class Parameters:
         "frame rate of the simulated camera", "Hz", 1.0, 120.0, default=30.0
     )
     slow_motion: float = quantity(
-        "factor by which slides are played in slow motion, for a machine too slow for the frame "
-        "rate; time stamps are those of the undelayed slide",
+        "factor by which slides are slowed down, for a computer too slow for the frame rate; time "
+        "stamps are those of the slide at normal speed",
         "",
         1.0,
         100.0,

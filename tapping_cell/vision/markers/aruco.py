@@ -18,8 +18,8 @@ _aruco: Any = cv2.aruco
 _CLASSES = hasattr(_aruco, "ArucoDetector")
 
 LEGACY_BOARDS = _CLASSES
-"""True if legacy ChArUco boards can be detected: those with an even number of rows drawn before
-OpenCV 4.6, which begin with a marker."""
+"""True if legacy ChArUco boards can be detected. These boards have an even number of rows, were
+drawn before OpenCV 4.6 and begin with a marker."""
 
 
 def draw_marker(book: cv2.aruco.Dictionary, marker_id: int, side: int) -> Image:

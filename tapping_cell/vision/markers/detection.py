@@ -25,7 +25,8 @@ UNIT_CORNERS = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
 
 
 _ENLARGED = 2_200_000
-"""Number of pixels above which an image is not enlarged; such images show larger markers."""
+"""Number of pixels above which an image is not enlarged, because markers appear larger in such an
+image."""
 
 
 class Effort(enum.IntEnum):
@@ -190,7 +191,7 @@ class ReferenceMap:
     deviation: float = field(default=0.0, compare=False)
 
     def __post_init__(self) -> None:
-        """Raise MarkerError if the map is empty, repeats an id or has an invalid marker."""
+        """Raise MarkerError if the map is empty, contains an id twice or has an invalid marker."""
         if not self.markers:
             raise MarkerError("the table has no reference markers; list at least two")
         ids = [marker.id for marker in self.markers]

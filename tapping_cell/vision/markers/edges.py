@@ -1,10 +1,10 @@
 """Sub-pixel edges of square markers whose position is known to a few pixels.
 
-Every pixel row that meets a side of the black square gives one crossing (or every column, if
-columns cross the side more steeply). The sum of the grey values, relative to the black and white
-levels beside the edge, gives the black area and so the position of the edge. There is no
-interpolation, so the position of the edge between pixels causes no bias, and any symmetric blur
-cancels.
+The position of a side of the black square is measured in every pixel row that crosses it, or in
+every pixel column if columns cross the side more steeply. The sum of the grey values, relative to
+the black and white levels beside the edge, gives the black area and thus the position of the edge.
+Because nothing is interpolated, the result has no bias that depends on the position of the edge
+within a pixel, and the effect of any symmetric blur cancels.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SOFT = 0.02
 """Maximum slope of the grey level at the ends of the window across an edge, per pixel and relative
 to the contrast. Above it the blur of the edge reaches the ends, and the levels measured there are
 wrong. The result is then biased towards the middle of the window, so the measurement is repeated
-until result and window agree."""
+until the window is centred on the result."""
 _USUAL = 0.68
 """Half width of a window in modules, at most 4 pixels. The ends of a narrower window would lie in
 the blur of the edge. The ends of a wider window would, on small markers, lie in the blur of the
@@ -35,8 +35,8 @@ _WIDE, _WIDEST = 0.75, 8
 """Half width of the window for blurred edges (motion, defocus), in modules and at most in pixels.
 Wider windows would reach the modules next to the black border."""
 _OBLIQUE = 0.8
-"""Ratio of the distance of opposite sides to their mean length. Below this ratio, the distance
-determines the window."""
+"""Ratio of the distance between opposite sides to the mean length of the sides. Below this ratio
+(an oblique view), the distance instead of the length determines the width of the window."""
 _ROWS_ALIKE = 3
 """Maximum lag, in rows, of the error correlation."""
 _MAX_OBSERVATIONS = 8
@@ -51,11 +51,13 @@ class MarkerEdges:
 
     ``points`` (M, 4, BINS, 2) are in pixels, ``weights`` (M, 4, BINS) are the numbers of rows that
     they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
-    ``spread`` (M,) is the standard deviation of one row across the side, in pixels (divide it by
-    the root of the number of rows). ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) is
-    the displacement of the measured side per displacement of its window, for the worst side (1: no
-    information). Contaminated levels at the window's ends cause such a displacement. ``good`` (M,)
-    marks markers with four complete sides whose blur is not excessive.
+    ``spread`` (M,) is the standard deviation of the edge position measured in one row,
+    perpendicular to the side, in pixels. For the whole side, divide it by the square root of the
+    number of rows. ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) states how far the
+    measured side moves if its window moves by one unit, for the worst side: ideally 0; 1 means that
+    the measurement contains no information. It is caused by blur or objects at the ends of the
+    window, where the grey levels of black and white are measured. ``good`` (M,) marks markers with
+    four complete sides whose blur is not excessive.
     """
 
     points: Array
@@ -90,7 +92,8 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
 
 
 def narrowest(quads: Array) -> Array:
-    """Side (M,) of markers in pixels; in an oblique view, the distance of opposite sides."""
+    """Length (M,) of the sides of markers in pixels; in an oblique view, the distance between
+    opposite sides."""
     along = quads[:, [1, 2, 3, 0]] - quads
     side = np.sqrt((along**2).sum(axis=2))
     (ax, ay), (bx, by) = (quads[:, 2] - quads[:, 0]).T, (quads[:, 3] - quads[:, 1]).T
@@ -131,13 +134,13 @@ def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _EdgeSamples:
-    """One measurement of all sides (4 M); ``outward`` (1 or -1) is the outward direction of q.
+    """One measurement of all 4 M sides of M markers.
 
     ``p`` (4 M, R) are the row coordinates of a side and ``q`` the positions at which the edge
     crosses them. ``kept`` (1 or 0) marks the inliers of the line q = offset + slope p, and
-    ``residual`` is the distance from it. ``black`` and ``white`` are the levels beside the rows,
-    ``mask`` (1 or 0) marks the rows that exist, and ``corners`` (M, 4, 2) are the intersections of
-    the lines.
+    ``residual`` is the distance from it. ``black`` and ``white`` are the grey levels on both sides
+    of the edge in each row, ``mask`` (1 or 0) marks the rows that exist, and ``corners`` (M, 4, 2)
+    are the intersections of the lines. ``outward`` is 1 if q increases outwards, otherwise -1.
     """
 
     half_width: int
@@ -233,7 +236,8 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
 
 @lru_cache(maxsize=16)
 def _sums(half_width: int) -> NDArray[np.float32]:
-    """Matrix (window, 5): sum of a window, levels at its inner and outer ends, slopes there."""
+    """Matrix (window, 5) that maps the pixels of a window to their sum, the grey levels at its
+    inner and outer ends, and the slopes at these ends."""
     size = 2 * half_width + 1
     end = _outermost(size)
     matrix = np.zeros((size, 5), dtype=np.float32)
@@ -274,11 +278,12 @@ def _edges(samples: _EdgeSamples) -> MarkerEdges:
 
 
 def _together(samples: _EdgeSamples) -> float:
-    """Factor, at least 1, on the variance of a side's line due to correlated errors of nearby rows.
+    """Factor (at least 1) by which correlated errors of nearby rows increase a line's variance.
 
-    Smoothed, demosaiced and compressed images have such correlation, and so have rounded grey
-    levels without noise. The factor is estimated from the residuals of all sides. Fitting a line to
-    n rows reduces the mean product of residuals by 2 / n of their variance; this bias is corrected.
+    The errors are correlated in images that are smoothed, demosaiced or compressed, and also if
+    grey levels without noise are rounded. The factor is estimated from the residuals of all sides.
+    Fitting a line to n rows reduces the mean product of residuals by 2 / n of their variance; this
+    bias is corrected.
     """
     kept = samples.kept
     residual = kept * samples.residual
@@ -295,12 +300,12 @@ def _together(samples: _EdgeSamples) -> float:
 
 
 def _uneven(samples: _EdgeSamples, white: Array) -> Array:
-    """Correction of the sides (S,) along q for uneven illumination, to be added.
+    """Correction (S,) for uneven illumination, to be added to the positions of the sides along q.
 
     The levels are measured at a distance m outside and inside the edge. If the illumination
     increases outwards by a fraction g per pixel, the levels at the edge differ from the measured
     levels. To first order, an edge in a window of L pixels to either side then appears L g (m - L /
-    2) too far out; opposite sides of a marker are displaced in the same direction. The slope of the
+    2) too far out. Opposite sides of a marker are displaced in the same direction. The slope of the
     illumination comes from ``white`` (S,) beside the sides.
     """
     corners, each = samples.corners, np.arange(len(white))
@@ -316,7 +321,8 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
     slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
     length = samples.half_width + 0.5
-    # The slope refers to the coordinate itself, so the signs of the outward direction cancel.
+    # ``slope`` is the slope along q, not along the outward direction, whose sign would enter twice
+    # and cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 
@@ -327,13 +333,14 @@ def _along(p: Array, levels: Array, mask: Array) -> Array:
 
 
 def _outermost(window: int) -> int:
-    """Number of pixels at each end of a window that determine the levels. In a narrow window,
-    the second pixel already belongs to the edge."""
+    """Number of pixels at each end of a window from which the black and white levels are
+    determined. In a narrow window, the second pixel already belongs to the edge."""
     return 1 if window <= 7 else 2
 
 
 def _level_noise(window: int) -> float:
-    """Factor on the variance of a side's line, because the levels come from the same rows.
+    """Factor by which the variance of a side's line changes because the black and white levels are
+    measured in the same rows.
 
     The edge position is the sum of a window's pixels divided by the contrast. Each pixel of the
     window has the weight -1 in the sum. The outermost pixels at each end, whose mean is a level,

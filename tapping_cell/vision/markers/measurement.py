@@ -15,15 +15,17 @@ from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
 
 _SMALL = 4.5
 """Pixels per module below which the whole pattern is fitted. The fit is then four times as accurate
-as the edges, because their windows no longer end in uniform black and white."""
+as the edges, because the windows across the edges no longer end in uniform black and white."""
 _SMALL_EDGES = 2.5
-"""Factor on the noise of the edges of a marker below ``_SMALL`` whose pattern cannot be fitted."""
+"""Factor by which the noise of the edges is increased if a marker is smaller than ``_SMALL`` and
+its pattern cannot be fitted."""
 
 
 def measure(
     image: Image, quads: Array, patterns: list[NDArray[np.bool_]], searched: bool
 ) -> tuple[MarkerEdges, NDArray[np.bool_]]:
-    """Measure markers near ``quads`` (M, 4, 2); return also which were measured and verified.
+    """Measure markers near ``quads`` (M, 4, 2). Return also which markers were measured and
+    verified.
 
     ``searched`` states that the quads come from a search, whose corners may be some pixels off and
     are corrected if necessary. Otherwise the quads are predicted from the last positions of the

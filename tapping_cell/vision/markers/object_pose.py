@@ -26,18 +26,18 @@ _CLEAN, _SMEARED = 0.03, 0.25
 """Noise level of ``MarkerEdges.pull``, and error of motion-blurred edges in pixels.
 
 An edge with a pull p above the noise level has an additional standard deviation of ``_SMEARED`` * p
-/ (1 - p), measured on rendered slides with motion blur of up to 14 pixels.
+/ (1 - p). This was measured on rendered slides with motion blur of up to 14 pixels.
 """
 _FREE, _USUAL_FREE = 4.0, 8.0
-"""Degrees of freedom of the residuals when four sides are fitted by a square, and degrees of
-freedom of the prior for their usual noise."""
+"""Degrees of freedom of the residuals when a square is fitted to four sides, and degrees of freedom
+of the prior for their usual noise."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width, in pixels and as a fraction of the side. A larger
 difference means that an object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MAX_OBLONG = 4.0, 0.03
-"""Allowed ratio of this difference to that of nearby reference markers (root mean square), which
-accounts for a poor lens, bent paper or a sharpened image. The second value limits the difference
-that this ratio allows, as a fraction of the side."""
+"""A larger difference is allowed up to this multiple of the root mean square difference of nearby
+reference markers, because a poor lens, bent paper or a sharpened image affects all markers. The
+second value limits the difference that is allowed in this way, as a fraction of the side."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
@@ -96,8 +96,8 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
     """Allowed difference of length and width of the object's marker, as a fraction of the side. It
-    follows from this difference of the reference markers in the other rows; it is 0 if there are
-    fewer than three."""
+    is a multiple of the same difference of the reference markers in the other rows; it is 0 if
+    there are fewer than three."""
     references = np.delete(edges.corners, row, axis=0)
     if len(references) < 3:
         return 0.0
@@ -116,9 +116,9 @@ def _metres(pixels: Array, seen: Array) -> Array:
 def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
-    Four sides have eight positions and rotations. A square determines four of them; the other four
-    degrees of freedom show glare, sharpening, compression and bent paper. As four values are a
-    small sample, a prior for their usual value is included.
+    Each of the four sides has a position and a rotation: eight degrees of freedom. A square
+    determines four of them; the other four reveal glare, sharpening, compression and bent paper. As
+    four values are a small sample, a prior for their usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total

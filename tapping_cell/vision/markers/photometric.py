@@ -1,14 +1,15 @@
 """Photometric alignment of a marker at rest, which uses every pixel of the pattern.
 
 The grey values are modelled by the blurred printed pattern, projected by the known camera at the
-known height. The pose has three unknowns. Illumination and ink enter linearly (a gain and an
-offset, each with a gradient across the marker), and so does, to first order, the deviation of the
-blur from the assumed blur. Gauss-Newton starts from the pose given by the edges (Lucas and Kanade
-1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so it
-causes no bias.
+known height. The pose has three unknowns. The parameters of illumination and ink are linear: a gain
+and an offset, each with a gradient across the marker. To first order, the deviation of the blur
+from the assumed blur is linear too. Gauss-Newton starts from the pose given by the edges (Lucas and
+Kanade 1981; Baker and Matthews 2004 for the family of methods). A symmetric blur moves no edge, so
+it causes no bias.
 
 Smoothing, sharpening and compression make the noise of neighbouring pixels correlated. The
-autocorrelation of the residuals determines how this changes the covariance.
+covariance is corrected for this correlation, which is estimated from the autocorrelation of the
+residuals.
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ from tapping_cell.vision.markers.detection import ObjectMarker, marker_pattern
 _MARGIN = 0.4
 """Width of the white border used, in modules; an adjacent object may begin beyond it."""
 _LARGEST_STEP = 0.5
-"""Maximum distance of the result from the initial pose, in pixels; the edges are more accurate."""
+"""Maximum distance of the result from the initial pose, in pixels. The initial pose, which comes
+from the edges, is more accurate than this."""
 _SMALLEST_STEP = 0.002
 """Step in pixels at which Gauss-Newton has converged (a tenth of the error due to noise)."""
 _POSE = slice(11, 14)
-"""Columns of the design matrix that move the marker."""
+"""Columns of the design matrix for the pose of the marker (x, y, theta)."""
 _LAGS = 4
 """Maximum lag, in pixels, of the noise autocorrelation."""
 _MIN_POWER = 0.1
@@ -78,8 +80,8 @@ class Linearisation:
     """An alignment linearised at ``pose`` (3,), for frames in which the marker has not moved.
 
     It holds the pixels on the marker (flat indices), the design matrix (N, 14) and its normal
-    matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3, 3) is the
-    factor on the covariance of independent pixels, see :func:`_together`.
+    matrix (14, 14). ``light`` (3,) is the contrast and its gradients. ``together`` (3, 3) corrects
+    the covariance for correlated noise, see :func:`_together`.
     """
 
     pixels: NDArray[np.intp]
@@ -229,9 +231,9 @@ def _together(
     """Covariance (3, 3) of whitened parameters; the identity for pixels with independent noise.
 
     ``influence`` (N, 3) are the derivatives of the parameters with respect to the pixels ``chosen``
-    (flat indices, rows of ``width``). The correlation of the noise comes from the autocorrelation
-    of ``residual`` (N,), filtered through the influence (the sandwich estimator of Huber 1967 and
-    White 1980, for noise that is stationary over the marker).
+    (flat indices, rows of ``width``). The correlation of the noise is estimated from the
+    autocorrelation of ``residual`` (N,) and filtered through the influence. This is the sandwich
+    estimator of Huber 1967 and White 1980, for noise that is stationary over the marker.
     """
     rows, columns = np.divmod(chosen, width)
     rows, columns = rows - rows.min(), columns - columns.min()
@@ -284,7 +286,8 @@ def _pixels(
 def _columns(
     template: Template, marker: ObjectMarker, x: Array, y: Array, pose: Array, gain: Array
 ) -> tuple[Array, Array]:
-    """Design matrix (N, 14), and the columns (N, 3) by which a gain is multiplied.
+    """Design matrix (N, 14), and the three functions (N, 3) by which the gain may vary across the
+    marker: constant, and linear along both axes.
 
     The columns are: gain and its gradients, offset and its gradients, blur, nonlinear grey levels
     at blurred edges (gamma, ink bleeding), two stretches and a shear, x, y, theta.

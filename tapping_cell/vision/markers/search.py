@@ -51,10 +51,10 @@ def detect(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Dete
 
 
 def efforts(first: bool, slow: bool) -> tuple[Effort, ...]:
-    """Levels to search a frame at, one after another until everything is found.
+    """Return the detection levels at which to search a frame, in order, until everything is found.
 
-    The first frame may be the only one, so it gets all levels. Any other frame gets a single
-    search, at the higher level if ``slow``.
+    The first frame may be the only one, so it is searched at all levels. Any other frame is
+    searched once, at the higher level if ``slow``.
     """
     if first:
         return tuple(Effort)
@@ -115,7 +115,8 @@ def _within(corners: Array, u: Array, v: Array) -> Array:
     """Points (M, N, 2) at the relative positions u (right) and v (down), (N,), in squares whose
     perspective images have the corners ``corners`` (M, 4, 2).
 
-    Heckbert 1989, "Fundamentals of texture mapping", square to quadrilateral.
+    The mapping from a square to a quadrilateral is that of Heckbert 1989, "Fundamentals of texture
+    mapping".
     """
     # Row 0 of the pattern lies between corners 0 and 1.
     p0, p1, p2, p3 = corners.transpose(1, 0, 2)

@@ -1,11 +1,11 @@
-"""Check that the object's marker appears as the square, at the height, that the files state.
+"""Check that the object's marker appears as a square with the size and height that the files state.
 
 A marker that is lifted, tilted or of another size than stated appears as a square of another size,
-or not as a square. One image does not show which of these is the cause, but the error of the shape
-limits the error of the pose. If a marker at the horizontal distance r from the camera is higher
-than assumed by a fraction s of the camera's height, it appears larger by s and further away by s r.
-A marker tilted by a appears rotated by up to a r / (2 h), h being the camera's height, and sheared
-or elongated by the same amount.
+or not as a square. A single image does not show which of these is the cause, but the deviation of
+the shape limits the error of the pose. If a marker at the horizontal distance r from the camera is
+higher than assumed by a fraction s of the camera's height, it appears larger by s and further away
+by s r. A marker tilted by an angle t appears rotated by up to t r / (2 h), where h is the camera's
+height, and sheared or elongated by the same amount.
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ from tapping_cell.vision.markers.object_pose import PoseFit
 _NORMALS = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])
 _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
-"""Stretch and strain that are not significant.
+"""Limit below which stretch and strain are not significant.
 
-In this order: a constant fraction (print, lens); pixels of the side (position of edges between
-pixels, nonlinear grey levels); pixels, times p / (1 - p), for edges with ``MarkerEdges.pull`` p;
-standard deviations of the noise. None of 140 images exceeded the sum. The markers' sides measured
-28 to 149 pixels, and the images included gamma, Bayer patterns and blur.
+The limit is the sum of four contributions. The first is a constant fraction (print, lens). The
+second is an error of the side's length in pixels (position of edges within pixels, nonlinear grey
+levels). The third is an error of blurred edges in pixels, multiplied by p / (1 - p), where p is
+``MarkerEdges.pull``. The fourth is a number of standard deviations of the noise. None of 140 images
+exceeded this limit. The markers' sides measured 28 to 149 pixels, and the images included gamma,
+Bayer patterns and blur.
 """
 
 
@@ -39,7 +41,7 @@ class ShapeDeviation:
 
     ``stretch`` is the relative enlargement and ``strain`` the relative elongation or shear; values
     up to ``allowance`` are not significant. ``covariance`` (3, 3) is the uncertainty of the
-    object's pose (m, m, rad) due to the remainder.
+    object's pose (m, m, rad) due to the part that is significant.
     """
 
     stretch: float
@@ -96,7 +98,7 @@ def shape_deviation(
 
 
 class ShapeWarnings:
-    """Creates warnings about the shape, whose values change only if the shape changes
+    """Creates warnings about the shape. The values in a warning change only if the shape changes
     noticeably."""
 
     def __init__(self, marker: ObjectMarker) -> None:
@@ -118,28 +120,30 @@ class ShapeWarnings:
             self._reported = reported = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * reported[0] * 1e3
         return (
-            f"{self._described(*reported)}: lifted (by {lifted:.0f} mm?), tilted, or of another "
-            "size or height than in the object file; the reported uncertainty includes this"
+            f"{self._described(*reported)}: the object may be lifted (by {lifted:.0f} mm?) or "
+            "tilted, or its size or height in the object file may be wrong; the reported "
+            "uncertainty includes this"
         )
 
     def refusal(self, shape: ShapeDeviation, limit: float) -> str:
         """Error message for a shape whose deviation exceeds ``limit``."""
         self._reported = None
         return (
-            f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): "
-            "lifted, tilted or of another size or height than in the object file"
+            f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): the "
+            "object may be lifted or tilted, or its size or height in the object file may be wrong"
         )
 
     def _described(self, stretch: float, strain: float) -> str:
         text = (
-            f"the object's marker appears {stretch * 100:+.1f} % larger than its "
+            f"the apparent size of the object's marker differs by {stretch * 100:+.1f} % from "
             f"{self._marker.size * 1e3:.1f} mm"
         )
-        return text if strain < 0.001 else f"{text} and {strain * 100:.1f} % out of square"
+        return text if strain < 0.001 else f"{text}, and it is {strain * 100:.1f} % out of square"
 
 
 def _beyond(share: float, allowance: float) -> float:
-    """Significant part of a deviation: zero up to the allowance, all of it far above."""
+    """Significant part of a deviation: zero up to the allowance, nearly the whole deviation if it
+    is far above the allowance."""
     return math.sqrt(max(0.0, share**2 - allowance**2))
 
 

@@ -20,7 +20,8 @@ from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 
 _QUIET = 0.6
-"""Width of the white margin used, in modules; a narrow margin is one module wide."""
+"""Width of the part of the white margin that is used, in modules. A printed margin may be as narrow
+as one module."""
 _BLUR, _MIN_BLUR, _MAX_BLUR = 0.7, 0.35, 2.5
 """Sigma of the blur in pixels: initial value and bounds."""
 _ROUNDS = 15
@@ -35,14 +36,15 @@ _MAX_UNEXPLAINED = 0.18
 photographs)."""
 _VAGUE, _MIN_MODULE = 0.15, 1.2
 """Maximum standard deviation of a side, in modules, and minimum width of a module, in pixels. On
-the same photographs, this deviation was at most 0.10 for correct patterns and at least 0.2 for
-wrong patterns."""
+the same photographs, the standard deviation was at most 0.10 for correct patterns and at least 0.2
+for wrong patterns."""
 _MODULE_OFF = 0.4
 """Maximum deviation of a module's mean from the pattern, relative to the contrast."""
 _MODULES_WRONG = 0.04
 _PRINTED = 0.02
-"""Standard deviation of a fitted corner, in pixels, that is independent of the noise. Errors due to
-sharpening and compression of the image do not average out (measured on photographs)."""
+"""Part of the standard deviation of a fitted corner, in pixels, that does not depend on the noise.
+Errors due to sharpening and compression of the image do not average out (measured on
+photographs)."""
 
 
 _TANH = 0.7978846, 0.0356774
@@ -205,8 +207,8 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
 
 
 def _fields(places: Array) -> tuple[Array, Array]:
-    """Displacements of marker points (N, 2) in u and v, (N, 8) each, by the eight parameters of a
-    small homography: the matrix 1 + (a b c; d e f; g h 0)."""
+    """Derivatives in u and in v, (N, 8) each, of marker points (N, 2) with respect to the eight
+    parameters of a small homography. Its matrix is 1 + (a b c; d e f; g h 0)."""
     u, v = places.T
     one, none = np.ones_like(u), np.zeros_like(u)
     return (
@@ -265,7 +267,7 @@ def _whole(places: Array, residual: Array, modules: int) -> bool:
 
 
 def _alike(pixels: Array, residual: Array) -> float:
-    """Factor on the variance of a mean due to correlated errors of neighbouring pixels."""
+    """Factor by which correlated errors of neighbouring pixels increase the variance of a mean."""
     low = pixels.min(axis=0).astype(int)
     index = pixels.astype(int) - low
     sheet = np.full(index.max(axis=0) + 2, np.nan)

@@ -1,7 +1,7 @@
 """Measure the marker of a nearly stationary object from all its pixels.
 
 Pixel noise differs from frame to frame and averages out. The errors due to the print, to
-differences between pixels and to the positions of the edges between pixels remain as long as the
+differences between pixels and to the positions of the edges within the pixels remain as long as the
 object does not move. The fraction of the variance that remains is estimated by comparing the
 unexplained residual of a frame with the change from one frame to the next.
 """
@@ -25,18 +25,18 @@ from tapping_cell.vision.markers.photometric import (
 )
 
 _USUAL_BLUR = 0.65
-"""Blur (sigma in pixels) of a well focused lens, including the pixel's own area. The first
-alignment corrects it."""
+"""Initial blur (sigma in pixels): that of a well focused lens, including the averaging over a
+pixel's area. The first alignment corrects it."""
 _BLUR_STEP = 0.15
 """Relative change of the blur at which the template is computed again."""
 _FIXED_EDGES = 0.25
-"""Fraction of the edges' variance that does not average out (standard deviation: 0.0025 of 0.005
-pixel, measured)."""
+"""Fraction of the edges' variance that does not average out. Measured: averaging reduces the
+standard deviation from 0.005 pixel to 0.0025 pixel."""
 _MIN_FIXED = 0.01
 _DOWNWARDS = 0.95
-"""Cosine of the angle between the optical axis and the table's normal, below which edges are used
-instead. A template is blurred equally in all directions of the plane, but an oblique image is not
-(measured on photographs)."""
+"""Cosine of the angle between the optical axis and the table's normal, below which the edges are
+used instead of all pixels. A template is blurred equally in all directions of the plane, but an
+oblique image is not (measured on photographs)."""
 _MEMORY = 30
 """Number of frames over which the noise is averaged."""
 

@@ -26,9 +26,9 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 Failure = tuple[Problem, str]
 
 RIM_BIAS = 7e-6
-"""Standard deviation (m) of the error common to all frames, due to the position of an edge within a
-pixel, uneven light across the rim and the side wall (measured on rendered scenes). Chamfers, dirt
-and errors in the object file are not included."""
+"""Standard deviation (m) of the error common to all frames, measured on rendered scenes. Its causes
+are the position of the edge within a pixel, uneven light across the rim, and the side wall.
+Chamfers, dirt and errors in the object file are not included."""
 _PROBLEMS = {
     OTHER_SIZE: Problem.MISSHAPEN_OBJECT,
     NO_DOT: Problem.DOT_HIDDEN,

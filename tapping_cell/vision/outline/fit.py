@@ -1,11 +1,11 @@
 """Fit an outline to an image, using all pixels of a band along the rim and those around the dot.
 
-In the model (``model.py``), the grey levels of top, wall and surroundings are free in every sector
-of the rim, because light, shadows and reflections of the wall differ around the object. The rim is
-therefore located as an edge, not at a fixed grey level. A wall too narrow to be distinguished from
-the edge increases the covariance. Occluded sectors are outliers and are excluded. The solver is
-Gauss-Newton, with the levels eliminated sector by sector (Schur complement). A stationary object is
-measured with the last linearisation, levels and weights.
+In the model (``model.py``), the grey levels of top, wall and surroundings are fitted separately in
+every sector of the rim, because light, shadows and reflections of the wall differ around the
+object. The rim is therefore located as an edge, not at a fixed grey level. A wall too narrow to be
+distinguished from the edge increases the covariance. Occluded sectors are outliers and are
+excluded. The solver is Gauss-Newton, with the levels eliminated sector by sector (Schur
+complement). A stationary object is measured with the last linearisation, levels and weights.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ MIN_CONTRAST = 8.0
 SIZE_SPREAD = 0.004
 """Standard deviation of an object's size relative to its file."""
 _EVEN = 0.02
-"""Usual deviation of a sector from the whole rim, in pixels, for an object with a good rim."""
+"""Usual deviation of the position of a single sector from that of the whole rim, in pixels, for an
+object with a sharp, regular rim."""
 _SLOPE_SPREAD = 0.5
 """Standard deviation of the brightness gradient across the rim, in grey levels per pixel."""
 _SMEARED = 2.0
@@ -64,8 +65,8 @@ _SAME_LIGHT = 0.05
 _LONG = 0.15
 """Minimum length of a long side of a polygon, as a fraction of the length of the rim."""
 _BRIGHTEST = 2.5
-"""Maximum brightness of a sector, relative to typical sectors, for which a higher noise is
-assumed."""
+"""The noise of a sector is assumed to increase with its brightness relative to typical sectors, up
+to this ratio."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
 """Maximum number of iterations, and the change (pixels) below which they stop."""
 
@@ -306,8 +307,8 @@ class _State:
         mixed = normal[:, :LEVELS, LEVELS:].copy()
         mixed[..., -1] += self._level_pull(sectors) * variance
         answer = np.linalg.solve(own, mixed)
-        # Remainder after elimination of the levels, by sector: globals, displacement of the rim,
-        # grey values.
+        # Normal equations of each sector after elimination of the levels. Rows and columns:
+        # globals, displacement of the rim, grey values.
         left = normal[:, LEVELS:, LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
         # The levels of an excluded sector are still updated, so that the sector can be included
         # again.

@@ -59,8 +59,9 @@ class Shape:
     """The unknowns of the fit.
 
     ``pose`` is (3,) and ``blur`` a sigma in pixels. ``size`` and ``dot_size`` are relative to the
-    file's top and dot. ``smear`` is the variance due to motion per squared ``step`` (2,), the
-    motion from frame to frame in pixels. ``pixel`` is the size of a pixel in m at the top.
+    file's top and dot. ``smear`` is the variance of the motion blur divided by the square of
+    ``step`` (2,), which is the motion from frame to frame in pixels. ``pixel`` is the size of a
+    pixel in m at the top.
     """
 
     pose: Array
@@ -77,9 +78,9 @@ def rim_model(
 ) -> Array:
     """Derivatives (LEVELS + GLOBALS + 1, S, K) of the grey values.
 
-    They are with respect to the levels of their sector, to the globals, and to a displacement of
-    the rim outwards by a pixel. ``levels`` (S, LEVELS) are None if unknown; ``width`` is the half
-    width of the band in pixels.
+    They are taken with respect to the levels of the pixel's sector, to the parameters common to all
+    sectors (``GLOBALS``), and to a displacement of the rim outwards by a pixel. ``levels`` (S,
+    LEVELS) are None if unknown; ``width`` is the half width of the band in pixels.
     """
     cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
     x, y = _within(shape.pose, cos, sin, band.top)
@@ -150,11 +151,12 @@ def _edge(
     nx: Array,
     ny: Array,
 ) -> tuple[Array, Array]:
-    """Coverage inside an edge of a body scaled by ``shape.size``, and its derivatives.
+    """Fraction of each blurred pixel that lies inside the outline scaled by ``shape.size``, and its
+    derivatives.
 
-    The derivatives (GLOBALS + 1, ...) are with respect to the globals, except the dot's size, and
-    to a displacement of the edge outwards by a pixel. ``x``, ``y`` are the points, and ``distance``
-    their distance from the edge, with the gradient ``nx``, ``ny``.
+    The derivatives (GLOBALS + 1, ...) are taken with respect to the globals, except the dot's size,
+    and to a displacement of the edge outwards by a pixel. ``x``, ``y`` are the points, and
+    ``distance`` their distance from the edge, with the gradient ``nx``, ``ny``.
     """
     pixel = shape.pixel
     table_nx, table_ny = cos * nx - sin * ny, sin * nx + cos * ny

@@ -19,7 +19,8 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 from tapping_cell.vision.rest_detection import RestSettings
 
 _LONGEST_WINDOW = 18
-"""Maximum number of frames for proving rest; an outline is less accurate than a marker."""
+"""Maximum number of frames used to prove that the object is at rest. More are needed than for a
+marker, because an outline is measured less accurately."""
 
 
 class OutlineFollower(ObjectFollower):

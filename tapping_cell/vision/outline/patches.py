@@ -1,8 +1,8 @@
-"""Find objects divided by the edge of a shadow, as evenly lit patches and pairs of patches.
+"""Find objects across which the edge of a shadow runs, as evenly lit patches or pairs of patches.
 
-If a hard shadow falls across an object, no threshold separates the object from the table. The parts
-of the object are still patches without edges inside, and two of them together form the object's
-shape.
+If a hard shadow falls across an object, no threshold separates the object from the table. However,
+its lit part and its shaded part are patches without inner edges, and together they have the
+object's shape.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ def _hull(points: Points) -> Points:
 
 
 def _rim(labels: Points, box: Points, label: int) -> Points:
-    """Points (N, 1, 2) of a patch's rim, dilated by the pixel that its edge occupies."""
+    """Points (N, 1, 2) of a patch's rim. The patch is dilated by the one pixel that its edge
+    occupies."""
     x, y = int(box[cv2.CC_STAT_LEFT]), int(box[cv2.CC_STAT_TOP])
     width, height = int(box[cv2.CC_STAT_WIDTH]), int(box[cv2.CC_STAT_HEIGHT])
     mask = np.pad((labels[y : y + height, x : x + width] == label).astype(np.uint8), 2)

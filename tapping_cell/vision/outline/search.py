@@ -1,10 +1,10 @@
 """Find an outline in a whole image, knowing only its shape.
 
-Each of several candidates is fitted. Candidates are blobs of about the right area that differ from
-the brightness around them. They are extracted by morphological closing or opening of a downscaled
-image, with several thresholds, because the object's brightness is unknown. A polygon's angle is
-found from the distances of its rim from its centre. The dot resolves the angle of a disk and the
-ambiguity of a symmetric polygon.
+Several candidate positions are found, and the outline is fitted at each of them. Candidates are
+blobs of about the right area that differ from the brightness around them. They are extracted by
+morphological closing or opening of a downscaled image, with several thresholds, because the
+object's brightness is unknown. A polygon's angle is found from the distances of its rim from its
+centre. The dot resolves the angle of a disk and the ambiguity of a symmetric polygon.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ _DOUBTFUL = 0.006
 """Relative difference of the fitted size from the file above which the fit is repeated with the
 size fixed."""
 _INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
-"""Distances in pixels from the rim at which the top and its surroundings (beyond the wall) are
-compared, and offsets of the pixels averaged there."""
+"""The top and its surroundings (beyond the wall) are compared at these distances in pixels inside
+and outside the rim. At each position, pixels with these offsets are averaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,9 +234,9 @@ def wrong_size(fit: OutlineFit) -> Refused:
     """Reject a region that is too large or too small."""
     return Refused(
         OTHER_SIZE,
-        f"it appears {(fit.size - 1.0) * 100:+.1f} % larger than in its file (limit "
-        f"{LARGEST_STRETCH * 100:.0f} %): lifted or tilted, another object, or a wrong height "
-        "in the file",
+        f"its apparent size differs by {(fit.size - 1.0) * 100:+.1f} % from its file (limit "
+        f"{LARGEST_STRETCH * 100:.0f} %): it may be lifted or tilted or another object, or its "
+        "height in the file may be wrong",
     )
 
 
@@ -266,8 +266,9 @@ def rough_places(
     around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
     shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
     places: list[_Place] = []
-    # In pixels of the downscaled image. Of all shapes with this area a disk has the shortest rim,
-    # and diagonal steps count as one pixel.
+    # The area and the minimum length of the rim are in pixels of the downscaled image. Of all
+    # shapes with this area, a disk has the shortest rim. Diagonal steps along a contour count as
+    # one pixel.
     area = outline.area / (float(scale.prod()) * pixel**2)
     shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
     for threshold in _SHADES:
@@ -390,7 +391,7 @@ def stands_out(image: Image, view: View, outline: ObjectOutline, pose: Array) ->
         )
         for far in (-_INSIDE, _BESIDE)
     )
-    # Each mean is over a dozen pixels, so that noise alone gives no contrast.
+    # Each mean is taken over a dozen pixels, so that noise alone cannot appear as contrast.
     difference = (inside - beside).mean(axis=1).reshape(-1, 4).mean(axis=1)
     contrast = difference * (1.0 if outline.brighter else -1.0)
     seen = float((contrast > 0.5 * MIN_CONTRAST).mean())

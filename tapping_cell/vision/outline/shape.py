@@ -1,7 +1,7 @@
 """Outlines of objects without a marker: a disk or a convex polygon, optionally with a dot.
 
 All coordinates are in the object's frame, in m. If an outline is symmetric under a rotation (a
-disk, a square, a rectangle), its angle is only defined by a dot off its centre.
+disk, a square, a rectangle), an off-centre dot is needed to define its angle.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from tapping_cell.vision.camera import Array
 
 _SAME = 0.03
 """Difference (rms, relative to the mean radius) below which a rotated outline counts as the same.
-The manufacturing tolerance is a tenth of this value; the rest allows for a hidden part."""
+The manufacturing tolerance is a tenth of this value; the remainder allows for hidden parts of the
+rim."""
 ANGLES = 720
 """Number of angles at which radii of a rim are compared."""
 _MIN_DOT = 0.002
@@ -44,7 +45,8 @@ def centroid(corners: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Dot:
-    """A round dot on the top: radius and centre in m; ``brighter`` or darker than the top."""
+    """A round dot on the top: radius and centre in m. ``brighter`` is True if it is brighter than
+    the top, False if it is darker."""
 
     radius: float
     offset: tuple[float, float]
@@ -56,7 +58,8 @@ class ObjectOutline:
     """Visible outline of an object without a marker.
 
     It is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise) in m. Its top
-    is ``height`` m above the table and ``brighter`` or darker than the table.
+    is ``height`` m above the table. ``brighter`` is True if the top is brighter than the table,
+    False if it is darker.
     """
 
     height: float
@@ -71,7 +74,7 @@ class ObjectOutline:
             raise OutlineError("an outline is either a disk (radius) or a polygon (vertices)")
         if self.vertices is not None:
             _check_convex(np.array(self.vertices))
-            # A list is also accepted, but is not hashable.
+            # Callers may pass a list; it is converted to a tuple, which is hashable.
             corners = tuple((float(x), float(y)) for x, y in self.vertices)
             object.__setattr__(self, "vertices", corners)
         turns = self.turns()

@@ -1,9 +1,10 @@
 """Trace shape and marker of an unknown flat object in one image.
 
-The image is rectified to the plane of the object's top, with equal steps, which removes lens
-distortion and perspective. The area that differs from the table's brightness is the object. Its rim
-is then located with sub-pixel accuracy, and a circle or a convex polygon is fitted to it. Near the
-edge of the image, a side wall is visible beside the top, so the object should lie below the camera.
+The image is rectified to the plane of the object's top, which removes lens distortion and
+perspective, so that all pixels have the same size in m. The area that differs from the table's
+brightness is the object. Its rim is then located with sub-pixel accuracy, and a circle or a convex
+polygon is fitted to it. Near the edge of the image, a side wall is visible beside the top, so the
+object should lie below the camera.
 """
 
 from __future__ import annotations
@@ -32,16 +33,17 @@ from tapping_cell.vision.tracker import PoseTracker
 Mask = NDArray[np.uint8]
 
 _AROUND = 0.04
-"""Maximum distance (m) of an object beyond the reference markers' centres."""
+"""Width (m) of the margin around the reference markers' centres in which the object may also
+lie."""
 _FREE_RIM = 1.4
 """Size of the area of a reference marker including its white border, in sides of the marker."""
 _MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between an object and the table."""
 _SHADOW = 0.4
-"""Minimum fraction of the object's contrast for a pixel to belong to it instead of a soft
-shadow."""
+"""Minimum contrast of a pixel, as a fraction of the object's contrast, for the pixel to belong to
+the object and not to a soft shadow."""
 _EVERY = 8
-"""Spacing of the pixels of the rectified image that are projected; those between are
+"""Spacing of the pixels of the rectified image that are projected; the pixels between them are
 interpolated."""
 _APART = 0.05
 """Area of another region, relative to the object's area, above which that region is a second
@@ -73,8 +75,9 @@ class TracedObject:
 
     The shape is a disk of ``radius`` or a convex polygon of ``vertices`` (counter-clockwise). Its
     frame has its origin at the centre of the area and is aligned with the marker or, without a
-    marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is relative
-    to the table. ``deviation`` is the root mean square distance of the rim from the shape.
+    marker, with the longest side. ``pose`` is the pose in ``table``, and ``brighter`` is True if
+    the object is brighter than the table. ``deviation`` is the root mean square distance of the rim
+    from the shape.
     """
 
     radius: float | None
@@ -334,7 +337,7 @@ def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     inside = np.median(read[:, _ACROSS <= -4.0], axis=1, keepdims=True)
     beside = np.median(read[:, _ACROSS >= 4.0], axis=1, keepdims=True)
     share = (read - beside) / np.where(np.abs(inside - beside) < 1.0, np.nan, inside - beside)
-    # Use the outermost crossing of one half.
+    # Use the outermost position at which the share falls below one half.
     above = share > 0.5
     last = above.shape[1] - 1 - above[:, ::-1].argmax(axis=1)
     good = above.any(axis=1) & (last > 0) & (last < above.shape[1] - 1)

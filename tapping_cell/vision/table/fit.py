@@ -25,13 +25,13 @@ class TableSettings:
     """Settings of the table tracker.
 
     At least ``least_references`` markers must be measured; at most ``memory`` frames are averaged.
-    A marker more than ``suspect_shift`` pixels from its average is disturbed. A frame with at least
-    half of its markers disturbed is suspect, and after ``confirm_frames`` suspect frames the camera
-    counts as moved. The table is refused if it has moved by more than ``largest_move`` in total (m,
-    measured at the references). A marker that disagrees with the rest of the map by more than
-    ``displaced`` pixels is excluded. All sides together may appear longer or shorter than in the
-    map by ``bloom`` pixels or by ``bloom_share`` of a side, whichever is more; a larger difference
-    contradicts the map.
+    A marker more than ``suspect_shift`` pixels from its average counts as disturbed. A frame in
+    which at least half of the markers are disturbed counts as suspect, and after ``confirm_frames``
+    suspect frames the camera counts as moved. The table is refused if it has moved by more than
+    ``largest_move`` in total (m, measured at the references). A marker that disagrees with the rest
+    of the map by more than ``displaced`` pixels is excluded. All sides together may appear longer
+    or shorter than in the map by ``bloom`` pixels or by ``bloom_share`` of a side, whichever is
+    more; a larger difference contradicts the map.
     """
 
     least_references: int = 2
@@ -48,13 +48,14 @@ class TableSettings:
 class TableFit:
     """Result of a table fit.
 
-    ``pose`` is the camera's pose and ``covariance`` (6, 6) is for steps of ``CameraPose.moved``.
-    ``used`` (M,) marks the inlier markers, and ``residuals`` (U, 4, 2) are the residuals of their
-    corners, as directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to
-    the pose, and ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom``
-    is the common displacement of all markers' sides outwards (a direction). ``error`` is the
-    largest error of a marker's corners (pixels, root mean square). ``unsquare`` is the standard
-    deviation (a direction) of deviations of the sides from squares, in excess of the noise.
+    Directions are undistorted image coordinates (x / z, y / z). ``pose`` is the camera's pose and
+    ``covariance`` (6, 6) that of the six parameters of ``CameraPose.moved``. ``used`` (M,) marks
+    the inlier markers, and ``residuals`` (U, 4, 2) are the residuals of their corners, as
+    directions. ``jacobian`` (8 U, 6) is the derivative of the corners with respect to the pose, and
+    ``gain`` (6, 8 U) that of the fitted pose with respect to the corners. ``bloom`` is the common
+    outward displacement of all markers' sides, in units of directions. ``error`` is the largest
+    error of a marker's corners (pixels, root mean square). ``unsquare`` is the standard deviation
+    by which the sides deviate from squares in excess of the noise, in units of directions.
     """
 
     pose: CameraPose
@@ -71,7 +72,8 @@ class TableFit:
 def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> CameraPose | None:
     """Compute the pose from table points (N, 2) in m and their pixels (N, 2); None if impossible.
 
-    Planar pose (Collins and Bartoli, IPPE, as implemented in OpenCV), refined by least squares.
+    The pose is computed by IPPE (Collins and Bartoli, as implemented in OpenCV) and refined by
+    least squares.
     """
     p = np.asarray(points, dtype=float).reshape(-1, 2)
     flat = np.column_stack([p, np.zeros(len(p))])
@@ -101,13 +103,15 @@ def reference_rays(camera: CameraModel, edges: MarkerEdges) -> Array:
 
 
 def side_noise(edges: MarkerEdges, focal: float) -> Array:
-    """Standard deviation (M,) of the position of a side perpendicular to it, as a direction."""
+    """Standard deviation (M,) of a side's position, measured perpendicular to the side, in units of
+    directions."""
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
     return np.asarray(np.maximum(edges.spread, 0.01) / np.sqrt(number) / focal)
 
 
 def whitening(rays: Array, noise: Array) -> Array:
-    """Matrices (M, 8, 8) that whiten errors of corners (M, 4, 2): independent, of variance 1.
+    """Matrices (M, 8, 8) that whiten the errors of corners (M, 4, 2): they become independent, with
+    variance 1.
 
     The corners are the intersections of four lines, each fitted to a separate side. The positions
     of the lines (standard deviation ``noise`` (M,)) and their rotations are independent. A rotation
@@ -236,14 +240,14 @@ def consensus(
 
 
 def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float) -> float:
-    """Standard deviation (a direction) of the deviations of M markers' sides from squares, in
-    excess of their ``noise`` (M,) and of the ``usual`` deviation.
+    """Standard deviation by which M markers' sides deviate from squares in excess of their
+    ``noise`` (M,) and of the ``usual`` deviation, in units of directions.
 
     Position and rotation of each marker depend on print and lens
-    (:mod:`tapping_cell.vision.table.systematic_error`). The other five degrees of freedom of a
-    marker's corners ``left`` (M, 8) are noise, the small deformation of a square by a lens, or
-    errors of the sides due to blur, objects nearby or a shadow. The result is 0 if it cannot be
-    distinguished from noise (three standard deviations of chi square).
+    (:mod:`tapping_cell.vision.table.systematic_error`). The residuals ``left`` (M, 8) of a marker's
+    corners have five other degrees of freedom. They contain noise, the small deformation of a
+    square by a lens, and errors of the sides due to blur, objects nearby or a shadow. The result is
+    0 if it cannot be distinguished from noise (three standard deviations of chi square).
     """
     count = len(left)
     arm = rays - rays.mean(axis=1, keepdims=True)

@@ -73,7 +73,7 @@ def _contradiction(table: TableTracker) -> str:
             "file and on the table"
         )
     return (
-        f"the sides of the reference markers {names} appear {2.0 * table.bloom:+.1f} pixels longer "
-        "than expected from the table file's positions and sizes; check the "
-        "sizes (of the black squares)"
+        f"the apparent side length of the reference markers {names} differs by "
+        f"{2.0 * table.bloom:+.1f} pixels from that expected from the positions and sizes in the "
+        "table file; check the sizes (of the black squares)"
     )

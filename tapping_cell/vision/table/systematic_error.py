@@ -4,8 +4,8 @@ After the camera's pose is fitted, the references still deviate from their posit
 Part of this is due to an inaccurate lens calibration, part is individual to each marker (printing,
 gluing), and part is noise. Given the amplitudes of the first two, all three are Gaussian.
 Conditioned on the references, the model gives the expected error of a pose measured at any place
-and height above the table, and the remaining uncertainty (kriging with the camera's pose as trend;
-Rasmussen and Williams 2006, chapter 2). The amplitudes are averaged over a grid with their
+and height above the table, and the remaining uncertainty. This is kriging with the camera's pose as
+trend (Rasmussen and Williams 2006, chapter 2). The amplitudes are averaged over a grid with their
 restricted likelihood as weight, so that the ambiguity left by few references increases the
 covariance.
 """
@@ -38,24 +38,26 @@ _STATED_ASPECT = 0.25
 if the latter is stated. Measured: 0.05 for calibrations from images of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
-"""Grids of the amplitude of the lens errors, in units of these standard deviations, and of the
-amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if the true
-value is between two of them."""
+"""Grids of the amplitude of the lens errors, in units of the standard deviations in ``_LENS``, and
+of the amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if
+the true value is between two of them."""
 _TURNS = (0.1, 0.3, 1.0)
-"""Ratios of corner displacement due to a marker's rotation to that due to its shift, for markers
-printed on one sheet up to markers glued individually."""
+"""Displacement of a marker's corners by its rotation, divided by the displacement by its shift. The
+lowest ratio is typical of markers printed on one sheet, the highest of markers glued
+individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
-"""Typical values of the two amplitudes, and the logarithmic standard deviations of these. This
-prior matters if there are only two or three references."""
+"""Each amplitude's typical value and its logarithmic standard deviation: lens errors, misplacement.
+This prior matters if there are only two or three references."""
 _EXACT = (0.3, 0.1, 0.25)
-"""Prior probabilities that lens and print are practically exact (then the smallest amplitude
-applies): both; only the lens; only the print."""
+"""Prior probabilities that both lens and print are practically exact, that only the lens is, and
+that only the print is. The smallest amplitude then applies."""
 _STATED = 1.0, 0.5
 """Typical amplitude of the lens errors in units of the deviations stated by the calibration, and
 its logarithmic standard deviation. A lens with stated deviations is never assumed to be exact."""
 _LEFT_OUT = 1e-3
-"""Total probability of the unlikely pairs of amplitudes that are dropped. Each pair may be only a
-fiftieth as likely as an exact lens and print, but together they matter."""
+"""Total probability of the unlikely pairs of amplitudes that may be dropped. This limit is low
+because the unlikely pairs matter in total, even if each is only a fiftieth as likely as an exact
+lens and print."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,8 +82,8 @@ class SystematicError:
     members: _Members
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
-        """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the
-        remainder.
+        """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the remaining
+        error.
 
         ``response`` (3, 6) is the derivative of this pose with respect to the camera's pose, and
         ``lens`` (3, 8) that with respect to the lens parameters (:func:`lens_shifts`). The
@@ -202,9 +204,9 @@ def _turned(points: Array) -> Array:
 
 
 def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]:
-    """Directions (..., 2) of points (..., 2) of the plane at ``height``, and their changes (..., 2,
-    8) if the true lens differs from the calibrated lens by one standard deviation, stated or
-    typical, of each parameter."""
+    """Directions (..., 2) of points (..., 2) of the plane at ``height``, and the changes (..., 2,
+    8) of the directions if each lens parameter in turn differs from its calibrated value by one
+    standard deviation, stated or typical."""
     camera = view.camera
     rays = camera.rays(view.project(points, height))
     shifts = [

@@ -35,8 +35,8 @@ _SIDE_BIAS = 0.0007
 """Standard deviation of an averaged side, in pixels, due to its position between pixels (measured:
 0.0005)."""
 _STEP = 0.08
-"""Maximum increase, in pixels, of the bloom and of half the residual of two references that is
-attributed to a move of the camera."""
+"""Limit, in pixels, on the change of the bloom and on half the increase of the residual when only
+two reference markers are used. A larger change means that a marker moved, not the camera."""
 _EDGE_BIAS = 0.0002
 """Systematic error common to all averaged edges, in pixels (measured: below 0.0002)."""
 
@@ -176,8 +176,8 @@ class TableTracker:
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
         limit = max(s.bloom, s.bloom_share * side)
         two = len(self.used) <= 2
-        # If two markers move relative to each other, their fitted size or the fit's error changes.
-        # A motion of the camera changes neither.
+        # If two markers move relative to each other, their apparent size or the error of the fit
+        # changes. A motion of the camera changes neither.
         self.apart = False
         if two and self._before is not None:
             bloom, error = self._before
@@ -258,8 +258,8 @@ class TableTracker:
     def judge(self, pose: ArrayLike, height: float) -> tuple[Array, Array]:
         """Systematic error of a pose (x, y, theta) measured at ``height``.
 
-        Returns its expected value (3,) and the covariance (3, 3) of the remainder, due to the
-        camera's pose, lens and printing, without the noise of the object's marker.
+        Returns the expected error (3,) and the covariance (3, 3) of the remaining error due to the
+        camera's pose, the lens and the printing. The noise of the object's marker is not included.
         """
         assert self.pose is not None and self._field is not None
         place = np.asarray(pose, dtype=float)
@@ -308,8 +308,8 @@ def pose_changes(points: Array, shifts: Array) -> Array:
 def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
     """Jacobian (3, 6) of a measured pose (x, y, theta) with respect to the camera's pose.
 
-    The pose is measured at ``height``. Computed by differences of 1e-6 in steps of rotation (rad)
-    and translation (m).
+    The pose is measured at ``height``. It is computed by finite differences with steps of 1e-6 in
+    rotation (rad) and translation (m).
     """
     points = transform_points(object_pose, CROSS)
     seen = view.pose.apply(np.column_stack([points, np.full(len(points), height)]))

@@ -11,7 +11,7 @@ class Arrangement {
     }
   }
 
-  // The cell's own object has the outline of the goal card; each further object has a copy of it.
+  // The cell's own object uses the outline of the goal card; each further object uses a copy of it.
   welcome(message) {
     document.getElementById("arrange-card").hidden = !message.objects.length;
     if (message.objects.join("\n") === this.names.join("\n")) {
@@ -62,7 +62,7 @@ class Arrangement {
     if (row.ghost !== ghost && row.box.checked && row.pose) row.ghost.place(row.pose.x, row.pose.y, row.pose.angle);
   }
 
-  // The outline of a further object exists only while it has a goal; it starts at the object.
+  // A further object has an outline only while it has a goal. It is first drawn at the object.
   tick(row) {
     const seen = state && state.arrangement.objects.find((each) => each.name === row.name);
     if (row.box.checked && row.ghost !== ghost && seen && seen.pose) {

@@ -5,7 +5,7 @@
 class Ghost {
   constructor(group, object, ask, onPose) {
     this.group = group;
-    this.object = object;      // name of the object, empty for the cell's own
+    this.object = object;      // name of the object; empty for the cell's own object
     this.ask = ask;            // sends a request to the node; returns false without a connection
     this.onPose = onPose;      // called with every response: pose in mm and degrees, refusal, typed
     this.shape = null;         // the node's last response

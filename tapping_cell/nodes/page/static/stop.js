@@ -1,5 +1,5 @@
 "use strict";
-// STOP is sent to a dedicated port, which responds however busy the page's node is, and also over
+// STOP is sent to a dedicated port, which responds even if the page's node is busy, and also over
 // the page's own connection.
 
 const STOP_CHECK_MS = 2000;     // time between two checks that a stop would be received
