@@ -3,11 +3,11 @@
 Two cells are measured. In the first, every node is a process, with rendered images and emulated
 boards. In the second, the same state machines, drivers and boards run in virtual time, in which
 software takes no time and messages take a few milliseconds, so that only the time of the cell's
-mechanics remains. A tap lasts from its command to the next command, or to the end of its goal. Its
-activities follow each other without gaps or overlaps. Simultaneous activities (the slide, charging
-while the arm moves) are listed separately, as is the planned duration of the arm's motion to the
-strike. The two cells make different taps, so this duration is subtracted before their cycles are
-compared.
+mechanics remains. A tap lasts from its command to the next command, or to the end of its goal. The
+activities of a tap follow each other without gaps or overlaps. Simultaneous activities (the slide,
+charging while the arm moves) are listed separately, as is the planned duration of the arm's motion
+to the strike. The two cells make different taps. Their cycles are therefore compared without this
+planned duration.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ class Tap:
     done: float = math.nan
 
     def activities(self) -> dict[str, float]:
-        """Return the durations of ``ACTIVITIES`` and ``BESIDES``, s."""
+        """Return the durations in s of ``ACTIVITIES`` (consecutive) and ``BESIDES``
+        (simultaneous)."""
         ready = max(self.in_position, self.charged)
         return {
             "travel": self.above - self.commanded,

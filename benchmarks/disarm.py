@@ -36,7 +36,7 @@ from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 
 DEFAULT_COUNT = 10
-"""Number of losses of each kind."""
+"""Number of simulated losses of each kind."""
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
 SLOW_SPRING = SpringMechanism(step_rate=300.0)
 """Spring that takes several seconds to charge, but less than the driver's timeout for charging."""
@@ -124,7 +124,8 @@ class ChargingCell:
             time.sleep(0.001)
 
     def lose(self, who: str, how: str) -> float:
-        """Simulate a loss and return the time until the board has discharged the striker, s."""
+        """Simulate the loss of a node or of the images; return the time in s until the board has
+        discharged the striker."""
         began = time.monotonic()
         if who == PICTURES_STOP[0]:
             self.relaying = False

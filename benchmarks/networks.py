@@ -165,7 +165,7 @@ def _forward(taps: Sequence[int], delay: float, loss: float) -> None:
                     heapq.heappush(waiting, (due, next(order), tap, frame))
         while waiting and waiting[0][0] <= time.monotonic():
             *_, tap, frame = heapq.heappop(waiting)
-            with contextlib.suppress(OSError):  # a full queue, or a computer that was stopped
+            with contextlib.suppress(OSError):  # the queue is full, or the computer was stopped
                 os.write(tap, frame)
 
 

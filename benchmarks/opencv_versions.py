@@ -57,7 +57,8 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def _overlay() -> Path:
-    """Return the folder with the oldest versions; install them if necessary."""
+    """Return the folder with the oldest supported versions of the dependencies; install them if
+    necessary."""
     sys.path.insert(0, str(ROOT / "environment"))
     import overlay
 

@@ -55,7 +55,7 @@ class Recorded:
     def answer(
         self, poses: Array, seen: Array, commanded: Array, gains: Array, rng: np.random.Generator
     ) -> Array:
-        """Return the world's displacements (n, 3) and record the taps."""
+        """Return the displacements (n, 3) of the object in the world, and record the taps."""
         moved = self.world.answer(poses, seen, commanded, gains, rng)
         self.commanded.append(turned(commanded, -seen[:, 2]))
         self.measured.append(turned(moved, -seen[:, 2]))
@@ -99,7 +99,7 @@ def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:
 
 
 def learnt_file(true: ObjectFile, begun: ObjectFile, seed: int) -> ObjectFile:
-    """Return the file learnt from nine goals that started with ``begun``."""
+    """Return the file that was learnt from nine goals, starting with the initial file ``begun``."""
     evaluation, world = _evaluation(true, begun, GOALS)
     evaluate(evaluation, seed)
     return learn_object(

@@ -29,7 +29,7 @@ class Cell:
 
     @classmethod
     def load(cls) -> Cell:
-        """Load the files from the shared folder."""
+        """Load the files from the package's share folder."""
         folder = shared_folder()
         marker = load_object(folder / "objects" / "aluminium_disk.yaml").seen()
         assert isinstance(marker, ObjectMarker)
