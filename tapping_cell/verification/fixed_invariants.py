@@ -73,8 +73,8 @@ class FixedInvariantChecker(InvariantChecker):
         if self._motion_at_check:
             self.violate(
                 "fired at observed motion",
-                f"shot {shot} was fired although the tapper had received an observation of the"
-                " object in motion before its last check",
+                f"shot {shot} was fired although, at the last check, the tapper's latest"
+                " observation showed the object in motion",
             )
         if not release.object_at_rest and not self._recently_moved(release.time):
             self.violate("object in motion", f"shot {shot} was fired while the object moved")

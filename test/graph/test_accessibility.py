@@ -150,8 +150,8 @@ def asked(page: Page) -> dict[str, list[str]]:
 
 
 def stopped(page: Page) -> dict[str, list[str]]:
-    """Audit the page after STOP: with the recovery steps, and with the confirmation dialog of one
-    of them."""
+    """Audit the page after STOP, first with the recovery steps, then with the confirmation dialog
+    of a step."""
     page.element("stop").click()
     page.wait(lambda: page.mode() == "stopped", "the stop")
     found = audit(page.driver, "stopped")

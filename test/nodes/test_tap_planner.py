@@ -47,8 +47,8 @@ FAST = {
     "withdraw_deadline": 4.0,
     "silence_limit": 4.0,
 }
-"""Shorter than in a cell, so that missing messages are soon detected, but long enough for a busy
-machine: the simulated devices publish every 30 ms."""
+"""Time limits that are shorter than in a real cell, so that missing messages are detected soon.
+They are long enough for a busy machine, because the simulated devices publish every 30 ms."""
 
 
 @dataclass
@@ -99,7 +99,8 @@ class Actors:
                     fired = self.tapper_answers != TapperState.NOT_FIRED
                     if fired and self.moves_when_fired:
                         self.pose = from_message(command.predicted_pose)
-                    # At once: otherwise an image would still show the object after the tap.
+                    # Hide the object immediately: otherwise an image after the tap would still show
+                    # it.
                     self.visible = self.visible and not (fired and self.lost_when_fired)
             elif self.arm_withdraws:
                 self.arm_state = ArmState.IDLE
@@ -171,7 +172,7 @@ def actors() -> Iterator[Actors]:
 
 
 def test_a_planner_that_has_ended_serves_nothing() -> None:
-    # If some services of an ended planner stayed visible, new clients would wait for its action
+    # If services of a planner stayed visible after its end, new clients would wait for its action
     # server.
     context = Context()
     rclpy.init(context=context)

@@ -121,8 +121,8 @@ PATIENT: dict[str, object] = {
     "unseen_limit": 10.0,
     "needs_camera": False,
 }
-"""Limits long enough that the simulated arm and planner are not timed out on a busy machine. The
-limits are tested in virtual time."""
+"""Time limits long enough that the simulated arm and planner do not exceed them on a busy machine.
+The limits themselves are tested in virtual time."""
 
 
 @contextmanager
@@ -168,8 +168,8 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     assert cell.shots() == []
     cell.publish_until(lambda: cell.outcome(100) == TapperState.FIRED, "fired", tap_id=100)
     assert cell.shots() == [100]
-    # The same command again while the arm is still in position: it is answered, but nothing is
-    # fired.
+    # The same command arrives again while the arm is still in position: it is answered, but nothing
+    # is fired.
     cell.command(100)
     keep_publishing(cell, 0.5, tap_id=100)
     assert cell.shots() == [100]

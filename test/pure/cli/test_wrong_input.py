@@ -11,7 +11,7 @@ from tapping_cell.cli import main
 from tapping_cell.configuration.files import shared_folder
 
 LONGEST_S = 2.0
-"""Limit of the processor time. The elapsed time would depend on the load of the machine."""
+"""Limit of the processor time, s. The elapsed time would depend on the load of the machine."""
 WRONG: list[tuple[str, str]] = [
     ("", "no verb was given"),
     ("dance", "there is no verb 'dance'"),

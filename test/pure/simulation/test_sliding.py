@@ -179,7 +179,7 @@ def test_three_points_carry_what_the_centre_of_mass_says() -> None:
     support = SupportTruth(pressure="three_points", feet_radius=1.0, mass_offset=(0.012, 0.0))
     points, grip = sample_support(DISK, support)
     assert grip @ points == pytest.approx([0.012, 0.0], abs=1e-12)
-    # Equilibrium of moments about the line through the two feet at -R / 2.
+    # Expected value: equilibrium of the moments about the line through the two feet at x = -R / 2.
     assert grip[0] == pytest.approx((0.012 + 0.024) / 0.072)
 
 

@@ -87,12 +87,13 @@ class ReportedCell:
         self.codes.clear()
 
     def run(self, duration: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Let virtual time pass; return whether the condition was met."""
+        """Let virtual time pass until the condition is met; return whether it was met in time."""
         self.trial.scheduler.run(self.trial.scheduler.now + duration, until)
         return until()
 
     def read(self, code: int, *words: str) -> None:
-        """Wait until a state or result has this code; its sentence must contain the words."""
+        """Wait until a state or a result has this code, and check that its sentence contains the
+        words."""
         assert self.run(LONG_S, lambda: code in self.codes), f"{code} missing from {self.codes}"
         for word in words:
             assert word in self.codes[code], self.codes[code]

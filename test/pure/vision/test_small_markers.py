@@ -1,4 +1,4 @@
-"""Markers as in photographs: small, seen obliquely, found with a corner that is wrong by some
+"""Markers as in photographs: small, seen obliquely, or detected with one corner wrong by several
 pixels."""
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def test_markers_of_a_pixel_and_a_half_a_module_are_measured_as_well_as_they_say
         assert right.all()
         shift = edges.corners[0].mean(axis=0) - corners.mean(axis=0)
         errors.append(np.linalg.norm(shift))
-        # Four sides with this noise determine the centre with half of its variance in x and y.
+        # If each side has this noise, the centre of the four sides has half of its variance in x
+        # and in y.
         normalised.append(shift @ shift / (0.5 * side_noise(edges, 1.0)[0] ** 2))
     assert np.max(errors) < 0.1
     assert np.mean(normalised) < 3.5
