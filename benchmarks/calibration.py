@@ -1,6 +1,6 @@
 """Errors of the parameters that are fitted to single taps, for random true parameters.
 
-Each experiment draws the true values at random: friction 0.10 to 0.30, torque factor 1 to 4,
+Each experiment chooses the true values at random: friction 0.10 to 0.30, torque factor 1 to 4,
 restitution 0.65 to 0.95, contact friction 0.14 to 0.28, and a striker 5 % faster or slower than
 commanded. The experiment makes 4 runs of 10 taps in the simulated world, which integrates each tap
 in time, and then fits the parameters. The scatter is 5 % in speed, 15 % in spin and 1 degree in
@@ -133,7 +133,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def draw(shape: str, seed: int) -> tuple[ObjectFile, TruthFile, dict[str, float]]:
-    """Draw the object file for the fit, the ground truth file and the true values."""
+    """Choose random true values; return the object file for the fit, the ground truth file and
+    these values."""
     random = np.random.default_rng([seed, _SHAPES.index(shape)])
     size = float(random.uniform(0.035, 0.055))
     half = 0.9 * size

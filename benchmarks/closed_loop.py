@@ -2,8 +2,8 @@
 
 The true friction, torque factor, restitution and contact friction are a fifth higher or lower than
 configured. 4 runs of 10 single taps in the simulated world are fitted. Then the planner positions
-the object (10 mm and 10 degrees) once with the configured and once with the fitted parameters. It
-does not learn from taps, and ground truth and scatter are the same.
+the object (10 mm and 10 degrees) once with the configured and once with the fitted parameters. The
+planner does not learn from taps. Ground truth and scatter are the same for both files.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ GROUPS = ("anywhere", "centre", "centre, wrong mounts")
 
 
 def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
-    """Yield the figures of all groups after every part."""
+    """Yield the results of all groups after every part."""
     shares = (count, max(1, count // 10), max(1, count // 10))
     parts = [
         Part(group, number, min(PART, share - PART * number))

@@ -40,7 +40,7 @@ a shorter one ends it."""
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Run both campaigns and measure the cost of the permit."""
+    """Run the campaigns of freezes and of losses, and measure the cost of the permit."""
     return {
         "cost": _cost(),
         "freezes": _campaign(FREEZES, ("freeze",), count, SEED),

@@ -34,7 +34,7 @@ OVERLAY = ROOT / "build" / "oldest"
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the figures of both versions."""
+    """Return the results of both versions."""
     overlay = _overlay()
     with tempfile.TemporaryDirectory() as folder:
         truth = _render(Path(folder), count)
@@ -117,7 +117,7 @@ def _is_free(quad: np.ndarray, hidden: np.ndarray) -> bool:
 
 
 def _judge(folder: Path) -> dict[str, Any]:
-    """Return the figures of the OpenCV version that this process uses."""
+    """Return the results of the OpenCV version that this process uses."""
     cell = Cell.load()
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     missed = wrong = 0

@@ -1,6 +1,6 @@
 """Objects without a file: learning from nine goals and the taps of further goals.
 
-Ten simulated objects are drawn at random (disks, rings, polygons; friction 0.05 to 0.6, torque
+Ten simulated objects are chosen at random (disks, rings, polygons; friction 0.05 to 0.6, torque
 factor 0.8 to 4; restitution, contact friction and density are also unknown). Each object starts
 with the file that the verb `new-object` makes from its true shape and height. Nine goals are run,
 during which the planner learns from each tap, and `learn-object` makes a new file from these taps.
@@ -70,7 +70,7 @@ def turned(moves: Array, angles: Array) -> Array:
 
 
 def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:
-    """Draw an object; return its true file and its initial file."""
+    """Choose a random object; return its true file and its initial file."""
     random = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:

@@ -46,7 +46,8 @@ def shipped_worlds() -> dict[str, TruthFile]:
 
 
 def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthFile:
-    """Draw a world with all effects of ``everything.yaml`` in random sizes and directions."""
+    """Return a random world with all effects of ``everything.yaml``, with random sizes and
+    directions."""
     base = load(TruthFile, shared_folder() / "truth" / "everything.yaml")
 
     def part(value: float) -> float:
@@ -140,8 +141,8 @@ def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Resul
 
 
 def figures(results: Results) -> dict[str, Any]:
-    """Summarise a group; count the reached goals and the goals reported as reached although they
-    were not."""
+    """Summarise a group. Count the goals that were reached, and the goals that were reported as
+    reached but were not."""
     done = results.end == End.DONE
     return {
         **summarise(results),

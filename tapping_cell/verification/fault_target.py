@@ -50,7 +50,7 @@ class FaultTarget(Protocol):
         """Record that a fault of this kind is injected now."""
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
-        """Draw a goal in the central area of the table."""
+        """Choose a random goal in the central area of the table."""
 
     def send_goal(self, goal: Pose, foreign: bool = False) -> None:
         """Send an action goal to the planner if its process is alive."""
@@ -98,4 +98,4 @@ class FaultTarget(Protocol):
 Made = tuple[Callable[[FaultTarget], None], str]
 """Function that injects one fault, and a description of this fault."""
 Maker = Callable[[np.random.Generator, FaultTarget], Made]
-"""Function that draws one fault of a kind."""
+"""Function that chooses a random fault of one kind."""

@@ -113,7 +113,7 @@ def draw_faults(
     mix: Mix = ALL,
     at_the_shot: bool = False,
 ) -> list[Fault]:
-    """Draw the faults of one goal, in the order of their times.
+    """Choose the random faults of one goal; return them in the order of their times.
 
     ``at_the_shot``: only faults around the shot.
     """
@@ -142,7 +142,7 @@ def draw_faults(
 
 
 def draw_duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
-    """Draw a log-uniform duration between the two limits, s."""
+    """Return a random, log-uniform duration between the two limits, s."""
     return float(math.exp(rng.uniform(math.log(shortest), math.log(longest))))
 
 

@@ -174,13 +174,14 @@ class FixedTrial(Trial):
     # Goals and taps
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
-        """Draw one of a few goals, rotated by up to ``TURN_RAD`` from the object."""
+        """Choose one of ``GOALS`` at random, rotated by up to ``TURN_RAD`` relative to the
+        object."""
         x, y = GOALS[int(rng.integers(len(GOALS)))]
         true = self.physical.object_pose(self.scheduler.now)
         return Pose(x, y, true.theta + float(rng.uniform(-TURN_RAD, TURN_RAD)))
 
     def next_goal(self, number: int) -> Pose:
-        """Draw the next goal."""
+        """Choose the next goal at random."""
         return self.draw_goal(self.rng)
 
     def _fit_to_object(self, command: TapCommand, model: TapCommand, seen: Pose) -> None:

@@ -273,7 +273,10 @@ class InvariantChecker:
     def _check_last_check(self, release: Release) -> None:
         asked, reason = self.last_check
         if reason is not None:
-            self.violate("against its check", f"shot {release.shot} was released against: {reason}")
+            self.violate(
+                "against its check",
+                f"shot {release.shot} was released although the last check refused it: {reason}",
+            )
         elif release.time > asked + CHECK_S:
             self.violate(
                 "check too old",

@@ -212,7 +212,7 @@ class Trial:
         faults: bool = True,
         mix: Mix = ALL,
     ) -> None:
-        """``faults``: whether to inject faults; ``mix``: which faults are drawn."""
+        """``faults``: whether to inject faults; ``mix``: distribution of the faults."""
         self._mix = mix
         self.seed = seed
         self._faulty = faults
@@ -317,7 +317,7 @@ class Trial:
         return InvariantChecker(self.scheduler, self.physical, self.clocks["tapper_trigger"])
 
     def _covers(self) -> bool:
-        """Draw at random whether the arm can cover the object."""
+        """Choose at random whether the arm can cover the object."""
         return bool(self.rng.random() < 0.5)
 
     def _lines(self) -> tuple[SerialLine, ...]:
@@ -432,13 +432,13 @@ class Trial:
             process.start()
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
-        """Draw a goal in the central area of the table."""
+        """Choose a random goal in the central area of the table."""
         x, y = rng.uniform((-0.1, -0.06), (0.1, 0.06))
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
     def next_goal(self, number: int) -> Pose:
-        """Draw the next goal. In 80 % of the cases it is near the object, as in the paper's
-        task."""
+        """Choose the next goal at random. In 80 % of the cases it is near the object, as in the
+        paper's task."""
         rng = self.rng
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)

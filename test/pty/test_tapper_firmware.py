@@ -140,7 +140,8 @@ class BoardPair:
         return (START_MS + self.now - self.started) % 2**32
 
     def run(self, duration: int) -> None:
-        """Let ``duration`` ms pass, extended until neither board is about to change its state."""
+        """Let ``duration`` ms pass, and continue until neither board is about to change its
+        state."""
         end = self.now + duration
         while self.now < end:
             before = self.emulator.state

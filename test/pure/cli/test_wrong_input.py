@@ -1,4 +1,4 @@
-"""Wrong input is refused immediately with one sentence, before anything starts."""
+"""Wrong input is refused immediately with a message of one sentence, before anything starts."""
 
 from __future__ import annotations
 

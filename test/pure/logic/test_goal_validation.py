@@ -1,4 +1,4 @@
-"""Invalid goals are refused with a code and a sentence before anything moves."""
+"""Invalid goals are refused with an error code and a message before anything moves."""
 
 from __future__ import annotations
 

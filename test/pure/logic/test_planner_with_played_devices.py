@@ -1,5 +1,5 @@
-"""The state machine of the planner in virtual time, with devices that fail: every wait ends with a
-sentence, and nothing is fired twice."""
+"""The state machine of the planner in virtual time, with simulated devices that fail: every wait
+ends with an error message, and nothing is fired twice."""
 
 from __future__ import annotations
 

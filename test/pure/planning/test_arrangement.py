@@ -73,8 +73,8 @@ def test_the_map_among_others_is_that_of_a_space_with_these_keep_outs(kind: Kind
     areas = [CircleArea(0.1, 0.05, 0.03), CircleArea(-0.1, -0.08, 0.04)]
     quick = kind.free.among(areas)
     slow = FreeSpace(kind.free.space.among(areas))
-    # ``quick`` represents the bar by an exact capsule, ``slow`` by points on its edge. ``quick``
-    # never allows more places than ``slow``, and at most 2 % fewer.
+    # ``quick`` represents the bar of the tool by an exact capsule, ``slow`` by points along the
+    # bar. ``quick`` never allows more places than ``slow``, and at most 2 % fewer.
     assert not np.any(quick.tappable & ~slow.tappable)
     assert np.sum(slow.tappable & ~quick.tappable) <= 0.02 * np.sum(slow.tappable)
     assert np.array_equal(kind.free.among([]).tappable, kind.free.tappable)

@@ -1,5 +1,5 @@
 """Objects without a marker are found and measured with a correct covariance, or refused with a
-sentence."""
+message."""
 
 from __future__ import annotations
 
