@@ -6,9 +6,9 @@ size at the same rate, one subscribes, and six idle nodes publish and subscribe 
 Hz each.
 
 The cell and the minimal processes run at the same time, in two ROS domains, and are measured in the
-same short periods. This is necessary because the load of a machine varies, and because a second of
-processor time does less work if other programs use the same caches and cores. The ratio is the
-median over the periods.
+same short periods. Simultaneous measurement is necessary because the load of a machine varies, and
+because a second of processor time does less work if other programs use the same caches and cores.
+The reported ratio of the loads is the median over the periods.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ of the boards. For example, a striker may be fired only while the arm has promis
 and nothing may move without a person's permission. Runs continue until each node was frozen
 ``count`` times, and killed, restarted or stopped half as many times. Every violation is printed.
 
-The cost of the permit is measured in goals without faults. It has two parts: the time from the
-tapper's request to the arm's answer, and the time for which the arm still waits although the
+The cost of the permit is measured in goals without faults. This cost has two parts: the time from
+the tapper's request to the arm's answer, and the time for which the arm still waits although the
 striker has ended its stroke and the tap was withdrawn. The stroke itself is not counted.
 """
 

@@ -1,10 +1,10 @@
 """Detections by the oldest supported OpenCV and by the installed one, in the same images.
 
 The images are rendered once, with random pose, light, noise and blur. In half of them the object
-moves, and in every third a disk covers part of the table. Each version then runs in a process of
-its own. A marker is *missed* if it is visible but not found. A detection is *wrong* if it is more
-than ``WRONG_PX`` from all markers with its id. The reported accuracy is that of the object's pose
-from a single image, and that of the detected corners before refinement.
+moves, and in every third a disk covers part of the table. Each version of OpenCV then processes
+them in a separate process. A marker is *missed* if it is visible but not found. A detection is
+*wrong* if it is more than ``WRONG_PX`` from all markers with its id. The reported accuracy is that
+of the object's pose from a single image, and that of the detected corners before refinement.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 The trials use the abstract model with the scatter from the paper (5 % in distance, 15 % in
 rotation, 1 degree in direction) and camera noise of 0.01 mm and 0.01 degrees. The benchmark also
-computes the share of smallest taps that end in the stopping box. It measures the computing time of
-the coarse plan, which is used first, and of the fine plan.
+computes the share of smallest taps that end in the stopping box. It also measures the processor
+time for computing the coarse plan, which is used first, and the fine plan.
 """
 
 from __future__ import annotations

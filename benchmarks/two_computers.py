@@ -41,7 +41,7 @@ REFUSED_S = {
     "vision": {"vision": 2.0, "drivers": 0.0, "desk": 0.0},
     "drivers": {"vision": 0.0, "drivers": 2.0, "desk": 0.0},
 }
-"""Offsets of the computers' clocks that are too large, s. The goal is refused before its first tap,
+"""Offsets of the computers' clocks that are too large, s. A goal is refused before its first tap,
 and the refusal names the computer with the wrong clock."""
 TIMEOUT_S = 120.0
 SETTLE_S = 3.0

@@ -1,8 +1,8 @@
 """The vision package compared with cv2.aruco and pupil-apriltags on frames with ground truth.
 
-The other packages detect corners in the same rendered images. Their poses are computed from these
-corners with the same known camera and plane. pupil-apriltags is measured if it is installed (``pip
-install pupil-apriltags``).
+The other packages detect corners in the same rendered images. Poses are computed from these corners
+with the same known camera and plane. pupil-apriltags is measured if it is installed (``pip install
+pupil-apriltags``).
 """
 
 from __future__ import annotations

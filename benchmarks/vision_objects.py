@@ -4,9 +4,9 @@ The noise and the positions of the objects change from image to image, so that t
 every object again. All objects are measured in each image, whereas the node measures the objects
 after the first one in turn.
 
-The search for objects without a file is measured in the same images. Only the file of the first
-object is given. (The node searches at most every 0.15 s.) Then the arm, whose joints are known, is
-at random places over an empty table with random light, and the search must find nothing.
+The search for objects without a file is measured in the same images. The search only has the file
+of the first object. (The node searches at most every 0.15 s.) Then the arm, whose joints are known,
+is at random places over an empty table with random light, and the search must find nothing.
 """
 
 from __future__ import annotations

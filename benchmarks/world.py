@@ -1,10 +1,10 @@
 """Agreement of the simulated world with closed-form solutions, and its processor time per tap.
 
 A free striker makes random taps of three bodies in an ideal world. The contact is integrated in
-time, and the velocity after it is compared with the closed form of the impulses. This difference
-includes the loss by the table's friction in the 0.3 ms until the speed is read. The subsequent
-motion is compared with the closed form of the slide. Then the processor time of a tap is measured
-in each supplied world.
+time, and the velocity after it is compared with the closed form of the impulses. The difference of
+the velocities includes the loss by the table's friction in the 0.3 ms until the speed is read. The
+subsequent motion is compared with the closed form of the slide. Then the processor time of a tap is
+measured in each supplied world.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from tapping_cell.messages import ErrorCode
 
 AT_ONCE_S = 10.0
 """Maximum time from the end of a fault to the end of a goal, if the fault ends the goal without any
-waiting time. It allows for a planner that is frozen for 5 s and for a late message."""
+waiting time. This maximum allows for a planner that is frozen for 5 s and for a late message."""
 LASTING_S = {
     "freeze": 5.0,
     "freeze before a write": 8.0,
@@ -51,9 +51,9 @@ LASTING_S = {
     "emergency stop": 5.0,
     "guard": 4.0,
 }
-"""Maximum time for which the faults of a kind have an effect; 0 for all other kinds. It includes
-the restart of a process, the expiry of a foreign command, and the wait for the byte at which a line
-fails."""
+"""Maximum time for which the faults of a kind have an effect; 0 for all other kinds. The times
+include the restart of a process, the expiry of a foreign command, and the wait for the byte at
+which a line fails."""
 
 FREEZES = frozenset(
     {
@@ -165,8 +165,8 @@ CONDITIONS = frozenset(
 
 
 READY_S = 30.0
-"""Time for which the planner waits until the cell is ready. Then a goal ends with the error code of
-the part that is not ready."""
+"""Time for which the planner waits until the cell is ready. After this time a goal ends with the
+error code of the part that is not ready."""
 WAITS_S = {
     **dict.fromkeys(
         (

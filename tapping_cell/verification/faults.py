@@ -38,8 +38,8 @@ CLOSE_S = 0.3
 FLOOD_HZ = 100.0
 """Rate at which a foreign node floods a topic."""
 CLOSEST_S = 2e-4
-"""Minimum time from a step of a shot to its faults. The times are log-uniform between this and
-``CLOSE_S``."""
+"""Minimum time from a step of a shot to its faults. The random times are log-uniform between
+``CLOSEST_S`` and ``CLOSE_S``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,9 +308,9 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node requests ``hold_still`` for a tap and ends this promise early. It may then
-    report that the tap is over and withdraw it. The arm receives the withdrawal immediately, the
-    tapper late."""
+    """Another node requests ``hold_still`` for a tap and ends this promise early. This node may
+    then report that the tap is over and withdraw the tap. The arm receives the withdrawal
+    immediately, the tapper late."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends = rng.random() < 0.7

@@ -16,9 +16,9 @@ OTHERS_ASKED_S = 0.1
 """Maximum age, at the last check, of the replies of the other boards that their strikers are at
 rest."""
 UNNOTICED_S = 3.0
-"""Maximum time from when a striker leaves its mount until the tapper's node reports it. It covers a
-request with all its repetitions, and the time for which a board waits until a released striker has
-returned."""
+"""Maximum time from when a striker leaves its mount until the tapper's node reports it. This
+maximum covers a request with all its repetitions, and the time for which a board waits until a
+released striker has returned."""
 
 LINE_POSITION_M, LINE_ANGLE_RAD = 0.005, 0.1
 """Maximum deviation of the commanded line from the line in the cell file. The commanded line

@@ -46,8 +46,8 @@ from tapping_cell.verification.trial import (
 )
 
 GOALS = ((0.0, 0.0), (0.020, -0.015), (-0.025, 0.010))
-"""Positions of all goals, m. There are only a few, because solving the policy of a goal takes a
-second."""
+"""Positions of all goals, m. There are only a few positions, because solving the policy of a goal
+takes a second."""
 TURN_RAD = 1.0
 """Maximum rotation to a goal, rad. With the coarsest grid alone, the solver may find no solution
 for half a turn."""

@@ -15,12 +15,12 @@ from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
 WINDOW_S = 0.1
-"""Maximum time from an event that forbids a release to this release, s. It is the board's longest
-firing window, because FIRE may already have been sent."""
+"""Maximum time from an event that forbids a release to this release, s. FIRE may already have been
+sent, so this maximum is the board's longest firing window."""
 STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
-"""Maximum deviations of the tip from its commanded pose at a release, m and rad. They include the
-errors of the arm."""
+"""Maximum deviations of the tip from its commanded pose at a release, m and rad. These maximum
+deviations include the errors of the arm."""
 ENERGY_SHARE = 0.03
 """Maximum relative deviation of the energy of a release from the requested one."""
 STRIKE_HEIGHT_M = 0.0005
@@ -42,8 +42,8 @@ SILENCE_S = 1.5
 """Maximum time before a release without a message from a planner that has not yet reported that it
 waits for its tap, s."""
 ORPHAN_S = 1.5
-"""Maximum time from the end of the planner's process to a release, s. Later, the heartbeat of the
-planner has timed out."""
+"""Maximum time from the end of the planner's process to a release, s. After this time the planner's
+heartbeat has timed out."""
 HOMED_S = 3.0
 """Maximum time for which the arm may still be reported as homed after it has lost its reference, or
 after the end of a freeze that followed, s. Bytes on the line may be that late."""
@@ -55,8 +55,8 @@ time in s after charging from which on the arm need not wait any longer."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
-"""Maximum time from a stop command until the arm is at rest, s. It includes the delivery of the
-command and braking."""
+"""Maximum time from a stop command until the arm is at rest, s. This maximum includes the delivery
+of the command and the braking."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,8 +103,8 @@ class InvariantChecker:
     motor_weak_until: float = -math.inf
     """Time until which the tapper's motor may have lost steps due to missing power."""
     unseen_limit: float = 0.0
-    """Maximum time from a change of the scene to a release. It is the sum of the time limit for an
-    unseen object, the timeout of camera messages, and the delay of messages."""
+    """Maximum time from a change of the scene to a release. This maximum is the sum of the time
+    limit for an unseen object, the timeout of camera messages, and the delay of messages."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """Poses of the object that the tapper's process received, each with the time of receipt."""
     motion_seen_by_tapper: bool = False
@@ -422,7 +422,8 @@ class InvariantChecker:
     # Reports
 
     def lose_reference(self) -> None:
-        """Record that the arm's board has lost its position. This lasts until the arm is homed."""
+        """Record that the arm's board has lost its position and does not know it until the arm is
+        homed."""
         self.motion_allowed = False
         self.unhomed_since = min(self.unhomed_since, self.scheduler.now)
 

@@ -1,4 +1,5 @@
-"""Discrete-event scheduler in virtual time. It uses threads, but only one of them runs at a time.
+"""Discrete-event scheduler in virtual time. The scheduler uses threads, but only one of them runs
+at a time.
 
 Drivers make blocking calls, so each driver runs in its own thread, a *fiber*. When a fiber waits,
 its thread processes the following events itself until one of them resumes another fiber. Switching

@@ -115,11 +115,11 @@ SERVES = {
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
-"""Maximum times for which the object may be unseen, s. The first applies if the arm can cover the
-object (up to 3.4 s on its way to a strike pose), the second if it cannot."""
+"""Maximum times for which the object may be unseen, s. The first time applies if the arm can cover
+the object (up to 3.4 s on its way to a strike pose), the second if the arm cannot cover it."""
 NOTICED_S = 0.7
-"""Maximum time from the end of that time to a release, s. It allows for delayed messages and for
-the board's firing window."""
+"""Maximum time from the end of ``COVERED_S`` or ``CLEAR_VIEW_S`` to a release, s. This maximum
+allows for delayed messages and for the board's firing window."""
 GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (4.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
@@ -758,8 +758,8 @@ class Trial:
             self.network.publish("panel", "emergency_stop", Bool(data=False))
 
     def _recover_too_early(self) -> None:
-        """Call clear_fault and home while the emergency stop is held. These calls must have no
-        effect."""
+        """Call clear_fault and home while the emergency stop is held, to check that these calls
+        have no effect."""
         for node in self.devices:
             self.call_service(node, "~/clear_fault")
         self.scheduler.after(1.0, self._home_too_early)

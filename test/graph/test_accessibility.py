@@ -2,7 +2,7 @@
 and dark colours and on a phone.
 
 axe-core is not a dependency. Install it with `npm install --no-save axe-core` in the root of the
-repository, or set TAPPING_CELL_AXE=/path/of/axe.min.js. Without it, these tests are skipped.
+repository, or set TAPPING_CELL_AXE=/path/of/axe.min.js. Without axe-core, these tests are skipped.
 """
 
 from __future__ import annotations

@@ -65,7 +65,8 @@ def wait_for_nodes(folder: Path, process: subprocess.Popen[str]) -> dict[str, in
 
 
 def wait_for_record(folder: Path, process: subprocess.Popen[str]) -> None:
-    """Wait until the bag contains a state of the planner. The bag is written twice a second."""
+    """Wait until the bag contains a state of the planner. The recorder writes to the bag twice per
+    second."""
 
     def written() -> bool:
         try:

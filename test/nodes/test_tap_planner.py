@@ -47,13 +47,14 @@ FAST = {
     "withdraw_deadline": 4.0,
     "silence_limit": 4.0,
 }
-"""Time limits that are shorter than in a real cell, so that missing messages are detected soon.
-They are long enough for a busy machine, because the simulated devices publish every 30 ms."""
+"""Time limits that are shorter than in a real cell, so that missing messages are detected soon. The
+limits are long enough for a busy machine, because the simulated devices publish every 30 ms."""
 
 
 @dataclass
 class Actors:
-    """Simulated camera, arm and tapper. Each behaves normally unless a test changes it."""
+    """Simulated camera, arm and tapper. Each device behaves normally unless a test changes its
+    behaviour."""
 
     bench: Bench
     pose: Pose = START

@@ -193,7 +193,8 @@ def test_homing_survives_a_pulled_cable_but_not_a_reset(
 
 def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerminal]) -> None:
     """The controller does not notice if somebody pushes the arm. The driver can only notice that
-    the reported position has changed. In this test a move of another program changes it."""
+    the reported position has changed. In this test a move of another program changes the reported
+    position."""
     cell = emulated(plug)
     driver = cell.ready()
     with cell.port.lock:
@@ -285,8 +286,8 @@ def test_homing_without_switches(
     plug: Callable[..., PseudoTerminal], strategy: HomingStrategy
 ) -> None:
     settings = dict(MACHINE.settings) | {22: 0.0}
-    # With MANUAL_POSE, the arm is homed at its marked pose. With NONE, the controller takes its
-    # position at the start as zero.
+    # With MANUAL_POSE, the arm is homed at its marked pose. With the strategy NONE, the controller
+    # takes its position at the start as zero.
     place = HOME if strategy is HomingStrategy.MANUAL_POSE else (0.0, 0.0, 0.0, 0.0)
     cell = emulated(plug, GrblMachine(start_joints=place, settings=settings))
     cell.driver.connect()

@@ -27,8 +27,8 @@ from tapping_cell.vision.markers.detection import marker_pattern
 
 Random = np.random.Generator
 _MODULES_A_SQUARE = 48
-"""Pixels per square of the drawn target. Each module of its marker, whose size is 3 / 4 of the
-square, has a whole number of pixels."""
+"""Pixels per square of the drawn target. The marker in a square is 3 / 4 of the square's size, so
+that each module of the marker has a whole number of pixels."""
 
 
 def camera(random: Random) -> CameraModel:

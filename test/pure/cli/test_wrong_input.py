@@ -180,7 +180,7 @@ def test_wrong_input_is_refused_in_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     line = line.replace("HARDWARE", str(hardware_cell)).replace("FILES", str(files))
-    # The first call of a verb also imports its module. The second one measures only the refusal.
+    # The first call of a verb also imports its module. The second call measures only the refusal.
     for _ in range(2):
         began = time.process_time()
         try:

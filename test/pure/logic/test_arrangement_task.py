@@ -1,5 +1,5 @@
 """Arrangements of several objects in virtual time, with the planner's state machine and simulated
-devices. Also the tapper's checks of the object that is tapped."""
+devices. This file also tests the tapper's checks of the object that is tapped."""
 
 from __future__ import annotations
 

@@ -59,7 +59,8 @@ def shipped() -> tuple[Cell, TableMaps]:
 
 
 class Actors(VirtualNode):
-    """Simulated camera, arm and tapper. Each behaves normally unless a test changes it."""
+    """Simulated camera, arm and tapper. Each device behaves normally unless a test changes its
+    behaviour."""
 
     def __init__(
         self,

@@ -167,8 +167,8 @@ def test_a_disk_that_rests_on_its_rim_slides_as_a_ring_of_its_inertia() -> None:
     law = replace(PLAIN, torque_factor=1.3)
     slide = slide_of(DISK, law, SupportTruth(pressure="rim"))
     end, _ = slide.rest(Motion(0.0, 0.0, 0.0, 0.2, 0.0, 4.0))
-    # The ring's moment of inertia is m R^2, which is twice the disk's. Therefore, its torque factor
-    # is doubled, too.
+    # The ring's moment of inertia is m R^2, which is twice the disk's. Therefore, the ring's torque
+    # factor is doubled, too.
     ring = Sliding(Ring(0.048, 0.2455, 0.012), friction=0.17, torque_factor=2.6, gravity=GRAVITY)
     distance, rotation, _ = ring.rest(0.2, 4.0)
     assert end.x == pytest.approx(float(distance), rel=5e-3)

@@ -50,8 +50,8 @@ def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(cam
         error = aligned.pose - PLACE
         error[2] = wrap_angle(error[2])
         normalised.append(error @ np.linalg.solve(aligned.covariance, error))
-    # The mean is a chi-square value with 120 degrees of freedom, divided by 40. The bounds are at
-    # four standard deviations.
+    # The mean is a chi-square value with 120 degrees of freedom, divided by 40. The asserted bounds
+    # are at four standard deviations.
     assert 1.5 < np.mean(normalised) < 4.5
 
 

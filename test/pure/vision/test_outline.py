@@ -206,8 +206,8 @@ def test_the_normalised_error_is_that_of_the_covariance(outline):
             normalised.append(d @ np.linalg.solve(seen.covariance, d))
     assert np.quantile(np.abs(errors), 0.9, axis=0) == pytest.approx([0, 0, 0], abs=6e-4)
     assert np.all(np.abs(errors)[:, :2] < 4e-5)
-    # The mean is that of 8 observations with 3 degrees of freedom each. Some of them share
-    # systematic errors of the table and the edge.
+    # The mean is that of 8 observations with 3 degrees of freedom each. Some of the observations
+    # share systematic errors of the table and the edge.
     assert 0.2 < np.mean(normalised) < 6.0
     assert np.max(normalised) < 20.0
 

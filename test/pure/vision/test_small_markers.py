@@ -115,7 +115,8 @@ def test_another_pattern_or_half_of_it_is_not_believed():
 
 
 def test_no_pattern_is_blurred_until_it_fits_another():
-    """With much blur and an uncertain place, many patterns fit. Such a fit must be refused."""
+    """With much blur and an uncertain place, many patterns fit. A fit that requires such blur must
+    be refused."""
     corners = square(24.0, 0.2)
     image = picture(marker_pattern("ARUCO_ORIGINAL", 6), corners, blur=0.9)
     assert fit_pattern(image, corners, marker_pattern("ARUCO_ORIGINAL", 6)) is not None
