@@ -1,10 +1,10 @@
 """Test the arm's driver with the emulators of all six controllers, in virtual time.
 
-Each controller is connected and homed and makes random moves, which are compared with the true
-joints. Afterwards, stops, disconnected cables, alarms, restarts and the other faults of
-``controller_trials`` are injected at random times during moves. A trial passes if the reported
-reason and message and the arm's position are correct, and if the arm, homed again, moves exactly to
-its goal.
+Each controller is connected and homed. Then it makes random moves, and the reported positions are
+compared with the true joint positions. Afterwards, stops, disconnected cables, alarms, restarts and
+the other faults of ``controller_trials`` are injected at random times. A trial passes if the
+reported reason and message and the arm's position are correct, and if the arm, homed again, moves
+exactly to its goal.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from tapping_cell.verification.controller_cell import NAMES
 from tapping_cell.verification.controller_trials import FAULTS, run_faults, run_moves
 
 DEFAULT_COUNT = 200
-"""Number of moves of each controller. Each kind of fault is injected into a fifth as many moves."""
+"""Number of moves of each controller. The number of trials of each kind of fault is a fifth of this
+number."""
 SEED = 1
 _SHOWN = 3
 """Maximum number of messages printed for each kind and controller with failed trials."""

@@ -81,7 +81,7 @@ def groups() -> list[Group]:
 
 
 def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
-    """Yield the report after each group. A group has the number of scenes that is its share of
+    """Yield the report after each group. The number of scenes of a group is its share times
     ``count``."""
     rows: list[dict[str, Any]] = []
     state, kept = source_digest(mechanics, planning), _stored_scenes()

@@ -32,7 +32,7 @@ VIEWS = 20
 CORNER_SETS, PHOTO_SETS, TABLES, ARMS, TAPPERS = 12, 4, 4, 100, 300
 CORNER_NOISE = 0.05
 """Standard deviation of the simulated corner noise, pixels. In rendered photographs, the detected
-corners have 0.02 to 0.04."""
+corners have noise of 0.02 to 0.04 pixels."""
 TARGETS = (
     Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250"),
     Target("chessboard", 9, 7, 0.025),

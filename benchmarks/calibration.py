@@ -29,7 +29,7 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 DEFAULT_COUNT = 100
 _SHAPES = ("disk", "ring", "polygon")
 _OTHERS = 0.2  # experiments with each other shape, relative to those with a disk
-_PREDICTING = 4  # one of this many experiments also predicts new taps
+_PREDICTING = 4  # one in this many experiments also predicts new taps
 _LIMITS = {"torque_factor": 0.05, "friction": 0.03, "restitution": 0.04}
 _SCATTER = ScatterTruth(speed=0.05, spin=0.15, direction=math.radians(1.0))
 _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")

@@ -25,7 +25,8 @@ from tapping_cell.verification.faults import NODES, Mix
 from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 1000
-"""Number of freezes of each node. The total of kills, restarts and stops is half of it."""
+"""Number of freezes of each node. The total number of kills, restarts and stops is half of that
+number."""
 FREEZES = Mix(("freeze",), 8.0)
 """Freezes of 1 ms to 5 s (log-uniform), at random times during goals and during taps commanded by
 another program."""

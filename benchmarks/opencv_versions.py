@@ -1,10 +1,11 @@
 """Detections by the oldest supported OpenCV and by the installed one, in the same images.
 
-The images are rendered once, with random pose, light, noise and blur. In half of them the object
-moves, and in every third a disk covers part of the table. Each version of OpenCV then processes
-them in a separate process. A marker is *missed* if it is visible but not found. A detection is
-*wrong* if it is more than ``WRONG_PX`` from all markers with its id. The reported accuracy is that
-of the object's pose from a single image, and that of the detected corners before refinement.
+The images are rendered once, with random pose, light, noise and blur. In half of the images the
+object moves, and in every third image a disk covers part of the table. Each version of OpenCV then
+detects markers in these images, in a separate process. A marker is *missed* if it is visible but
+not found. A detection is *wrong* if it is more than ``WRONG_PX`` from all markers with its id. The
+reported accuracies are those of the object's pose from a single image and of the detected corners
+before refinement.
 """
 
 from __future__ import annotations

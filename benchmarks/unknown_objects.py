@@ -1,4 +1,4 @@
-"""Objects without a file: learning from nine goals and the taps of further goals.
+"""Objects without a file: values learnt from nine goals, and number of taps of further goals.
 
 Ten simulated objects are chosen at random (disks, rings, polygons; friction 0.05 to 0.6, torque
 factor 0.8 to 4; restitution, contact friction and density are also unknown). Each object starts

@@ -131,7 +131,7 @@ def _space() -> Any:
 
 
 def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Results:
-    """Run goals in the drawn worlds ``first`` to ``first + worlds - 1``."""
+    """Run goals in the random worlds with the numbers ``first`` to ``first + worlds - 1``."""
     return join(
         [
             run_world(drawn_world(spread, np.random.default_rng(seed)), GOALS_A_WORLD, seed)

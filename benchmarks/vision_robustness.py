@@ -229,7 +229,7 @@ def _away(stage: Stage) -> Iterator[Shot]:
 @dataclass(frozen=True, slots=True)
 class Case:
     """A disturbance and what the tracker must report: one of ``problems``, or a message that
-    contains ``warning``. If both are empty, no report is required."""
+    contains ``warning``. If ``problems`` and ``warning`` are both empty, no report is required."""
 
     play: Callable[[Stage], Iterator[Shot]]
     problems: tuple[Problem, ...] = ()

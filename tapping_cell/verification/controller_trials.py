@@ -95,7 +95,8 @@ def _move(cell: ControllerCell, rng: np.random.Generator) -> None:
 
 
 def _check_truth(cell: ControllerCell, goal: Joints) -> None:
-    """Raise if a move that succeeded did not end at its target under holding torque."""
+    """Raise if a move that was reported as successful did not end at its target, or ended without
+    holding torque."""
     if not cell.emulator.holds:
         raise WrongError(f"a move to {goal} succeeded without torque")
     if not np.allclose(cell.truth(), goal, atol=CLOSE):

@@ -34,7 +34,7 @@ guards must handle such coinciding faults."""
 SHARE_AT_THE_SHOT = 0.5
 """Fraction of the goals whose faults all occur just after a certain step of a shot."""
 CLOSE_S = 0.3
-"""Maximum time from such a state or step to its faults."""
+"""Maximum time from the published state, or from the step of a shot, to the faults."""
 FLOOD_HZ = 100.0
 """Rate at which a foreign node floods a topic."""
 CLOSEST_S = 2e-4
@@ -357,8 +357,8 @@ def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
 
 
 def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node publishes one state or command a hundred times per second. At the end it may
-    withdraw the tap; the tapper receives this withdrawal late."""
+    """Another node publishes one state or command a hundred times per second. At the end this node
+    may withdraw the tap; the tapper receives this withdrawal late."""
     name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
     outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
     number, withdraws = 1 + round(FLOOD_HZ * draw_duration(rng, 0.02, 0.5)), rng.random() < 0.7

@@ -67,7 +67,7 @@ class FixedInvariantChecker(InvariantChecker):
         if command is not None and command.tapper != release.tapper:
             self.violate(
                 "wrong tapper",
-                f"shot {shot} was released by '{release.tapper}', the command named"
+                f"shot {shot} was released by '{release.tapper}', but the command named"
                 f" '{command.tapper}'",
             )
         if self._motion_at_check:

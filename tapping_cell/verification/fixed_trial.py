@@ -1,4 +1,4 @@
-"""Run of one positioning cell in virtual time: the nodes of a cell with fixed tappers, no arm."""
+"""Run of one positioning cell (fixed tappers, no arm) in virtual time."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ class Program:
 
 @dataclass(slots=True)
 class PlannedFreeze:
-    """A freeze of a process before one of its driver's writes."""
+    """A freeze of a process before a write of its driver."""
 
     writes: int
     """Number of writes before the freeze."""
@@ -292,8 +292,8 @@ class Process:
     ) -> None:
         """Send a service request, an action goal or its cancellation to the state machine.
 
-        ``answer`` receives the response or result. ``waits`` is False for a cancellation, because
-        it has no answer.
+        ``answer`` receives the response or result. ``waits`` is False for a cancellation, because a
+        cancellation has no answer.
         """
         if waits:
             self._answers[token] = answer
@@ -443,7 +443,7 @@ class Process:
     # Coming up, and ticks
 
     def _configure(self, life: int) -> None:
-        """Configure a node without a device immediately."""
+        """Configure a node that has no device. No waiting is necessary."""
         if life == self._life:
             self._finish_start(self._program.connect(None, 0.0, self._clock.now()), life)
 

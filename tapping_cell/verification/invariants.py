@@ -97,7 +97,7 @@ class InvariantChecker:
     """Time since which the planner's process has not existed."""
     promises: dict[int, float] = field(default_factory=dict)
     """End of the arm's promise to stand still, by tap id."""
-    last_check: tuple[float, object | None] = (-math.inf, "never asked")
+    last_check: tuple[float, object | None] = (-math.inf, "no check was made")
     """Time of the last check before FIRE by the tapper's state machine, and its reason to refuse
     the shot (None: no refusal)."""
     motor_weak_until: float = -math.inf
@@ -108,7 +108,7 @@ class InvariantChecker:
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """Poses of the object that the tapper's process received, each with the time of receipt."""
     motion_seen_by_tapper: bool = False
-    """Whether the object moved in the last of these observations."""
+    """Whether the object moved in the last observation that the tapper's process received."""
     taken_by_tapper: dict[int, list[TapCommand]] = field(default_factory=dict)
     """TAP commands that the tapper's process received, by id. If two commands have the same id, the
     tapper may execute only one that it received."""
@@ -210,7 +210,7 @@ class InvariantChecker:
             self.violate(
                 "planner silent",
                 f"shot {shot} was released {silent:.2f} s after the tapper had last received a "
-                "message from the planner that commanded it",
+                "message from the planner that commanded the shot",
             )
         blind = release.time - self.camera_received
         if blind > HEARTBEAT_S + WINDOW_S:
@@ -386,7 +386,7 @@ class InvariantChecker:
                     self.violate(
                         "broken promise",
                         f"the arm began to move {end - now:.3f} s before the end of its promise for"
-                        f" tap {tap_id}, whose outcome is not known",
+                        f" tap {tap_id}, and the outcome of this tap is not yet known",
                     )
             if not self.motion_allowed:
                 self.violate(
@@ -422,8 +422,8 @@ class InvariantChecker:
     # Reports
 
     def lose_reference(self) -> None:
-        """Record that the arm's board has lost its position and does not know it until the arm is
-        homed."""
+        """Record that the arm's board has lost its position. The position remains unknown until the
+        arm is homed."""
         self.motion_allowed = False
         self.unhomed_since = min(self.unhomed_since, self.scheduler.now)
 

@@ -1,5 +1,5 @@
 """Mutation tests: defects that are inserted into the product's code. The invariants must detect
-each of them.
+each defect.
 
 If a mutant is not detected, the guard that it disables has no effect. A mutant is a small
 replacement in the source of one module, applied while the module is imported. The files on disk are
@@ -32,7 +32,8 @@ class Mutant:
     also: Mutant | None = None
     """Another mutant that must be applied together with this one to remove the correction."""
     kinds: tuple[str, ...] = ()
-    """Kinds of faults against which the guard protects; a hunt draws its faults from these."""
+    """Kinds of faults against which the guard protects. A hunt for this mutant injects only these
+    kinds."""
     fixed: bool = False
     """Whether the hunt runs the cell with fixed tappers."""
 

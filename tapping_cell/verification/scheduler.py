@@ -28,7 +28,8 @@ class HangError(Exception):
 class Killed(BaseException):
     """Raised in a waiting fiber when its process is killed.
 
-    It is not an ``Exception``, so that no driver handles it as a fault of a device.
+    The class is not derived from ``Exception``, so that no driver handles it as a fault of a
+    device.
     """
 
 

@@ -128,7 +128,8 @@ SHARE_OF_ONE_FRAME = 0.25
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_CONFLICTS = 0.1
-"""Fraction of these taps for which a second program commands another tap with the same id."""
+"""Fraction of the taps by a program for which a second program commands another tap with the same
+id."""
 PROGRAM_TIMEOUT_S, PROGRAM_EXPIRY_S = 12.0, 10.0
 """Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 GOAL_SLACK_S = 5.0
@@ -977,7 +978,7 @@ class Trial:
 
     def _may_move_arm(self, topic: str, message: Any) -> bool:
         """Return whether a message is allowed to make the arm move. A withdrawal without a tap id
-        is not."""
+        must not move the arm."""
         if topic == "tap_command":
             return bool(message.request == TapCommand.TAP or message.tap_id)
         return topic == "joint_trajectory"

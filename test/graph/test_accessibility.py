@@ -1,8 +1,9 @@
 """Check with axe-core that the page and the reports have no serious accessibility problem, in light
 and dark colours and on a phone.
 
-axe-core is not a dependency. Install it with `npm install --no-save axe-core` in the root of the
-repository, or set TAPPING_CELL_AXE=/path/of/axe.min.js. Without axe-core, these tests are skipped.
+axe-core is not a dependency. Install axe-core with `npm install --no-save axe-core` in the root of
+the repository, or set TAPPING_CELL_AXE=/path/of/axe.min.js. Without axe-core, these tests are
+skipped.
 """
 
 from __future__ import annotations

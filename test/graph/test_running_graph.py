@@ -175,7 +175,8 @@ def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
         time.sleep(1.0)
     cell.client.node.destroy_subscription(subscription)
     # The two nodes publish their counts at different times. On a busy machine an image can wait in
-    # a queue, which increases the difference for a while. A lost image increases it permanently.
+    # a queue, which increases the difference of the counts for a while. A lost image increases the
+    # difference permanently.
     times, sent = np.array(counts["/sim_world"]).T
     ahead = [np.interp(at, times, sent) - taken for at, taken in counts["/camera_pose"]]
     assert min(ahead[len(ahead) // 2 :]) - min(ahead) <= 4, counts

@@ -115,7 +115,7 @@ class Cell:
         return self.arm_states[-1].state == ArmState.IDLE and resting
 
     def end(self) -> None:
-        """Withdraw the tap and wait until the arm has left."""
+        """Withdraw the tap and wait until the arm has moved away."""
         self.withdraw()
         self.wait(self.at_rest, "arm and tapper are at rest")
 

@@ -1,6 +1,7 @@
 """The planning node over DDS: its topics, its stored goal, and its shutdown.
 
-Its decisions are tested in virtual time (``test/pure/logic/test_planner_with_played_devices.py``).
+The node's decisions are tested in virtual time
+(``test/pure/logic/test_planner_with_played_devices.py``).
 """
 
 from __future__ import annotations
@@ -196,8 +197,8 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg
     assert end.taps == len(actors.taps()) >= 1
-    # Each tap is ended by a withdrawal, and the last one by a second withdrawal that parks the arm.
-    # The ids increase.
+    # A withdrawal ends each tap. After the last tap, a second withdrawal parks the arm. The ids
+    # increase.
     ids = [command.tap_id for command in actors.taps()]
     assert ids == sorted(set(ids))
     ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]

@@ -1,6 +1,6 @@
 """The tapper's node over DDS and a pseudo-terminal: topics, services, life cycle, cable.
 
-Its decisions are tested in virtual time (``test/pure/logic/test_tapper_with_its_board.py``).
+The node's decisions are tested in virtual time (``test/pure/logic/test_tapper_with_its_board.py``).
 """
 
 from __future__ import annotations
@@ -185,8 +185,8 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
     assert cell.states[-1].state == TapperState.STOPPED
     with cell.terminal.lock:
         cell.device.press_clear_button(time.monotonic())
-    # Messages and service requests are not ordered: the clear may be processed before the release,
-    # and is then refused.
+    # Messages and service requests are not ordered: the request to clear the stop may be processed
+    # before the release of the stop, and is then refused.
     cell.bench.wait(cell.cleared, "the stop is cleared")
     cell.bench.wait(lambda: cell.states[-1].state == TapperState.SAFE, "safe again")
     cell.fire(101)

@@ -86,7 +86,7 @@ HOMES = {
     "argcomplete": {"cli"},
 }
 # These modules open real ports. The simulated world must never open a real port, so it may not
-# import them.
+# import these modules.
 DRIVERS = {"serial_transport", "arm", "tapper"}
 # Other external libraries that may be imported by the subpackages that need them.
 COMMON = {"numpy", "scipy", "cv2", "yaml", "ament_index_python"}

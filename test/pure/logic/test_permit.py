@@ -1,7 +1,7 @@
 """The striker is never fired while the arm may move, regardless of delays and freezes.
 
-The state machines of arm and tapper run together in virtual time. Either can be frozen for any time
-between two steps. The board fires within its time window or not at all.
+The state machines of arm and tapper run together in virtual time. Each of the two can be frozen for
+any time between two steps. The board fires within its time window or not at all.
 """
 
 from __future__ import annotations

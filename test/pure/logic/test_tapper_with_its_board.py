@@ -359,8 +359,8 @@ def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_hea
 
 
 def test_another_program_may_command_taps_while_the_planner_is_idle(cell: Cell) -> None:
-    """The idle planner publishes only twice per second. For a tap of another program this is not a
-    timeout."""
+    """The idle planner publishes only twice per second. During a tap of another program, this low
+    rate does not cause a timeout."""
     for tap_id in (100, 101, 102):
         cell.command(tap_id)
         for _ in range(10):

@@ -1,5 +1,5 @@
-"""After a tap the arm moves out of the camera's view of the object. The test compares this with the
-silhouettes that the simulation draws."""
+"""After a tap the arm moves out of the camera's view of the object. The test checks the free view
+with the silhouettes that the simulation draws."""
 
 from __future__ import annotations
 

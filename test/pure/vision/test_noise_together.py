@@ -34,7 +34,7 @@ def compressed(image: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("camera", [smoothed, compressed])
 def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(camera):
     """The mean normalised squared error should be 3. If the smoothed noise were treated as
-    independent, it would be 14."""
+    independent, this mean would be 14."""
     clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)
     clean = cv2.GaussianBlur(clean, (0, 0), 0.8)
     x, y = VIEW.project(PLACE[:2], MARKER.height).astype(int)

@@ -199,7 +199,7 @@ def test_the_normalised_error_is_that_of_the_covariance(outline):
         film = Film(outline)
         for _ in range(4):
             place = random.uniform([-0.22, -0.15, -3.1], [0.22, 0.15, 3.1])
-            # If the search misses an object at first, it is repeated 0.1 s later.
+            # If the first search misses an object, a second search follows 0.1 s later.
             seen = film.rest(shown, 12, place)
             d = error(seen, place)
             errors.append(d)

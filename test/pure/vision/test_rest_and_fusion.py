@@ -162,7 +162,7 @@ def test_fused_error_follows_its_covariance():
         error = mean - true
         error[2] = wrap_angle(error[2])
         normalised.append(error @ np.linalg.solve(covariance, error))
-    # This is the mean of 300 chi-square values with 3 degrees of freedom each. The asserted bounds
+    # The mean is that of 300 chi-square values with 3 degrees of freedom each. The asserted bounds
     # are at four standard deviations. The fusion gives large errors slightly less weight.
     assert 2.4 < np.mean(normalised) < 3.6
 
