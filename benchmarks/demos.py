@@ -1,11 +1,11 @@
 """Benefit of a fitted object file in demos: taps with the configured and with the fitted file.
 
-The demos use the planning sessions of the cell (planner, learning from taps, arm, table). Their
-taps are made in the simulated world, which integrates every slide in time. A truth file defines the
-world's tilt, uneven pressure, scatter and arm errors. Images, serial lines and the ROS graph are
-omitted, so that a demo takes a fifth of a second. The ground truths differ from the configuration
-by a fifth, as in closed_loop, and each fit uses 4 runs of 10 single taps with the same ground
-truth.
+The demos use the planning sessions of the cell (planner, learning from taps, arm, table). The taps
+of a demo are made in the simulated world, which integrates every slide in time. A truth file
+defines the world's tilt, uneven pressure, scatter and arm errors. Images, serial lines and the ROS
+graph are omitted, so that a demo takes a fifth of a second. The ground truths differ from the
+configuration by a fifth, as in closed_loop, and each fit uses 4 runs of 10 single taps with the
+same ground truth.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
             fit = fit_surely(image, scene.view, outline, start, blur=USUAL_BLUR)
             follow.append((time.process_time() - begin) * 1e3)
             if fit is None or isinstance(accept(fit, outline), Refused):
-                # The node, too, then searches near the last pose.
+                # If tracking fails, search near the last pose, as the node does.
                 fit = fit_closely(image, scene.view, outline, start)
             if isinstance(fit, Refused):
                 missed += 1

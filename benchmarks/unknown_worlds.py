@@ -1,10 +1,10 @@
 """Goals in simulated worlds that differ from the planner's files, with learning from each tap.
 
 The worlds are those of ``config/truth`` and random variations of ``everything.yaml``. A random
-world has all effects of that file at once, each with a random size up to the value in the file; its
-friction and torque factor are wrong by up to a given ratio. At the start of each goal (up to 40 mm
-and 20 degrees, from anywhere on the cell's table), the planner only knows the object's file. A
-perfect camera measures after each tap.
+world has all effects of ``everything.yaml`` at once, each with a random size up to the value in
+this file. Its friction and torque factor differ from the planner's values by up to a given ratio.
+At the start of each goal (up to 40 mm and 20 degrees, from anywhere on the cell's table), the
+planner only knows the object's file. A perfect camera measures after each tap.
 """
 
 from __future__ import annotations

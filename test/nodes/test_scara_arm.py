@@ -238,7 +238,8 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
 
 def test_a_source_that_does_not_repeat_its_level_asks_for_a_confirmation(cell: Cell) -> None:
     """Some sources do not repeat their level, so nobody can check whether they still hold the stop.
-    If another source releases its own stop, the stop of such a source must remain."""
+    The stop of a source that does not repeat its level must remain if another source releases its
+    own stop."""
     panel = Node("panel")
     held = panel.create_publisher(Bool, "emergency_stop", COMMAND)
     cell.bench.wait(lambda: held.get_subscription_count() >= 1, "the panel is known")

@@ -129,8 +129,8 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
 
 
 def test_the_striker_is_lowered_only_at_its_place(cell: Cell) -> None:
-    """The arm raises, travels and lowers. Below travel height, the tip moves only vertically, above
-    its strike pose."""
+    """The arm raises its quill, travels, and lowers the quill. Below travel height, the tip moves
+    only vertically, above its strike pose."""
     configuration = load_cell()
     geometry = configuration.file.arm.geometry()
     cell.command(100)
