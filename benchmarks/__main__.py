@@ -20,11 +20,11 @@ from datetime import date
 from pathlib import Path
 from types import ModuleType
 
-# A section is a module with ``measure() -> dict`` (printed by --json) and
-# ``lines(report) -> list[str]`` (the report as text). A module with a ``DEFAULT_COUNT`` has
-# ``measure(count)`` with the number of experiments, scenes, frames or seconds. A module may have
-# ``partial_reports(count)`` in place of ``measure``: it yields a report after each part, so that
-# --write keeps the completed parts.
+# A section is a module with ``measure() -> dict`` (printed by --json) and ``lines(report) ->
+# list[str]`` (the report as text). A module with a ``DEFAULT_COUNT`` has ``measure(count)`` with
+# the number of experiments, scenes, frames or seconds. A module may have ``partial_reports(count)``
+# in place of ``measure``: it yields a report after each part, so that --write stores the completed
+# parts.
 SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
 # Long sections, which run only if they are named.

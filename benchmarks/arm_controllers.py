@@ -1,9 +1,10 @@
-"""The arm's driver with the emulators of all six controllers, in virtual time.
+"""Test the arm's driver with the emulators of all six controllers, in virtual time.
 
-Each controller is connected and homed and makes random moves, which are compared with the true
-joints. Then stops, disconnected cables, alarms, restarts and the other faults of
-``controller_trials`` happen at random times. A trial is right if reason, message and the arm's
-position are right, and if the arm moves exactly to its goal after homing again.
+Each controller is connected and homed. Then it makes random moves, and the reported positions are
+compared with the true joint positions. Afterwards, stops, disconnected cables, alarms, restarts and
+the other faults of ``controller_trials`` are injected at random times. A trial passes if the
+reported reason and message and the arm's position are correct, and if the arm, homed again, moves
+exactly to its goal.
 """
 
 from __future__ import annotations
@@ -14,14 +15,15 @@ from tapping_cell.verification.controller_cell import NAMES
 from tapping_cell.verification.controller_trials import FAULTS, run_faults, run_moves
 
 DEFAULT_COUNT = 200
-"""Number of moves of each controller; each kind of fault is tried a fifth as often."""
+"""Number of moves of each controller. The number of trials of each kind of fault is a fifth of this
+number."""
 SEED = 1
 _SHOWN = 3
-"""Number of messages printed for each row with wrong trials."""
+"""Maximum number of messages printed for each kind and controller with failed trials."""
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the number of trials and the wrong trials, by kind and controller."""
+    """Return the number of trials and the messages of the failed trials, by kind and controller."""
     rows: dict[str, dict[str, Any]] = {}
     for name in NAMES:
         moves = run_moves(name, count, SEED)

@@ -1,9 +1,9 @@
 """Arrangement of several objects: success, contacts and taps, compared with the baselines.
 
 The scenes contain disks and squares with radii of 20 to 40 mm and gaps of 40 mm, or nine disks with
-a radius of 25 mm whose goals form a grid. The trials use the published scatter, systematic errors
-of 5 % in distance and 15 % in rotation, and a camera with 0.1 mm and 0.1 degrees of noise. The
-ground truth of every pose and every contact is recorded.
+a radius of 25 mm whose goals form a grid. The trials use the scatter from the paper, systematic
+errors of 5 % in distance and 15 % in rotation, and a camera with 0.1 mm and 0.1 degrees of noise.
+The ground truth of every pose and every contact is recorded.
 
 Every scene is stored when it ends, so that an interrupted run can be resumed. Scenes that were run
 with another version of the planner are not used.
@@ -46,7 +46,8 @@ DRAWN = ("history", "goals", "outlines", "table")
 """Fields of a trial that are only needed for drawings and are not stored."""
 
 Group = tuple[str, ArrangementTask, list[str], float]
-"""Name, task, additional options of the shapes, and share of the count."""
+"""Name of the group, its task, additional options for the shapes, and its number of scenes relative
+to the count."""
 
 
 def groups() -> list[Group]:
@@ -80,7 +81,8 @@ def groups() -> list[Group]:
 
 
 def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
-    """Yield the report after each group, each with its share of ``count`` scenes."""
+    """Yield the report after each group. The number of scenes of a group is its share times
+    ``count``."""
     rows: list[dict[str, Any]] = []
     state, kept = source_digest(mechanics, planning), _stored_scenes()
     for name, task, options, share in groups():

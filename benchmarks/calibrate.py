@@ -1,6 +1,7 @@
 """Errors of the calibrations of camera, table, arm and tapper, for random true parameters.
 
-For comparison, OpenCV's default calibrateCamera with five coefficients uses the same corners.
+For comparison, the same corners are calibrated by OpenCV's calibrateCamera with its default five
+distortion coefficients.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from tapping_cell.vision import CameraModel, CameraPose
 VIEWS = 20
 CORNER_SETS, PHOTO_SETS, TABLES, ARMS, TAPPERS = 12, 4, 4, 100, 300
 CORNER_NOISE = 0.05
-"""Standard deviation of the corners in pixels; detection in rendered photographs achieves 0.02
-to 0.04."""
+"""Standard deviation of the simulated corner noise, pixels. In rendered photographs, the detected
+corners have noise of 0.02 to 0.04 pixels."""
 TARGETS = (
     Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250"),
     Target("chessboard", 9, 7, 0.025),
@@ -57,9 +58,9 @@ def measure() -> dict[str, Any]:
 def _camera_errors(
     model: CameraModel, views: list[TargetView], target: Target
 ) -> tuple[float, float, float, float]:
-    """Return the RMS reprojection error in pixels, the relative errors of the focal length here and
-    with plain OpenCV, and the RMS of the errors of fx, fy, cx, cy divided by their stated standard
-    deviations."""
+    """Return four values: the RMS reprojection error in pixels; the relative error of the focal
+    length with this package, and with plain OpenCV; and the RMS of the errors of fx, fy, cx and cy,
+    each divided by its stated standard deviation."""
     result = calibrate_camera(views, target, (model.width, model.height))
     points = [
         np.column_stack([target.points[v.ids], np.zeros(len(v.ids))]).astype(np.float32)
@@ -152,7 +153,8 @@ def _tables() -> dict[str, float]:
 
 
 def _arms() -> dict[str, float]:
-    """Errors of the wrist and of the forearm's heading at poses outside the calibration data."""
+    """Return the errors of the wrist's position and of the forearm's heading at poses outside the
+    calibration data."""
     gaps, turns, off, spent = [], [], [], []
     for seed in range(ARMS):
         random = np.random.default_rng(300 + seed)
@@ -184,7 +186,8 @@ def _arms() -> dict[str, float]:
 
 
 def _tappers() -> dict[str, dict[str, float]]:
-    """Errors of the tapper's calibration for evenly distributed and for recommended energies."""
+    """Return the errors of the tapper's calibration for evenly distributed and for recommended
+    energies."""
     return {"even": _tapper_figures((5,) * 6), "advised": _tapper_figures(SHARES)}
 
 

@@ -1,11 +1,11 @@
-"""Errors of the fit of single taps, for random true parameters.
+"""Errors of the parameters that are fitted to single taps, for random true parameters.
 
-Each experiment draws a ground truth: friction 0.10 to 0.30, torque factor 1 to 4, restitution 0.65
-to 0.95, contact friction 0.14 to 0.28, and a striker 5 % faster or slower than commanded. It makes
-4 runs of 10 taps in the simulated world, which integrates them in time, and then fits the
-parameters. The scatter is 5 % in speed, 15 % in spin and 1 degree in direction; the 30 Hz camera
-has pose errors of 0.03 mm and 0.05 degrees. Every fourth experiment also predicts the same number
-of new taps.
+Each experiment chooses the true values at random: friction 0.10 to 0.30, torque factor 1 to 4,
+restitution 0.65 to 0.95, contact friction 0.14 to 0.28, and a striker 5 % faster or slower than
+commanded. The experiment makes 4 runs of 10 taps in the simulated world, which integrates each tap
+in time, and then fits the parameters. The scatter is 5 % in speed, 15 % in spin and 1 degree in
+direction; the 30 Hz camera has pose errors of 0.03 mm and 0.05 degrees. Every fourth experiment
+also predicts the same number of new taps.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 
 DEFAULT_COUNT = 100
 _SHAPES = ("disk", "ring", "polygon")
-_OTHERS = 0.2  # number of experiments with each of the others, relative to the number with a disk
-_PREDICTING = 4  # one of this many experiments also predicts new taps
+_OTHERS = 0.2  # experiments with each other shape, relative to those with a disk
+_PREDICTING = 4  # one in this many experiments also predicts new taps
 _LIMITS = {"torque_factor": 0.05, "friction": 0.03, "restitution": 0.04}
 _SCATTER = ScatterTruth(speed=0.05, spin=0.15, direction=math.radians(1.0))
 _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return errors and coverage by shape: ``count`` experiments with disks, and a fifth of that
-    number with each of the others."""
+    """Return the errors and the coverage of the intervals for each shape, from ``count``
+    experiments with disks and a fifth of that number with each other shape."""
     report: dict[str, Any] = {"load": os.getloadavg()[0]}
     for shape in _SHAPES:
         number = count if shape == "disk" else max(round(_OTHERS * count), 1)
@@ -133,7 +133,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def draw(shape: str, seed: int) -> tuple[ObjectFile, TruthFile, dict[str, float]]:
-    """Draw the object file for the fit, the ground truth file and the true values."""
+    """Choose random true values; return the object file for the fit, the ground truth file and
+    these values."""
     random = np.random.default_rng([seed, _SHAPES.index(shape)])
     size = float(random.uniform(0.035, 0.055))
     half = 0.9 * size

@@ -2,8 +2,8 @@
 
 The true friction, torque factor, restitution and contact friction are a fifth higher or lower than
 configured. 4 runs of 10 single taps in the simulated world are fitted. Then the planner positions
-the object (10 mm and 10 degrees) once with the configured and once with the fitted parameters. It
-does not learn from taps, and ground truth and scatter are the same.
+the object (10 mm and 10 degrees) once with the configured and once with the fitted parameters. The
+planner does not learn from taps. Ground truth and scatter are the same for both files.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 TRUTHS = (
     (1.2, 0.8, 0.8, 1.2),
     (1.2, 1.2, 0.8, 0.8),
-    (0.8, 1.2, 1.15, 0.8),  # a fifth more than 0.86 would be above 1
+    (0.8, 1.2, 1.15, 0.8),  # 1.2 times the configured restitution of 0.86 would exceed 1
     (0.8, 0.8, 1.15, 1.2),
     (0.8, 1.2, 0.8, 1.2),
     (1.2, 0.8, 1.15, 0.8),

@@ -1,13 +1,13 @@
 """Time per tap by activity for the published task: 10 mm and 10 degrees, back and forth.
 
-Two cells are measured. In the first, every node is a process, with rendered images and emulated
-boards. In the second, the same state machines, drivers and boards run in virtual time, in which
-software takes no time and messages take a few milliseconds, so that only the time of the cell's
-mechanics remains. A tap lasts from its command to the next command, or to the end of its goal. Its
-activities follow each other without gaps or overlaps. Simultaneous activities (the slide, charging
-while the arm moves) are listed separately, as is the planned duration of the arm's motion to the
-strike. The two cells make different taps, so this duration is subtracted before their cycles are
-compared.
+Two cells are measured. In the first cell, every node is a process, with rendered images and
+emulated boards. In the second cell, the same state machines, drivers and boards run in virtual
+time, in which software takes no time and messages take a few milliseconds, so that only the time of
+the cell's mechanics remains. A tap lasts from its command to the next command, or to the end of its
+goal. The activities of a tap follow each other without gaps or overlaps. Simultaneous activities
+(the slide, charging while the arm moves) are listed separately, as is the planned duration of the
+arm's motion to the strike. The two cells make different taps. The durations of their cycles are
+therefore compared without the planned motion.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ class Tap:
     done: float = math.nan
 
     def activities(self) -> dict[str, float]:
-        """Return the durations of ``ACTIVITIES`` and ``BESIDES``, s."""
+        """Return the durations in s of ``ACTIVITIES`` (consecutive) and ``BESIDES``
+        (simultaneous)."""
         ready = max(self.in_position, self.charged)
         return {
             "travel": self.above - self.commanded,
@@ -279,7 +280,7 @@ def in_graph(
     """Measure goals in a cell whose nodes are processes.
 
     ``next_goal`` returns a goal from the object's pose and the goal's number (default: the
-    published task). ``cell_file``: default is the package's cell.
+    published task). ``cell_file``: path of the cell file (default: that of the package).
     """
     own_domain().use()
     cell = load_cell(cell_file)

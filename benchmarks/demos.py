@@ -1,10 +1,11 @@
 """Benefit of a fitted object file in demos: taps with the configured and with the fitted file.
 
-The cell's own sessions (planner, learning from taps, arm, table) tap in the simulated world, which
-integrates every slide in time. A truth file defines its tilt, uneven pressure, scatter and arm
-errors. Images, serial lines and the ROS graph are omitted, so that a demo takes a fifth of a
-second. The ground truths differ from the configuration by a fifth, as in closed_loop, and each fit
-uses 4 runs of 10 single taps with the same ground truth.
+The demos use the planning sessions of the cell (planner, learning from taps, arm, table). The taps
+of a demo are made in the simulated world, which integrates every slide in time. A truth file
+defines the world's tilt, uneven pressure, scatter and arm errors. Images, serial lines and the ROS
+graph are omitted, so that a demo takes a fifth of a second. The ground truths differ from the
+configuration by a fifth, as in closed_loop, and each fit uses 4 runs of 10 single taps with the
+same ground truth.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
         old = _demos(configured, configured.object, truth, count)
         fitted = replace(configured, object=_fitted(configured, truth, seed))
         new = _demos(fitted, configured.object, truth, count)
-        # After `calibrate tapper` the striker's speed matches its curve.
+        # After `calibrate tapper`, the striker's true speed agrees with its curve.
         nominal = replace(truth, impact=replace(truth.impact, striker_speed_factor=1.0))
         both = _demos(fitted, configured.object, nominal, count)
         saved = np.array(old) - np.array(new)
@@ -104,8 +105,9 @@ def _fitted(cell: Cell, truth: TruthFile, seed: int) -> ObjectFile:
 
 
 def _demos(cell: Cell, assumed: ObjectFile, truth: TruthFile, count: int) -> list[int]:
-    """Return the number of taps of each demo of a cell with its object file. The ground truth is
-    relative to the object file ``assumed``. A demo that fails counts as the maximum number."""
+    """Return the number of taps of each demo; a demo that fails counts as the maximum number.
+    ``cell`` contains the object file that the planner uses. ``truth`` is relative to the object
+    file ``assumed``."""
     goal = cell.file.goal
     tolerance = (goal.position_tolerance, goal.angle_tolerance)
     planner = make_planner(goal.planner, assembly.make_planner_settings(cell, tolerance))
@@ -136,7 +138,8 @@ def _position(
     arm: ArmTruth,
     random: np.random.Generator,
 ) -> bool:
-    """Tap until the session is done or refuses, and return whether it is done."""
+    """Tap until the goal is reached or the session refuses to go on; return whether it was
+    reached."""
     covariance = np.diag(np.square(_MEASUREMENT_STD))
 
     def measure() -> np.ndarray:

@@ -1,9 +1,9 @@
 """Time from the loss of planner, arm or camera during charging to the discharge of the striker.
 
-A simulated cell runs as processes. The tapper is a board emulated in this process. Its spring takes
-seconds to charge, so that a node can be lost meanwhile. A node is killed (``SIGKILL``) or
-stopped (``SIGSTOP``), or the camera's images stop while its node keeps running. The benchmark
-measures the actions of the board, not the reports of the nodes.
+The nodes of a simulated cell run as separate processes. The tapper's board is emulated in this
+process. The spring takes seconds to charge, so that a node can be lost meanwhile. A node is killed
+(``SIGKILL``) or stopped (``SIGSTOP``), or the camera's images stop while its node keeps running.
+The benchmark measures the actions of the board, not the reports of the nodes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 
 DEFAULT_COUNT = 10
-"""Number of losses of each kind."""
+"""Number of simulated losses of each kind."""
 START, GOAL = Pose(-0.05, 0.02, 0.0), Pose(-0.02, 0.01, 0.2)
 SLOW_SPRING = SpringMechanism(step_rate=300.0)
 """Spring that takes several seconds to charge, but less than the driver's timeout for charging."""
@@ -124,7 +124,8 @@ class ChargingCell:
             time.sleep(0.001)
 
     def lose(self, who: str, how: str) -> float:
-        """Simulate a loss and return the time until the board has discharged the striker, s."""
+        """Simulate the loss of a node or of the images; return the time in s until the board has
+        discharged the striker."""
         began = time.monotonic()
         if who == PICTURES_STOP[0]:
             self.relaying = False

@@ -1,4 +1,5 @@
-"""Drivers: overhead per tap, latency of a stop on the wire, and time for reconnection.
+"""Drivers of arm and tapper: overhead per tap, time until a stop is on the wire, and time to
+reconnect.
 
 The overhead is measured in the emulated devices' own time, so that it does not depend on the load
 of the computer. Replies take as long as on a real line at 115200 baud plus 2 ms for the adapter.
@@ -84,10 +85,10 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
-    """Return the mean times of a tap, s: from the command to in position, back to the park pose,
-    the overhead beyond motion, settling and charging until firing, the total overhead, and the time
-    of the status query, which the total does not include. Also return the number of bytes sent to
-    the arm's board."""
+    """Return the mean times of a tap in s, and the number of bytes sent to the arm's board. The
+    times are: from the command until the arm is in position; from there back to the park pose; the
+    overhead until firing, which excludes motion, settling and charging; the overhead of the
+    complete tap; and the status query, which that overhead does not include."""
     cell = TrialCell(dialect, 3)
     cell.recover()
     before = cell.arm_line.count(Direction.TO_DEVICE)
@@ -134,8 +135,8 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
 
 
 def stop_to_wire(stops: int) -> dict[str, float]:
-    """Return the times from the call of ``stop`` to its bytes at the other end while another thread
-    writes, s."""
+    """Return the times in s from the call of ``stop`` until its bytes are received at the other
+    end. Meanwhile another thread writes."""
     master, slave = os.openpty()
     tty.setraw(slave)
     transport = SerialTransport(os.ttyname(slave))
@@ -178,8 +179,8 @@ def _until_received(master: int, act: Callable[[], object], wanted: bytes) -> fl
 
 
 def reconnect(times: int) -> dict[str, Any]:
-    """Return the times from reconnecting the cable to the identification of the device, s, for each
-    driver."""
+    """Return, for each driver, the times in s from plugging the cable in until the device is
+    identified."""
     found: dict[str, list[float]] = {}
     bare: list[float] = []
     now = time.monotonic()

@@ -1,8 +1,8 @@
 """Time per goal and per tap of the positioning cell with fixed tappers, in the running graph.
 
 Goals are at random places of the working disc, or at its centre, and rotated by up to 10, 30 and 90
-degrees relative to the object's current pose. A goal lasts from its acceptance to its end. The time
-before the first tap is that of the first image and the first plan. A tap lasts from its command to
+degrees relative to the object's current pose. A goal lasts from its acceptance to its end. Before
+the first tap, the planner needs the first image and the first plan. A tap lasts from its command to
 the next command: the shot, the object's slide, the images of the object at rest, and the decision.
 """
 
@@ -26,7 +26,8 @@ SEED = 1
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return durations (s) and taps of ``count`` goals at each angle, for both places of goals."""
+    """Return durations (s) and taps of ``count`` goals for each maximum angle, with goals anywhere
+    in the disc and with goals at its centre."""
     return {
         "anywhere": {a: _summary(_run(count, math.radians(a))) for a in ANGLES_DEG},
         "centre": {a: _summary(_run(2 * count, math.radians(a), True), 2) for a in ANGLES_DEG},
@@ -35,7 +36,8 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
 
 
 def _run(count: int, angle: float, to_centre: bool = False) -> Stopwatch:
-    """Run goals anywhere in the working disc; with ``to_centre``, every second is its centre."""
+    """Run goals anywhere in the working disc; with ``to_centre``, every second goal is at its
+    centre."""
     x, y, radius = load_cell(CELL).fixed_tappers.working_area
     random = np.random.default_rng(SEED)
 
@@ -54,7 +56,8 @@ def _run(count: int, angle: float, to_centre: bool = False) -> Stopwatch:
 
 
 def _summary(watch: Stopwatch, every: int = 1) -> dict[str, Any]:
-    """Summarise the last of each ``every`` goals, and the taps of all."""
+    """Return the mean duration and number of taps of every ``every``-th goal, and the mean times of
+    the taps of all goals."""
     goal = np.array([seconds for seconds, _ in watch.goals])
     taps = np.array([number for _, number in watch.goals])
     cycle = np.array([tap.done - tap.commanded for tap in watch.taps])

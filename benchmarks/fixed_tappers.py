@@ -1,15 +1,15 @@
 """Success, true errors and taps of the positioning cell over many goals, without ROS.
 
-The observations have noise of 0.05 mm and 0.05 degrees. Two groups of trials are run:
+The observations have noise of 0.05 mm and 0.05 degrees. Three groups of trials are run:
 
 - goals anywhere in the working disc with any rotation of the object, ``count`` trials;
-- goals at its centre with rotations of up to 30 degrees, a tenth of ``count`` trials each. One part
-  has tappers mounted as the file says. The other has mounts that are wrong by 0.5 mm and
-  0.5 degrees (standard deviations), which are learnt while tapping.
+- goals at its centre with rotations of up to 30 degrees, a tenth of ``count`` trials;
+- the same goals with mounts that differ from the cell file by 0.5 mm and 0.5 degrees (standard
+  deviations), which are learnt while tapping, a tenth of ``count`` trials.
 
 Each part of 250 trials is stored in the cache folder when it is finished, so that the same command
-continues after an interruption. A change of mechanics or planning makes the stored parts
-obsolete.
+continues after an interruption. A change of the package mechanics or planning makes the stored
+parts obsolete.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ GROUPS = ("anywhere", "centre", "centre, wrong mounts")
 
 
 def partial_reports(count: int = DEFAULT_COUNT) -> Iterator[dict[str, Any]]:
-    """Yield the figures of all groups after every part."""
+    """Yield the results of all groups after every part."""
     shares = (count, max(1, count // 10), max(1, count // 10))
     parts = [
         Part(group, number, min(PART, share - PART * number))

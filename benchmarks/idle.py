@@ -1,13 +1,14 @@
 """Processor load of the idle cell, compared with minimal processes in the same run.
 
 The cell is the complete simulated graph with recorder and operator's page and a stationary object.
-The minimal pair of processes measures the cost of the messages alone: one process publishes images
-of the same size at the same rate, one subscribes, and six idle nodes publish and subscribe to two
-topics at 10 Hz each.
+The minimal processes show the cost of the messages alone: one process publishes images of the same
+size at the same rate, one subscribes, and six idle nodes publish and subscribe to two topics at 10
+Hz each.
 
-Cell and pair run at the same time, in two ROS domains, and are measured in the same short periods.
-This is necessary because the load of a machine varies, and because a second of processor time does
-less work if other programs use the same caches and cores. The ratio is the median over the periods.
+The cell and the minimal processes run at the same time, in two ROS domains, and are measured in the
+same short periods. Simultaneous measurement is necessary because the load of a machine varies, and
+because a second of processor time does less work if other programs use the same caches and cores.
+The reported ratio of the loads is the median over the periods.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ LIMIT = 2.0
 
 
 def measure(seconds: int) -> dict[str, Any]:
-    """Return each process's load as a share of a core, and the ratio of the two sums."""
+    """Return the load of each process as a share of a core, and the ratio of the cell's total load
+    to that of the minimal processes."""
     domain, other = own_domain(), own_domain()
     local = {"ROS_DOMAIN_ID": str(domain.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     os.environ.update(local)
@@ -89,7 +91,7 @@ def _cell(local: dict[str, str]) -> Iterator[Graph]:
 
 
 def _wait_for_rest(graph: Graph) -> None:
-    """Wait until the object is stationary, with a node that ends before the measurement."""
+    """Wait until the object is stationary. The node that waits ends before the measurement."""
     rclpy.init()
     try:
         node = rclpy.create_node("idle_benchmark")
@@ -122,7 +124,8 @@ def _pair(environment: dict[str, str]) -> Iterator[dict[str, subprocess.Popen[by
 
 
 def _spent(groups: dict[str, dict[str, int]], seconds: float) -> dict[str, dict[str, float]]:
-    """Return the share of a core of each process of each group during ``seconds`` from now on."""
+    """Measure for ``seconds`` and return the load of each process of each group as a share of a
+    core."""
 
     def read() -> dict[str, dict[str, float]]:
         return {
@@ -140,7 +143,7 @@ def _spent(groups: dict[str, dict[str, int]], seconds: float) -> dict[str, dict[
 
 
 def _run_bare(role: str) -> None:
-    """Run one process of the minimal pair until it is killed."""
+    """Run one of the minimal processes until it is killed."""
     rclpy.init()
     node = rclpy.create_node(role)
     if role == "publisher":

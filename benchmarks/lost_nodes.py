@@ -3,11 +3,11 @@
 After every event the invariants of ``tapping_cell.verification`` are checked against the true state
 of the boards. For example, a striker may be fired only while the arm has promised to stand still,
 and nothing may move without a person's permission. Runs continue until each node was frozen
-``count`` times, and lost half as many times. Every violation is printed.
+``count`` times, and killed, restarted or stopped half as many times. Every violation is printed.
 
-The cost of the permit is measured in goals without faults. It consists of the time from the
-tapper's request to the arm's answer and of the time for which the arm still waits after the striker
-has ended its stroke and the tap was withdrawn. The stroke itself is not counted.
+The cost of the permit is measured in goals without faults. This cost has two parts: the time from
+the tapper's request to the arm's answer, and the time for which the arm still waits although the
+striker has ended its stroke and the tap was withdrawn. The stroke itself is not counted.
 """
 
 from __future__ import annotations
@@ -25,21 +25,23 @@ from tapping_cell.verification.faults import NODES, Mix
 from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 1000
-"""Number of freezes of each node. Crashes, restarts and stops together are half as many."""
+"""Number of freezes of each node. The total number of kills, restarts and stops is half of that
+number."""
 FREEZES = Mix(("freeze",), 8.0)
-"""Freezes of 1 ms to 5 s (log-uniform) at random times of the goals and of taps by another
-program."""
+"""Freezes of 1 ms to 5 s (log-uniform), at random times during goals and during taps commanded by
+another program."""
 LOSSES = Mix((*("kill",) * 8, "restart", "stop service"), 8.0)
 """All four nodes can be killed; only arm and tapper have a service to stop them."""
 STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
 COST_SEEDS, COST_GOALS = range(1, 5), 5
 MIN_HOLD_S = 0.16
-"""A ``hold_still`` request for a longer time begins a promise; one for a shorter time ends it."""
+"""Limit of the duration in a ``hold_still`` request: a longer one begins a promise to stand still,
+a shorter one ends it."""
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Run both campaigns and measure the cost of the permit."""
+    """Run the campaigns of freezes and of losses, and measure the cost of the permit."""
     return {
         "cost": _cost(),
         "freezes": _campaign(FREEZES, ("freeze",), count, SEED),
@@ -67,7 +69,7 @@ def _campaign(mix: Mix, ways: tuple[str, ...], count: int, seed: int) -> dict[st
 
 
 def _times(summary: Summary, node: str, ways: tuple[str, ...]) -> int:
-    """Return how often one of these faults happened to a node."""
+    """Return how often a node had a fault of these kinds."""
     return sum(summary.by_node[f"{way} {node}"] for way in ways)
 
 

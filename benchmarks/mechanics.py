@@ -1,4 +1,5 @@
-"""Slides: the lookup table compared with an ODE solver on the same closed forms and with MuJoCo.
+"""Speed and accuracy of computed slides: the lookup table, an ODE solver with the same closed-form
+friction, and MuJoCo.
 
 Times are the best of several repetitions on one core. Each time is reported with the relative error
 of distance and rotation, compared with an integration at a tolerance of 1e-12.

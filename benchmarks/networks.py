@@ -1,8 +1,8 @@
 """Simulated computers: network namespaces connected by a link with optional delay and packet loss.
 
 Needs root, ``unshare``, ``nsenter`` and ``ip``; :func:`why_not` returns what is missing. Without
-delay and loss, a veth pair connects two computers at the kernel's speed. Otherwise every packet
-passes through this module's relay, a switch between TAP devices, with a capacity of about a
+simulated delay and loss, a veth pair connects two computers at the kernel's speed. Otherwise every
+packet passes through this module's relay, a switch between TAP devices, with a capacity of about a
 thousand packets/s.
 """
 
@@ -165,7 +165,7 @@ def _forward(taps: Sequence[int], delay: float, loss: float) -> None:
                     heapq.heappush(waiting, (due, next(order), tap, frame))
         while waiting and waiting[0][0] <= time.monotonic():
             *_, tap, frame = heapq.heappop(waiting)
-            with contextlib.suppress(OSError):  # a full queue, or a computer that was stopped
+            with contextlib.suppress(OSError):  # the queue is full, or the computer was stopped
                 os.write(tap, frame)
 
 

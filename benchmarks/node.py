@@ -1,8 +1,8 @@
 """Processor load of each node in the running graph, and time of camera_pose per image.
 
 The benchmark starts the simulated cell as processes with a stationary object. For several seconds
-it records the processor times of the processes and the ages of the object_state stamps. Then it
-sends several kinds of images to camera_pose alone.
+the benchmark records the processor times of the processes and the ages of the object_state stamps.
+Afterwards, the benchmark sends several kinds of images to camera_pose alone.
 """
 
 from __future__ import annotations

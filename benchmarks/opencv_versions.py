@@ -1,10 +1,11 @@
 """Detections by the oldest supported OpenCV and by the installed one, in the same images.
 
-The images are rendered once, with random pose, light, noise and blur. In half of them the object
-moves, and in every third a disk covers part of the table. Each version then runs in a process of
-its own. A marker is *missed* if it is visible but not found. A detection is *wrong* if it is more
-than ``WRONG_PX`` from all markers with its id. The reported accuracy is that of the object's pose
-from a single image, and that of the detected corners before refinement.
+The images are rendered once, with random pose, light, noise and blur. In half of the images the
+object moves, and in every third image a disk covers part of the table. Each version of OpenCV then
+detects markers in these images, in a separate process. A marker is *missed* if it is visible but
+not found. A detection is *wrong* if it is more than ``WRONG_PX`` from all markers with its id. The
+reported accuracies are those of the object's pose from a single image and of the detected corners
+before refinement.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ OVERLAY = ROOT / "build" / "oldest"
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the figures of both versions."""
+    """Return the results of both versions."""
     overlay = _overlay()
     with tempfile.TemporaryDirectory() as folder:
         truth = _render(Path(folder), count)
@@ -57,7 +58,8 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def _overlay() -> Path:
-    """Return the folder with the oldest versions; install them if necessary."""
+    """Return the folder with the oldest supported versions of the dependencies; install them if
+    necessary."""
     sys.path.insert(0, str(ROOT / "environment"))
     import overlay
 
@@ -116,7 +118,7 @@ def _is_free(quad: np.ndarray, hidden: np.ndarray) -> bool:
 
 
 def _judge(folder: Path) -> dict[str, Any]:
-    """Return the figures of the OpenCV version that this process uses."""
+    """Return the results of the OpenCV version that this process uses."""
     cell = Cell.load()
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     missed = wrong = 0

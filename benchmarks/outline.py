@@ -124,7 +124,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
             fit = fit_surely(image, scene.view, outline, start, blur=USUAL_BLUR)
             follow.append((time.process_time() - begin) * 1e3)
             if fit is None or isinstance(accept(fit, outline), Refused):
-                # In this case the node searches near the last pose.
+                # If tracking fails, search near the last pose, as the node does.
                 fit = fit_closely(image, scene.view, outline, start)
             if isinstance(fit, Refused):
                 missed += 1
@@ -149,7 +149,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
 
 
 def _off(pose: Array, true: Array) -> tuple[float, Array]:
-    """Return the position error, m, and the complete error (3,)."""
+    """Return the position error (m) and the error of the pose (3,): m, m, rad."""
     d = pose - true
     d[2] = wrap_angle(d[2])
     return math.hypot(d[0], d[1]), d

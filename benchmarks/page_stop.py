@@ -1,11 +1,12 @@
 """Latency from STOP on the operator's page to a subscriber of ``emergency_stop`` under attack.
 
 The real node and its separate process for STOP are running. Another process simulates ``CLIENTS``
-hostile clients with 200 messages per second each. They first send drags, commands and invalid data
-to the page, and reconnect when disconnected. Then they send ``check`` requests and invalid data to
-the port of STOP. The latency includes a browser's request over a new connection, the process, the
-middleware and the subscription in this process. For comparison, the same request is measured
-without an attack, and a message is published by this process.
+hostile clients with 200 messages per second each. The hostile clients first send drags, commands
+and invalid data to the page, and reconnect when disconnected. Then the hostile clients send
+``check`` requests and invalid data to the port of STOP. The latency includes a browser's request
+over a new connection, the process, the middleware and the subscription in this process. For
+comparison, the same request is measured without an attack, and a message is published by this
+process.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 class Listener:
-    """Records the arrival of a stop. It also publishes camera data, so that drags cost the page as
-    much as in a real cell."""
+    """Records the arrival of a stop. This node also publishes camera data, so that handling a drag
+    costs the page as much as in a real cell."""
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("page_stop_bench")

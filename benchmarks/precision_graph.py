@@ -1,4 +1,4 @@
-"""Taps and true errors of demos whose tolerance is a tenth of the published one.
+"""Taps and true errors of demos whose tolerance is a tenth of that in the paper.
 
 Each demo starts all nodes as processes and moves the disk by 10 mm and 10 degrees to within 0.1 mm
 and 0.1 degrees, with rendered images and the scatter of the simulated world. The random seed

@@ -5,8 +5,8 @@ For a round object on an open table, distance and rotation to the goal are the c
 tap is given by direction, distance and rotation. The benchmark computes the optimal policy over all
 taps, whereas ``optimal`` only taps along the line to the goal. Near the smallest tap, where the
 expected taps change rapidly, the grid is finer than that of ``optimal``. The camera noise is 0.01
-mm and 0.01 degrees. The values are accurate to 0.05 taps, which is the difference between two
-grids.
+mm and 0.01 degrees. The expected taps are accurate to 0.05 taps, which is the difference between
+the results of two grids.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ ITERATIONS, EVALUATIONS, SETTLED = 12, 25, 2e-3
 
 
 def measure() -> dict[str, Any]:
-    """Return the minimum expected taps for two smallest taps, two stopping boxes and two sets of
-    taps."""
+    """Return the minimum expected taps for two lengths of the smallest tap, two stopping boxes, and
+    taps along the line or in all directions."""
     rows = []
     for least in (1.7, 1.0):
         for box in (None, 1.0):
@@ -130,8 +130,8 @@ class _Problem:
             self.p_r.append(self._after(r, size, direction))
 
     def _after(self, r: float, size: Array, direction: Array) -> tuple[Array, Array]:
-        """Return the probabilities of the distances after taps (n,) from distance ``r``, and the
-        probability of ending inside the box."""
+        """Return, for taps (n,) from distance ``r``, the probabilities of the resulting distances
+        and the probability of ending inside the stopping box."""
         scatter, measurement = self.settings.scatter, 2.0 * self.settings.camera.position**2
         floor = MIN_DEVIATION * self.settings.stopping.distance
         along = np.sqrt((scatter.distance * size) ** 2 + measurement + floor**2)[:, None]

@@ -36,13 +36,13 @@ PLACES = {
     "desk": ("tap_planner", "run_recorder"),
 }
 CLOCKS_S = {"vision": 0.3, "drivers": 0.1, "desk": 0.0}
-"""Offsets of the clocks within the limit."""
+"""Offsets of the computers' clocks that the cell accepts, s."""
 REFUSED_S = {
     "vision": {"vision": 2.0, "drivers": 0.0, "desk": 0.0},
     "drivers": {"vision": 0.0, "drivers": 2.0, "desk": 0.0},
 }
-"""Offsets of the clocks beyond the limit. The goal is refused before its first tap, and the refusal
-names the computer with the wrong clock."""
+"""Offsets of the computers' clocks that are too large, s. A goal is refused before its first tap,
+and the refusal names the computer with the wrong clock."""
 TIMEOUT_S = 120.0
 SETTLE_S = 3.0
 
@@ -187,7 +187,7 @@ def _write(transport: str) -> None:
         publisher.publish(picture, CameraInfo())
         due += 1.0 / RATE_HZ
         time.sleep(max(0.0, due - time.monotonic()))
-    time.sleep(TIMEOUT_S)  # lost data may be requested again; the reader ends before this
+    time.sleep(TIMEOUT_S)  # lost data can still be sent again; the reader ends earlier
 
 
 def _read(transport: str) -> None:
@@ -231,7 +231,7 @@ def _send_goals(count: int) -> None:
     chance = random.Random(5)
     with GoalClient("goal") as client:
         for _ in range(count):
-            # A device that was lost because of high load reconnects automatically.
+            # Wait for a device that was lost because of high load: it reconnects automatically.
             deadline = time.monotonic() + TIMEOUT_S / 2
             while client.missing() and time.monotonic() < deadline:
                 time.sleep(0.2)

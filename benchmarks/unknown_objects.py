@@ -1,6 +1,6 @@
-"""Objects without a file: learning from nine goals and the taps of further goals.
+"""Objects without a file: values learnt from nine goals, and number of taps of further goals.
 
-Ten simulated objects are drawn at random (disks, rings, polygons; friction 0.05 to 0.6, torque
+Ten simulated objects are chosen at random (disks, rings, polygons; friction 0.05 to 0.6, torque
 factor 0.8 to 4; restitution, contact friction and density are also unknown). Each object starts
 with the file that the verb `new-object` makes from its true shape and height. Nine goals are run,
 during which the planner learns from each tap, and `learn-object` makes a new file from these taps.
@@ -55,7 +55,7 @@ class Recorded:
     def answer(
         self, poses: Array, seen: Array, commanded: Array, gains: Array, rng: np.random.Generator
     ) -> Array:
-        """Return the world's displacements (n, 3) and record the taps."""
+        """Return the displacements (n, 3) of the object in the world, and record the taps."""
         moved = self.world.answer(poses, seen, commanded, gains, rng)
         self.commanded.append(turned(commanded, -seen[:, 2]))
         self.measured.append(turned(moved, -seen[:, 2]))
@@ -70,7 +70,7 @@ def turned(moves: Array, angles: Array) -> Array:
 
 
 def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:
-    """Draw an object; return its true file and its initial file."""
+    """Choose a random object; return its true file and its initial file."""
     random = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:
@@ -99,7 +99,7 @@ def drawn_object(seed: int) -> tuple[ObjectFile, ObjectFile]:
 
 
 def learnt_file(true: ObjectFile, begun: ObjectFile, seed: int) -> ObjectFile:
-    """Return the file learnt from nine goals that started with ``begun``."""
+    """Return the file that was learnt from nine goals, starting with the initial file ``begun``."""
     evaluation, world = _evaluation(true, begun, GOALS)
     evaluate(evaluation, seed)
     return learn_object(

@@ -1,10 +1,10 @@
 """Goals in simulated worlds that differ from the planner's files, with learning from each tap.
 
-The worlds are those of ``config/truth`` and random variations of ``everything.yaml``. The latter
-have all effects simultaneously, each of random size up to the value in that file, and errors of
-friction and torque factor up to a given factor. At the start of each goal (up to 40 mm and 20
-degrees, from anywhere on the cell's table), the planner only knows the object's file. A perfect
-camera measures after each tap.
+The worlds are those of ``config/truth`` and random variations of ``everything.yaml``. A random
+world has all effects of ``everything.yaml`` at once, each with a random size up to the value in
+this file. Its friction and torque factor differ from the planner's values by up to a given ratio.
+At the start of each goal (up to 40 mm and 20 degrees, from anywhere on the cell's table), the
+planner only knows the object's file. A perfect camera measures after each tap.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ TASKS = (0.040, math.radians(20.0))
 CAMERA = CameraNoise(0.00005, math.radians(0.05))
 SPREADS = {"as the file": (1.0, 1.0), "within 2": (2.0, 2.0), "within 4 and 2.5": (4.0, 2.5)}
 """Largest ratios of true to configured friction and torque factor; the ratio or its inverse is
-used. The first group shows how many taps the other effects cost."""
+used. In the first group both ratios are 1, so it shows how many taps the other effects cost."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:
@@ -46,7 +46,8 @@ def shipped_worlds() -> dict[str, TruthFile]:
 
 
 def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthFile:
-    """Draw a world with all effects of ``everything.yaml`` in random sizes and directions."""
+    """Return a random world with all effects of ``everything.yaml``, with random sizes and
+    directions."""
     base = load(TruthFile, shared_folder() / "truth" / "everything.yaml")
 
     def part(value: float) -> float:
@@ -130,7 +131,7 @@ def _space() -> Any:
 
 
 def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Results:
-    """Run goals in the drawn worlds ``first`` to ``first + worlds - 1``."""
+    """Run goals in the random worlds with the numbers ``first`` to ``first + worlds - 1``."""
     return join(
         [
             run_world(drawn_world(spread, np.random.default_rng(seed)), GOALS_A_WORLD, seed)
@@ -140,8 +141,8 @@ def drawn_results(spread: tuple[float, float], first: int, worlds: int) -> Resul
 
 
 def figures(results: Results) -> dict[str, Any]:
-    """Summarise a group; count the reached goals and the goals reported as reached although they
-    were not."""
+    """Summarise a group. Count the goals that were reached, and the goals that were reported as
+    reached but were not."""
     done = results.end == End.DONE
     return {
         **summarise(results),

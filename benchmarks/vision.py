@@ -1,8 +1,8 @@
 """The vision package compared with cv2.aruco and pupil-apriltags on frames with ground truth.
 
-The other packages detect corners in the same rendered images. Their poses are computed from these
-corners with the same known camera and plane. pupil-apriltags is measured if it is installed (``pip
-install pupil-apriltags``).
+The other packages detect corners in the same rendered images. Poses are computed from these corners
+with the same known camera and plane. pupil-apriltags is measured if it is installed (``pip install
+pupil-apriltags``).
 """
 
 from __future__ import annotations
@@ -140,11 +140,12 @@ def _methods(
         return None if fit is None else fit.pose
 
     def tracking(image: np.ndarray, true: np.ndarray) -> Pose:
-        # Start from the pose in the last image, which is off by about one pixel.
+        # Start from the pose in the previous image, about one pixel away.
         return by_edges(image, quad(true + np.array([0.0005, -0.0004, 0.004])))
 
     def settled(image: np.ndarray, true: np.ndarray) -> Pose:
-        # The pose predicted for a stationary object, or a good prediction for a moving one.
+        # Start from the predicted pose: that of a stationary object, or a good prediction for a
+        # moving one.
         return by_edges(image, quad(true + np.array([2e-5, -2e-5, 2e-4])))
 
     def photometric(image: np.ndarray, true: np.ndarray) -> Pose:

@@ -1,4 +1,5 @@
-"""Accuracy of a cell whose camera was calibrated from photographs, and its limits.
+"""Accuracy of a cell whose camera was calibrated from photographs, compared with an exact
+calibration.
 
 Rendered photographs of a ChArUco board are calibrated in the same way as by ``calibrate camera``.
 The stationary object is then measured over the whole table from fused frames, with that calibration

@@ -1,8 +1,8 @@
 """Consistency of the covariance: normalised errors over random scenes and calibrations.
 
-For a correct covariance the squared error normalised by it has a mean of 3 (3 degrees of freedom)
-and is below the 95 % bound in 95 of 100 cases. Every scene is evaluated with exact and with
-inaccurate files.
+If the covariance is correct, the squared error normalised by the covariance has a mean of 3 (3
+degrees of freedom) and is below the 95 % bound in 95 of 100 cases. Every scene is evaluated with
+exact and with inaccurate camera and table files.
 """
 
 from __future__ import annotations

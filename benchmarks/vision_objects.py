@@ -1,11 +1,12 @@
 """Processor time per image with 1, 5 and 20 objects on the table, each with a marker of its own.
 
-In each image, the noise is new and the objects are shifted, so that the tracker measures them
-again. All objects are measured in each image, whereas a node measures the further objects in turn.
+The noise and the positions of the objects change from image to image, so that the tracker measures
+every object again. All objects are measured in each image, whereas the node measures the objects
+after the first one in turn.
 
-The search for objects without a file is measured in the same images, with the file of the first
-object only; a node searches at most every 0.15 s. Then the arm with known joints is at random
-places over a table with random light, where the search must find nothing.
+The search for objects without a file is measured in the same images. The search only has the file
+of the first object. (The node searches at most every 0.15 s.) Then the arm, whose joints are known,
+is at random places over an empty table with random light, and the search must find nothing.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ FIRST_ID = 20
 COLUMNS, PITCH = 5, 0.075
 WARM_UP = 5
 ARM_SCENES, EACH_SCENE = 5, 5
-"""Images with the arm for each image of the count, and images with the same light."""
+"""Number of images with the arm per image of ``count``, and number of consecutive images with the
+same light."""
 AWAY = np.array([5.0, 5.0, 0.0])
 """Pose of the scene's disk out of view."""
 

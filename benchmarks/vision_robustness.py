@@ -43,7 +43,7 @@ class Shot:
 
 @dataclass(slots=True)
 class Stage:
-    """A scene, the same scene for a displaced camera, and the object's pose."""
+    """A scene, the same scene seen by the displaced camera, and the object's pose."""
 
     random: np.random.Generator
     scene: SceneRenderer
@@ -131,7 +131,7 @@ def _frozen(stage: Stage) -> Iterator[Shot]:
 
 
 def _late(stage: Stage) -> Iterator[Shot]:
-    """Earlier frames arrive late, out of order or without a stamp."""
+    """Old frames arrive late, out of order or without a valid stamp."""
     old = stage.scene.render(stage.place)
     stage.place = random_place(stage.random)
     for stamp in (-5.0, -0.2, math.nan, -0.05, -1e9, math.inf):
@@ -228,8 +228,8 @@ def _away(stage: Stage) -> Iterator[Shot]:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A disturbance and the report that it requires: one of these problems, or a warning with this
-    word."""
+    """A disturbance and what the tracker must report: one of ``problems``, or a message that
+    contains ``warning``. If ``problems`` and ``warning`` are both empty, no report is required."""
 
     play: Callable[[Stage], Iterator[Shot]]
     problems: tuple[Problem, ...] = ()

@@ -29,7 +29,7 @@ class Cell:
 
     @classmethod
     def load(cls) -> Cell:
-        """Load the files from the shared folder."""
+        """Load the files from the package's share folder."""
         folder = shared_folder()
         marker = load_object(folder / "objects" / "aluminium_disk.yaml").seen()
         assert isinstance(marker, ObjectMarker)
@@ -43,9 +43,9 @@ class Cell:
 def random_scene(
     random: np.random.Generator, cell: Cell, seed: int, turn: float = 0.0
 ) -> SceneRenderer:
-    """Draw a scene: the camera is tilted by up to 5 degrees, the noise is 2 to 4 grey levels, and
-    the brightness decreases by up to two thirds. The camera is also turned by ``turn`` rad about
-    its x axis."""
+    """Return a random scene: the camera is tilted by up to 5 degrees, the noise is 2 to 4 grey
+    levels, and the brightness decreases by up to two thirds. The camera is also turned by ``turn``
+    rad about its x axis."""
     settings = SceneSettings(
         noise=random.uniform(2.0, 4.0),
         light_falloff=random.uniform(0.0, 0.67),
@@ -62,16 +62,17 @@ def random_scene(
 
 
 def random_place(random: np.random.Generator) -> np.ndarray:
-    """Draw a pose (3,) on the table."""
+    """Return a random pose (3,) on the table."""
     return random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
 
 
 def miscalibrated(
     random: np.random.Generator, cell: Cell, lens: float, misprint: float
 ) -> tuple[CameraModel, ReferenceMap]:
-    """Draw inaccurate files. The errors of the lens are ``lens`` times the standard deviations that
-    OpenCV's calibration reports for twenty views. The reference markers are displaced by
-    ``misprint`` m and rotated so that their corners move by half of that."""
+    """Return camera and table files with random errors. The errors of the lens are ``lens`` times
+    the standard deviations that OpenCV's calibration reports for twenty views. The reference
+    markers are displaced by ``misprint`` m and rotated so that their corners move by half of
+    that."""
     n = lens * random.standard_normal(8)
     known = cell.camera
     wrong = np.array([0.0015 * n[4], 0.004 * n[5], 1.2e-4 * n[6], 1.2e-4 * n[7], 0.0])

@@ -1,10 +1,10 @@
-"""The simulated world: agreement with the closed forms and processor time of a tap.
+"""Agreement of the simulated world with closed-form solutions, and its processor time per tap.
 
-A free striker makes random taps of three bodies in an ideal world. The velocity after the contact,
-which is integrated in time, is compared with the closed form of the impulses. This includes the
-loss by the table's friction in the 0.3 ms until the speed is read. The motion from then on is
-compared with the closed form of the slide. Then the processor time of a tap is measured in each
-supplied world.
+A free striker makes random taps of three bodies in an ideal world. The contact is integrated in
+time, and the velocity after it is compared with the closed form of the impulses. The difference of
+the velocities includes the loss by the table's friction in the 0.3 ms until the speed is read. The
+subsequent motion is compared with the closed form of the slide. Then the processor time of a tap is
+measured in each supplied world.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _STROKE = 0.05
 
 
 def measure() -> dict[str, Any]:
-    """Return errors relative to the speed and the distance, and the processor time in ms."""
+    """Return the errors relative to the speed and to the distance, and the processor time in ms."""
     disk = load_cell().object
     bodies = {
         "disk": disk,
@@ -57,8 +57,8 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def _agreement(content: ObjectFile) -> dict[str, float]:
-    """Return the largest errors of velocity and R omega relative to the speed, and those of the
-    slide."""
+    """Return the largest error of the velocity and of R omega, relative to the speed, and the
+    largest relative error of the slide."""
     tap = content.tap(_STRIKER)
     random = np.random.default_rng(0)
     launch = slide = 0.0

@@ -24,13 +24,13 @@ PERIOD_S = 1 / 15
 LATENCY_S = 0.02
 """Time from the exposure to the publication of the pose."""
 SILENCE_LIMIT_S = 0.4
-"""Time without a frame after which the node publishes that the camera is silent."""
+"""Time without a frame after which the node reports that the camera sends no images."""
 CAMERA_SILENT = 301
 
 
 @dataclass(slots=True)
 class CameraFaults:
-    """Active faults of the camera; times in s of the run."""
+    """Active faults of the camera. Times are in s from the start of the run."""
 
     lost_until: float = -math.inf
     late_until: float = -math.inf

@@ -17,8 +17,8 @@ from tapping_cell.verification.invariants import Violation
 from tapping_cell.verification.trial import Report, Trial
 
 GOALS_A_RUN = 10
-"""Goals per run, which has its own cell and seed; so results are independent of the number of
-processes."""
+"""Goals per run. Each run has its own cell and seed, so that the results do not depend on the
+number of processes."""
 
 
 @dataclass(slots=True)
@@ -28,7 +28,7 @@ class Summary:
     goals: int = 0
     taps: int = 0
     program_taps: int = 0
-    """Number of taps that a program commanded, in addition to those of the goals."""
+    """Number of taps that another program commanded, in addition to the taps of the goals."""
     cell_seconds: float = 0.0
     by_fault: Counter[str] = field(default_factory=Counter)
     by_code: Counter[int] = field(default_factory=Counter)
@@ -66,10 +66,11 @@ def seeds_of(seed: int, goals: int) -> list[tuple[int, int]]:
 
 
 def settle_on(core: int) -> None:
-    """Pin this process to one of the available cores; ``core`` is its index modulo their number.
+    """Pin this process to one of the available cores; ``core`` is an index into these cores, modulo
+    their number.
 
-    Only one thread of a run is active at a time. Switching threads takes microseconds on one core,
-    but milliseconds between cores that other processes also use.
+    Only one thread of a run is active at a time. Switching between threads takes microseconds on
+    one core, but milliseconds between cores that other processes also use.
     """
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))

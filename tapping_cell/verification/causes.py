@@ -1,9 +1,9 @@
 """Mapping from the error code of a goal to the injected faults that explain it.
 
 The error code must name a true cause. A fault of one device does not explain a code of the other
-device. Faults that can affect either are therefore recorded with the name of the device or node. If
-none of the faults that explain the code can still act, the cell has reported a wrong cause, which
-is a violation.
+device. Kinds of faults that can affect both devices are therefore recorded with the name of the
+affected device or node. If none of the faults that explain the code can still act, the cell has
+reported a wrong cause, which is a violation.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ BRIEFLY_OPEN = "guard open briefly"
 """Fault "guard" that ends before the tapper's node has certainly read the open guard. A board that
 has discharged because of it then reports no reason."""
 AT_ONCE_S = 10.0
-"""Maximum time from the end of a fault to the end of a goal that the fault ends immediately. This
-time includes a planner that is frozen for 5 s and a late message."""
+"""Maximum time from the end of a fault to the end of a goal, if the fault ends the goal without any
+waiting time. This maximum allows for a planner that is frozen for 5 s and for a late message."""
 LASTING_S = {
     "freeze": 5.0,
     "freeze before a write": 8.0,
@@ -55,8 +55,9 @@ LASTING_S = {
     "guard": 4.0,
     BRIEFLY_OPEN: 0.3,
 }
-"""Maximum time for which the faults of a kind act, with the restart of a process, the expiry of a
-foreign command, and the wait for the byte at which a line fails; 0 for all others."""
+"""Maximum time for which the faults of a kind have an effect; 0 for all other kinds. The times
+include the restart of a process, the expiry of a foreign command, and the wait for the byte at
+which a line fails."""
 
 FREEZES = frozenset(
     {
@@ -150,8 +151,8 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.TAP_LIMIT_REACHED: CAMERA | FOREIGN,
     ErrorCode.TAP_WITHOUT_ROTATION: CAMERA | FOREIGN,
 }
-"""For each error code of a goal, the kinds of faults that can cause it; at least one of them must
-have been injected."""
+"""For each error code of a goal, the kinds of faults that can cause it. When a goal ends with the
+code, at least one of these faults must have been injected."""
 CONDITIONS = frozenset(
     {
         ErrorCode.NONE,
@@ -168,8 +169,8 @@ CONDITIONS = frozenset(
 
 
 READY_S = 30.0
-"""Time for which the planner waits for the cell, after which a goal ends with the code of the part
-that is missing."""
+"""Time for which the planner waits until the cell is ready. After this time a goal ends with the
+error code of the part that is not ready."""
 WAITS_S = {
     **dict.fromkeys(
         (
@@ -187,7 +188,8 @@ WAITS_S = {
     ErrorCode.TAP_LIMIT_REACHED: 60.0,
     ErrorCode.DEADLINE_EXCEEDED: 120.0,
 }
-"""Deadlines of the planner after which a goal ends with these codes; ``READY_S`` for all others."""
+"""Waiting times of the planner before a goal ends with these codes; ``READY_S`` for all other
+codes."""
 
 
 def longest_effect(kind: str, code: int) -> float:
@@ -196,7 +198,7 @@ def longest_effect(kind: str, code: int) -> float:
 
 
 def explains(code: int, struck: Iterable[str]) -> bool:
-    """Return whether one of the injected faults ``struck`` is a true cause of this code."""
+    """Return whether one of the injected kinds of faults, ``struck``, explains this code."""
     if code in CONDITIONS:
         return True
     return not EXPLAINED_BY.get(code, frozenset()).isdisjoint(struck)

@@ -23,16 +23,17 @@ GRBL_NAMES = tuple(VARIANTS)
 NAMES = (*GRBL_NAMES, "marlin")
 """Controllers with at least four axes, by name."""
 WITHOUT_SWITCH = {"grbl-mega-5x": (3,)}
-"""Axes that a shipped controller does not home: grbl-Mega-5X homes X, Y and Z only."""
+"""Indices of the axes that a controller does not home with its default settings: grbl-Mega-5X homes
+X, Y and Z only."""
 CALL_LIMIT = 1e4
-"""Time after which a driver's call counts as hanging, s."""
+"""Time after which a call of the driver that has not returned counts as hanging, s."""
 
 
 class ControllerCell:
     """One emulated controller with its arm, and the driver.
 
-    ``settings`` are controller settings that differ from those of the simulated arm; ``change``
-    modifies the machine of a controller of the Grbl family.
+    ``settings`` are controller settings that differ from those of the simulated arm. ``change``
+    returns a modified copy of the emulated machine (only controllers of the Grbl family).
     """
 
     def __init__(
@@ -81,7 +82,8 @@ class ControllerCell:
         return self.driver
 
     def home_again(self) -> None:
-        """Clear the fault and home, after an operator has moved the axes without a switch."""
+        """Clear the fault, move the axes without a switch to their marks as an operator would, and
+        home."""
         self.driver.clear_fault()
         if self.without_switch and isinstance(self.emulator, GrblEmulator):
             at_mark = list(self.truth())
@@ -103,7 +105,7 @@ class ControllerCell:
         self.line.hang_up(self.clock.now, duration)
 
     def during_the_next_move(self, after: float, act: Callable[[], object]) -> None:
-        """Act once, ``after`` s from now."""
+        """Call ``act`` once, ``after`` s from now."""
         at = self.clock.now + after
         step = self.clock.step
 

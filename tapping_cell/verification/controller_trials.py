@@ -1,4 +1,4 @@
-"""Trials of the arm driver against every emulated controller: moves, and faults in mid-move.
+"""Trials of the arm driver with every emulated controller: moves, and faults during moves.
 
 After each fault, the reason and the message must be correct, the arm must stand still, no move may
 succeed before homing, and the move after homing must be exact.
@@ -25,17 +25,17 @@ from tapping_cell.verification.controller_cell import GRBL_NAMES, HOME, NAMES, C
 FAR = (1.5, 0.5, -0.1, 1.0)
 FAR_SPEED = 0.3
 LATEST = 0.7
-"""Latest moment of a fault after the start of the move to ``FAR``, s. The move takes longer."""
+"""Maximum time from the start of the move to ``FAR`` to a fault, s. The move takes longer."""
 CLOSE = 1e-3
-"""Maximum difference of the true joints from a target, rad or m."""
+"""Maximum difference between the true joints and their target, rad or m."""
 STILL = 0.02
-"""Maximum further rotation of shoulder and elbow after the end of a call that stopped them, rad."""
+"""Maximum rotation of shoulder and elbow after a call that stopped the arm has returned, rad."""
 LOW, HIGH = (-1.0, 0.4, -0.12, -1.5), (1.0, 2.0, 0.0, 1.5)
 """Range of the targets."""
 
 
 class WrongError(Exception):
-    """The driver's answer or the arm's position is wrong."""
+    """The driver returned a wrong result, or the arm is at a wrong position."""
 
 
 @dataclass(slots=True)
@@ -78,7 +78,8 @@ def run_faults(name: str, kind: str, count: int, seed: int) -> Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One kind of fault. ``findings``: numbers of the review findings that it reproduces."""
+    """One kind of fault. ``findings``: label of the review finding that it reproduces, as shown in
+    the benchmark's results; empty if there is none."""
 
     run: Callable[[ControllerCell, np.random.Generator], None]
     findings: str = ""
@@ -89,12 +90,13 @@ def _move(cell: ControllerCell, rng: np.random.Generator) -> None:
     goal = rng.uniform(LOW, HIGH)
     reading = cell.driver.move_to(goal, 1.0)
     if not np.allclose(reading.joints, goal, atol=CLOSE):
-        raise WrongError(f"a move to {goal} ended with the reading {reading.joints}")
+        raise WrongError(f"a move to {goal} ended, but the driver reads {reading.joints}")
     _check_truth(cell, Joints(*goal.tolist()))
 
 
 def _check_truth(cell: ControllerCell, goal: Joints) -> None:
-    """Raise if a move that succeeded did not end at its target under holding torque."""
+    """Raise if a move that was reported as successful did not end at its target, or ended without
+    holding torque."""
     if not cell.emulator.holds:
         raise WrongError(f"a move to {goal} succeeded without torque")
     if not np.allclose(cell.truth(), goal, atol=CLOSE):
@@ -102,7 +104,8 @@ def _check_truth(cell: ControllerCell, goal: Joints) -> None:
 
 
 def _expect(act: Callable[[], object], reason: FaultReason, words: str) -> None:
-    """Raise unless ``act`` fails for ``reason`` with a message that contains ``words``."""
+    """Raise unless ``act`` fails with this ``reason`` and a message that matches the pattern
+    ``words``."""
     try:
         act()
     except HardwareFault as fault:
@@ -119,7 +122,8 @@ def _far(cell: ControllerCell) -> Callable[[], object]:
 def _start_far(
     cell: ControllerCell, rng: np.random.Generator, act: Callable[[], object]
 ) -> Callable[[], object]:
-    """Home, make a move, and return a long move during which ``act`` is called."""
+    """Home and make a move. Return a function that makes a long move, during which ``act`` is
+    called."""
     cell.ready()
     _move(cell, rng)
     cell.during_the_next_move(float(rng.uniform(0.02, LATEST)), act)
@@ -131,7 +135,7 @@ def _recover(cell: ControllerCell, rng: np.random.Generator) -> None:
     here = cell.truth()
     cell.wait(2.0)
     if not np.allclose(cell.truth()[:2], here[:2], atol=STILL):
-        raise WrongError(f"the arm moved on from {here} to {cell.truth()}")
+        raise WrongError(f"the arm kept moving, from {here} to {cell.truth()}")
     if cell.driver.homed:
         raise WrongError("the arm still counts as homed")
     _home_and_move(cell, rng)
@@ -157,13 +161,14 @@ def _unplug(cell: ControllerCell, rng: np.random.Generator) -> None:
     _expect(move, FaultReason.DISCONNECTED, "went away")
     cell.driver.connect()
     _expect(_far(cell), FaultReason.NOT_HOMED, "the arm is not homed: home it first")
-    # The controller finishes the move that it has received.
+    # Meanwhile the controller finishes the move that it has received.
     cell.wait(10.0)
     _home_and_move(cell, rng)
 
 
 def _alarm(cell: ControllerCell, rng: np.random.Generator) -> None:
-    """A limit switch is hit and the firmware greets; Marlin is halted by another sender."""
+    """A Grbl controller reports a limit switch and then restarts; Marlin receives M112 from another
+    sender."""
     emulator = cell.emulator
 
     def hit() -> None:
@@ -193,7 +198,7 @@ def _restart(cell: ControllerCell, rng: np.random.Generator) -> None:
 
 
 def _sleep(cell: ControllerCell, rng: np.random.Generator) -> None:
-    """The motors lose their torque at standstill."""
+    """A sleep command switches the motors off while the arm stands still."""
     cell.ready()
     _move(cell, rng)
     cell.emulator.receive(b"$SLP\n", cell.clock.now)
@@ -204,7 +209,7 @@ def _sleep(cell: ControllerCell, rng: np.random.Generator) -> None:
 
 
 def _late_answer(cell: ControllerCell, rng: np.random.Generator) -> None:
-    """An answer arrives when the next line may have been sent."""
+    """An answer is so late that the next line may have been sent before it arrives."""
     cell.ready()
     at = cell.line.count(Direction.TO_HOST) + int(rng.integers(0, 120))
     delay = float(rng.uniform(0.55, 1.9))

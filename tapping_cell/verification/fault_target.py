@@ -18,8 +18,9 @@ from tapping_cell.verification.scheduler import Scheduler
 
 
 class FaultTarget(Protocol):
-    """A trial: its simulated parts, the kinds of faults that apply to its cell, and the actions of
-    people and programs that a fault can cause. Times in s of the run."""
+    """Interface of a trial for the injection of faults: its simulated parts, the kinds of faults
+    that its cell can have, and actions of people and programs. Times are in s from the start of the
+    run."""
 
     nodes: tuple[str, ...]
     arm_node: str
@@ -46,10 +47,10 @@ class FaultTarget(Protocol):
         """Checker of the invariants."""
 
     def note_kind(self, kind: str) -> None:
-        """Record that a fault of this kind strikes now."""
+        """Record that a fault of this kind is injected now."""
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
-        """Draw a goal in the central area of the table."""
+        """Choose a random goal in the central area of the table."""
 
     def send_goal(self, goal: Pose, foreign: bool = False) -> None:
         """Send an action goal to the planner if its process is alive."""
@@ -95,6 +96,6 @@ class FaultTarget(Protocol):
 
 
 Made = tuple[Callable[[FaultTarget], None], str]
-"""Function that injects one fault, and the fault's description."""
+"""Function that injects one fault, and a description of this fault."""
 Maker = Callable[[np.random.Generator, FaultTarget], Made]
-"""Function that draws one fault of a kind."""
+"""Function that chooses a random fault of one kind."""

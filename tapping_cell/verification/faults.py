@@ -28,25 +28,26 @@ from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.host import PlannedFreeze
 
 SPAN_S = 16.0
-"""Time after a goal is sent over which its faults are spread."""
+"""Time span after a goal is sent in which its faults are injected."""
 SHARE_AT_A_MOMENT = 0.25
-"""Fraction of the goals whose faults all strike just after a node publishes a certain state,
-because the guards must handle coinciding faults."""
+"""Fraction of the goals whose faults all occur just after a node has published a certain state. The
+guards must handle such coinciding faults."""
 SHARE_AT_THE_SHOT = 0.5
-"""Fraction of the goals whose faults all strike just after a certain step of a shot."""
+"""Fraction of the goals whose faults all occur just after a certain step of a shot."""
 CLOSE_S = 0.3
-"""Maximum time from a moment to its faults."""
+"""Maximum time from the published state, or from the step of a shot, to the faults."""
 FLOOD_HZ = 100.0
-"""Rate at which a foreign node publishes."""
+"""Rate at which a foreign node floods a topic."""
 CLOSEST_S = 2e-4
-"""Minimum time from a step of a shot to its faults; the times are log-uniform up to ``CLOSE_S``."""
+"""Minimum time from a step of a shot to its faults. The random times are log-uniform between
+``CLOSEST_S`` and ``CLOSE_S``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mix:
-    """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is named
+    """Distribution of the faults. ``only``: kinds of faults, empty for all; a kind that is listed
     several times is drawn more often. ``mean``: mean number of faults per goal. ``fixed``: whether
-    they strike a cell with fixed tappers."""
+    the cell has fixed tappers."""
 
     only: tuple[str, ...] = ()
     mean: float = 2.0
@@ -98,7 +99,7 @@ OF_A_SHOT = (
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a run. ``time`` in s from the sending of the goal, or from ``moment``."""
+    """One fault of a run. ``time``: delay in s after the goal was sent, or after ``moment``."""
 
     kind: str
     time: float
@@ -113,7 +114,7 @@ def draw_faults(
     mix: Mix = ALL,
     at_the_shot: bool = False,
 ) -> list[Fault]:
-    """Draw the faults of one goal, in the order of their times.
+    """Choose the random faults of one goal; return them in the order of their times.
 
     ``at_the_shot``: only faults around the shot.
     """
@@ -142,7 +143,7 @@ def draw_faults(
 
 
 def draw_duration(rng: np.random.Generator, shortest: float, longest: float) -> float:
-    """Draw a log-uniform duration between the two limits, s."""
+    """Return a random, log-uniform duration between the two limits, s."""
     return float(math.exp(rng.uniform(math.log(shortest), math.log(longest))))
 
 
@@ -195,12 +196,12 @@ def _freeze_after_check(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _kill(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, away = _pick(rng, (*trial.nodes, "camera_pose")), draw_duration(rng, 0.2, 25.0)
-    return lambda t: t.kill(node, away), f"{node} killed, back after {away:.1f} s"
+    return lambda t: t.kill(node, away), f"{node} killed, restarted after {away:.1f} s"
 
 
 def _restart(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, away = _pick(rng, trial.nodes), draw_duration(rng, 0.2, 5.0)
-    return lambda t: t.shut_down(node, away), f"{node} ended in order, back after {away:.1f} s"
+    return lambda t: t.shut_down(node, away), f"{node} shut down, restarted after {away:.1f} s"
 
 
 def _deactivate(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -222,7 +223,7 @@ LINKS = {
     "hold_still": ("request", "answer"),
     "emergency_stop": NODES,
 }
-"""Subscribers of each topic; for a service, both directions."""
+"""Subscribers of each topic; for a service, its two directions (request and answer)."""
 
 
 def _slow_topic(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -234,7 +235,7 @@ def _slow_topic(rng: np.random.Generator, trial: FaultTarget) -> Made:
         t.network.faults.slow[topic, towards] = delay
         t.scheduler.after(lasting, lambda: t.network.end_delay(topic, towards))
 
-    return strike, f"{topic} to {towards} late by {delay:.2f} s for {lasting:.1f} s"
+    return strike, f"{topic} to {towards} delayed by {delay:.2f} s for {lasting:.1f} s"
 
 
 def _duplicates(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -270,7 +271,7 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
             request=TapCommand.WITHDRAW if withdraw else TapCommand.TAP, tap_id=number
         )
         if not withdraw and last:
-            # The command is a copy of the last one with another id than the planner's.
+            # The command is a copy of the last one; its id is ``number``.
             model = t.checker.commands[last]
             command.strike_pose, command.striker_speed = model.strike_pose, model.striker_speed
             command.object_pose, command.predicted_pose = model.object_pose, model.predicted_pose
@@ -287,7 +288,8 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node reports that the shot is over, by topic or by service."""
+    """Another node claims that the shot is over: it forges a tapper state or ends the arm's
+    promise."""
     fired, by_service = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
 
     def strike(t: FaultTarget) -> None:
@@ -307,8 +309,9 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node requests ``hold_still`` for a tap, ends this promise early, reports that the tap
-    is over, and withdraws it; only the arm receives this withdrawal immediately."""
+    """Another node requests ``hold_still`` for a tap and ends this promise early. This node may
+    then report that the tap is over and withdraw the tap. The arm receives the withdrawal
+    immediately, the tapper late."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends = rng.random() < 0.7
@@ -355,8 +358,8 @@ def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
 
 
 def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node publishes one state or command a hundred times a second, and may withdraw the
-    arm at the end; the tapper receives this withdrawal late."""
+    """Another node publishes one state or command a hundred times per second. At the end this node
+    may withdraw the tap; the tapper receives this withdrawal late."""
     name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
     outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
     number, withdraws = 1 + round(FLOOD_HZ * draw_duration(rng, 0.02, 0.5)), rng.random() < 0.7
@@ -397,7 +400,8 @@ def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """The last TAP arrives again unchanged, from a recording or because of the network."""
+    """The last TAP arrives once more unchanged, replayed from a recording or duplicated by the
+    network."""
 
     def strike(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
@@ -408,7 +412,7 @@ def _repeated_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Delay ``hold_still`` so that the answer arrives close to the tapper's timeout."""
+    """Delay the request and the answer of ``hold_still``, each by up to the tapper's timeout."""
     delays = {("hold_still", way): float(rng.uniform(0.0, 0.2)) for way in ("request", "answer")}
     if rng.random() < 0.5:
         delays.pop(("hold_still", _pick(rng, ("request", "answer"))))
@@ -420,7 +424,7 @@ def _slow_answer(rng: np.random.Generator, trial: FaultTarget) -> Made:
             t.scheduler.after(lasting, partial(t.network.end_delay, *link))
 
     description = " and ".join(f"{way} by {delay:.3f} s" for (_, way), delay in delays.items())
-    return strike, f"hold_still late: {description}, for {lasting:.1f} s"
+    return strike, f"hold_still delayed: {description}, for {lasting:.1f} s"
 
 
 def _received_by_one(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -437,7 +441,7 @@ def _received_by_one(rng: np.random.Generator, trial: FaultTarget) -> Made:
         if node != first
     ]
     if silent:
-        # The first node's own messages are late, too.
+        # The messages that arm and planner send to the tapper are late, too.
         links += [("arm_state", "tapper_trigger"), ("plan_state", "tapper_trigger")]
 
     def strike(t: FaultTarget) -> None:
@@ -447,12 +451,13 @@ def _received_by_one(rng: np.random.Generator, trial: FaultTarget) -> Made:
         t.note_kind(kind)
         what(t)
 
-    echo = ", its own messages late too" if silent else ""
+    echo = "; arm_state and plan_state late too" if silent else ""
     return strike, f"{description}; received {late:.3f} s late by all nodes except {first}{echo}"
 
 
 def _motors_off(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """The motors of a board lose their power and therefore their position."""
+    """The motors of one board lose their power, so that the arm or the spring is no longer where
+    its board assumes."""
     if rng.random() < 0.5:
         return lambda t: t.turn_arm_motors_off(), "the arm's motors lose their power"
     lasting = draw_duration(rng, 0.05, 3.0)
@@ -505,8 +510,8 @@ def _foreign_state(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _second_arm(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """The arm of another cell in the same ROS domain offers the same services. It is in position,
-    as far as it knows, and grants every request."""
+    """The arm of another cell in the same ROS domain also offers ``hold_still`` and grants every
+    request."""
     lasting = draw_duration(rng, 0.2, 6.0)
 
     def strike(t: FaultTarget) -> None:
@@ -537,8 +542,8 @@ def _trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _unreported_trajectory(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """The arm follows another program's trajectory. The planner is informed too late and therefore
-    commands a tap that the arm refuses."""
+    """The arm follows another program's trajectory. The planner receives the arm's state too late
+    and therefore commands a tap that the arm refuses."""
     follow, description = _trajectory(rng, trial)
     late, lasting = float(rng.uniform(0.1, 0.4)), float(rng.uniform(0.5, 1.0))
 
@@ -587,7 +592,7 @@ def _line(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _shot_line(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """The tapper's line fails during a shot, which takes about 100 bytes in each direction."""
+    """The tapper's line fails during a shot; a shot takes about 100 bytes in each direction."""
     direction = list(Direction)[int(rng.integers(2))]
     drawn = random_fault(rng, direction, 0, 120)
 
@@ -638,8 +643,8 @@ def _camera(rng: np.random.Generator, trial: FaultTarget) -> Made:
         elif which == "hidden":
             t.hide_object(lasting)
         else:
-            # A wrong pose lasts for one frame only, because the fusion of frames cannot detect a
-            # longer error.
+            # Only one frame has a wrong pose, because the fusion of frames could not detect an
+            # error that lasts longer.
             faults.wrong_until, faults.wrong_by = t.scheduler.now + 1 / 15, off
 
     return strike, f"frames {which} for {lasting:.2f} s"
@@ -654,7 +659,8 @@ def _turn(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _by_hand(rng: np.random.Generator, way: float) -> Made:
-    """The object is moved by hand, suddenly or slowly; ``way``: standard deviation, m."""
+    """The object is moved by hand, suddenly or slowly. ``way``: standard deviation of the
+    displacement in x and in y, m."""
     shift = Pose(float(rng.normal(0, way)), float(rng.normal(0, way)), float(rng.normal(0, 0.4)))
     lasting = 0.0 if rng.random() < 0.5 else draw_duration(rng, 0.1, 2.0)
     return lambda t: t.move_object(shift, lasting), (
@@ -749,7 +755,7 @@ ONE_SIDED = (
     *("foreign withdrawal", "foreign outcome") * 3,
     *("foreign command", "cancel", "emergency stop", "replay"),
 )
-"""Kinds of faults whose messages one node may receive well before the others."""
+"""Kinds of faults with messages that one node may receive much earlier than the other nodes."""
 AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     "freeze at a shot",
@@ -774,5 +780,5 @@ AT_A_SHOT = (
     "object turned",
     *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
-"""Kinds of faults around a shot. Those that make two nodes observe different states are repeated,
-so that they are drawn more often."""
+"""Kinds of faults around a shot. Faults that make two nodes observe different states are listed
+several times, so that they are drawn more often."""

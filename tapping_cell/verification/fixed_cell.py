@@ -25,7 +25,7 @@ class FixedRelease(Release):
 
     tapper: str
     others_charged: tuple[int, ...]
-    """Numbers of the other boards that were charged or had just been released."""
+    """Numbers of the other boards that were charged or were releasing their striker."""
     others_out: tuple[str, ...]
     """Tappers, other than this one, whose strikers were in flight."""
     object_at_rest: bool
@@ -43,7 +43,7 @@ class PhysicalFixedCell(PhysicalCell):
         self.boards: list[TapperEmulator] = []
         self.lines: list[SerialLine] = []
         self.out_since: dict[str, float] = {}
-        """Tappers whose strikers a person or a broken spring keeps off their mounts, with the time
+        """Tappers whose striker a person or a broken spring keeps off its mount, each with the time
         since when."""
         self._last = 0
         for number, board in enumerate(self.cell.boards):
@@ -59,7 +59,8 @@ class PhysicalFixedCell(PhysicalCell):
 
     @property
     def active(self) -> int:
-        """Number of the charged board, otherwise of the board that released a striker last."""
+        """Number of the charged board; if none is charged, of the board that released a striker
+        last."""
         charged = self.charged()
         return charged[0] if charged else self._last
 
@@ -93,7 +94,8 @@ class PhysicalFixedCell(PhysicalCell):
         return self.object_pose(time)
 
     def flight(self, speed: float) -> float:
-        """Return 0: a mount cannot move, so no promise has to cover the flight."""
+        """Return 0: a mount cannot move, so no promise to stand still has to cover the striker's
+        flight."""
         return 0.0
 
     def press_clear_button(self) -> None:
@@ -115,7 +117,7 @@ class PhysicalFixedCell(PhysicalCell):
         self.lines[number].schedule()
 
     def block(self, tapper: str, blocked: bool) -> None:
-        """Let a striker stay at its mount when it is released, or free it."""
+        """Block a striker, so that it stays at its mount when it is released; or free it."""
         number, channel = self.place_of(tapper)
         self.boards[number].coils.block(channel, blocked)
         self.lines[number].schedule()

@@ -1,4 +1,5 @@
-"""Random faults of a positioning cell: those of the nodes, and its own of boards and strikers."""
+"""Random faults of a positioning cell: the faults of nodes, and further faults of its boards and
+strikers."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ from tapping_cell.verification.fixed_cell import PhysicalFixedCell
 from tapping_cell.verification.host import PlannedFreeze
 
 OUT_S = 2.0
-"""Time for which a striker that was pulled off in a freeze stays out."""
+"""Time for which a striker stays off its mount if it was pulled off during a freeze, s."""
 
 
 def _cell_of(trial: FaultTarget) -> PhysicalFixedCell:
@@ -38,7 +39,7 @@ def _any_tapper(rng: np.random.Generator, trial: FaultTarget) -> str:
 
 
 def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another program commands another tapper, with the next id."""
+    """Another program commands another tapper, with the same or the next tap id."""
     name, ahead = _any_tapper(rng, trial), int(rng.integers(0, 2))
     valid = float(rng.uniform(1.0, 10.0))
 
@@ -99,12 +100,12 @@ def _out_in_a_freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
     return strike, (
         f"tapper_trigger frozen for {frozen:.2f} s before write number {writes} of the next job"
-        f" '{job}', and the striker of '{name}' out after {later:.3f} s"
+        f" '{job}'; the striker of '{name}' leaves its mount {later:.3f} s later"
     )
 
 
 def _creep(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """The object is pushed slowly, by less than the distance at which it counts as moved."""
+    """The object is pushed slowly, by less than the limit above which it counts as moved."""
     way, direction = float(rng.uniform(0.0005, 0.0018)), float(rng.uniform(-np.pi, np.pi))
     shift = Pose(way * float(np.cos(direction)), way * float(np.sin(direction)), 0.0)
     lasting = float(rng.uniform(0.2, 1.5))
@@ -228,5 +229,5 @@ FIXED_CAUSES: dict[int, frozenset[str]] = {
     ErrorCode.TAPPER_COMMAND_EXPIRED: STRIKERS | CAMERA,
     ErrorCode.NOT_READY: STRIKERS,
 }
-"""For each error code, the kinds of faults that explain it in this cell, in addition to those of
-``causes``."""
+"""For each error code, the kinds of faults that explain it in this cell, in addition to the kinds
+in ``causes``."""

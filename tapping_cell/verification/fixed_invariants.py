@@ -13,24 +13,27 @@ from tapping_cell.verification.invariants import CHECK_S, InvariantChecker
 from tapping_cell.verification.physical_cell import Release
 
 OTHERS_ASKED_S = 0.1
-"""Maximum age, at the last check, of the other boards' replies that they are at rest."""
+"""Maximum age, at the last check, of the replies of the other boards that their strikers are at
+rest."""
 UNNOTICED_S = 3.0
-"""Maximum time for which a striker may be out before the tapper's node reports it. It covers a
-request with all its repetitions, and the time for which a board waits for a released striker."""
+"""Maximum time from when a striker leaves its mount until the tapper's node reports it. This
+maximum covers a request with all its repetitions, and the time for which a board waits until a
+released striker has returned."""
 
 LINE_POSITION_M, LINE_ANGLE_RAD = 0.005, 0.1
-"""Maximum deviation of a commanded line, which includes learnt corrections, from the line in the
-cell file."""
+"""Maximum deviation of the commanded line from the line in the cell file. The commanded line
+includes learnt corrections."""
 
 
 @dataclass(slots=True)
 class FixedInvariantChecker(InvariantChecker):
-    """Checks the tappers at fixed mounts. Times in s of the run."""
+    """Checks the tappers at fixed mounts. Times are in s from the start of the run."""
 
     unread_until: Callable[[], float] = lambda: -math.inf
-    """Time until which the tapper's node may not have read the boards, because of a fault."""
+    """Time until which a fault may have prevented the tapper's node from reading the boards."""
     _motion_at_check: bool = False
-    """Whether the tapper's last observation showed the object in motion at the last check."""
+    """Whether, at the last check, the latest observation received by the tapper showed the object
+    in motion."""
 
     @property
     def _cell(self) -> PhysicalFixedCell:
@@ -64,20 +67,20 @@ class FixedInvariantChecker(InvariantChecker):
         if command is not None and command.tapper != release.tapper:
             self.violate(
                 "wrong tapper",
-                f"shot {shot} was released by '{release.tapper}', the command named"
+                f"shot {shot} was released by '{release.tapper}', but the command named"
                 f" '{command.tapper}'",
             )
         if self._motion_at_check:
             self.violate(
                 "fired at observed motion",
-                f"shot {shot} was fired although the latest observation at the tapper's last "
-                "check showed the object in motion",
+                f"shot {shot} was fired although, at the last check, the tapper's latest"
+                " observation showed the object in motion",
             )
         if not release.object_at_rest and not self._recently_moved(release.time):
             self.violate("object in motion", f"shot {shot} was fired while the object moved")
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Process the answer of a machine to a query of its running job."""
+        """Process what a state machine answered to a query of its running job."""
         super(FixedInvariantChecker, self).on_asked(process, job, answer)
         if process == "tapper_trigger" and job == "fire":
             self._motion_at_check = self.motion_seen_by_tapper
@@ -87,7 +90,7 @@ class FixedInvariantChecker(InvariantChecker):
         return moved is not None and time < moved[0] + self.unseen_limit
 
     def _check_place(self, release: Release, command: TapCommand) -> None:
-        """Check that the commanded line is that of the tapper, which the planner has measured."""
+        """Check that the commanded strike pose is on the line of the tapper that fired."""
         wanted = from_message(command.strike_pose)
         if (
             wanted.distance_to(release.tip) > LINE_POSITION_M
@@ -95,12 +98,12 @@ class FixedInvariantChecker(InvariantChecker):
         ):
             self.violate(
                 "other line",
-                f"shot {release.shot} was commanded along another line than that of the tapper"
-                " that released it",
+                f"shot {release.shot} was commanded along a line that does not belong to the tapper"
+                " that fired",
             )
 
     def _check_permit(self, release: Release) -> None:
-        """Do nothing: a mount needs no promise to stand still."""
+        """Do nothing: a fixed mount makes no promise to stand still."""
 
     def _check_charge(self) -> None:
         charged = self._cell.charged()
@@ -119,7 +122,7 @@ class FixedInvariantChecker(InvariantChecker):
             if unnoticed > UNNOTICED_S:
                 self.violate(
                     "striker out unreported",
-                    "the tapper reports that all strikers are at their mounts, but that of "
-                    f"'{name}' has been out for {now - since:.1f} s",
+                    "the tapper reports that all strikers are at their mounts, but the striker of"
+                    f" '{name}' has been out for {now - since:.1f} s",
                 )
                 self._cell.out_since[name] = math.inf

@@ -1,4 +1,4 @@
-"""Run of one positioning cell in virtual time: the nodes of a cell with fixed tappers, no arm."""
+"""Run of one positioning cell (fixed tappers, no arm) in virtual time."""
 
 from __future__ import annotations
 
@@ -46,11 +46,13 @@ from tapping_cell.verification.trial import (
 )
 
 GOALS = ((0.0, 0.0), (0.020, -0.015), (-0.025, 0.010))
-"""Positions of all goals, m. A goal's policy takes a second to solve, so that few are used."""
+"""Positions of all goals, m. There are only a few positions, because solving the policy of a goal
+takes a second."""
 TURN_RAD = 1.0
-"""Maximum rotation to a goal, rad. The coarsest grid alone may not find a way from half a turn."""
+"""Maximum rotation to a goal, rad. With the coarsest grid alone, the solver may find no solution
+for half a turn."""
 NEAR_M = 0.045
-"""Distance from the middle of the working area within which a person puts the object."""
+"""Maximum distance from the middle of the working area at which a person puts the object, m."""
 
 
 @cache
@@ -80,7 +82,8 @@ class _GoalHandling(FixedGoalHandling):
 
 
 class FixedTrial(Trial):
-    """The complete positioning cell of one seed, with one board or two. Times in s of the run."""
+    """The complete positioning cell of one seed, with one board or two. Times are in s from the
+    start of the run."""
 
     physical: PhysicalFixedCell
     checker: FixedInvariantChecker
@@ -171,17 +174,18 @@ class FixedTrial(Trial):
     # Goals and taps
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
-        """Draw one of a few goals, rotated by up to ``TURN_RAD`` from the object."""
+        """Choose one of ``GOALS`` at random, rotated by up to ``TURN_RAD`` relative to the
+        object."""
         x, y = GOALS[int(rng.integers(len(GOALS)))]
         true = self.physical.object_pose(self.scheduler.now)
         return Pose(x, y, true.theta + float(rng.uniform(-TURN_RAD, TURN_RAD)))
 
     def next_goal(self, number: int) -> Pose:
-        """Draw the next goal."""
+        """Choose the next goal at random."""
         return self.draw_goal(self.rng)
 
     def _fit_to_object(self, command: TapCommand, model: TapCommand, seen: Pose) -> None:
-        """Do nothing: a mount does not follow the object."""
+        """Keep the poses of the last tap: a fixed mount does not follow the object."""
         command.strike_pose, command.predicted_pose = model.strike_pose, model.predicted_pose
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:

@@ -76,8 +76,8 @@ def copy_of(value: Any) -> Any:
 
 
 def _parts(kind: type) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
-    """Return the names of a message class's plain and of its other fields, or None for any other
-    class."""
+    """Return the names of the fields of a message class, first those of plain types, then the
+    others; None for any other class."""
     if kind not in _PARTS:
         known = fields(kind) if is_dataclass(kind) else ()
         plain = tuple(item.name for item in known if item.type in _PLAIN)
@@ -87,15 +87,16 @@ def _parts(kind: type) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
 
 
 _set = object.__setattr__
-"""Sets a field, of a frozen class as well."""
+"""Sets a field, even of a frozen dataclass."""
 _PARTS: dict[type, tuple[tuple[str, ...], tuple[str, ...]] | None] = {}
 _PLAIN = frozenset(("int", "float", "str", "bool", "bytes"))
-"""Types of the fields that need no copy, as ``tapping_cell.messages`` names them."""
+"""Types of the fields that need no deep copy, as annotated in ``tapping_cell.messages``."""
 
 
 @dataclass(slots=True)
 class HostClock:
-    """Clocks of one computer. ``offset`` and ``drift`` of its ROS time refer to the run's time."""
+    """Clocks of one computer. ``offset`` (s) and ``drift`` (relative) of its ROS time are relative
+    to the run's time."""
 
     scheduler: Scheduler
     offset: float = 0.0
@@ -104,7 +105,7 @@ class HostClock:
     epoch: float = 1_800_000_000.0
 
     def now(self) -> Now:
-        """Return the time on both clocks."""
+        """Return the time of both clocks, steady and ROS."""
         passed = self.scheduler.now
         ros = self.epoch + passed * (1.0 + self.drift) + self.offset
         return Now(passed + self.steady_offset, round(ros * 1e9))
@@ -112,7 +113,7 @@ class HostClock:
 
 @dataclass(slots=True)
 class Disk:
-    """Stored data that a process leaves on disk when it ends."""
+    """Data that a process has stored on disk and that remain when it ends."""
 
     goal: Content | None = None
     goal_touched: float = -math.inf
@@ -122,10 +123,10 @@ class Disk:
 
 @dataclass(slots=True)
 class Program:
-    """Content of a process: a state machine, optionally with a driver on serial lines.
+    """Program of a process: a state machine, optionally with a driver on serial lines.
 
-    ``connect(driver, patience, now)`` configures the node. ``topics`` are its subscriptions,
-    ``services`` the services that it offers.
+    ``connect(driver, patience, now)`` configures the node. ``topics`` are the topics that it
+    subscribes to, ``services`` the services that it offers.
     """
 
     make: Callable[[], tuple[Logic, Any]]
@@ -138,20 +139,20 @@ class Program:
 
 @dataclass(slots=True)
 class PlannedFreeze:
-    """A freeze of a process before one of its driver's writes."""
+    """A freeze of a process before a write of its driver."""
 
     writes: int
-    """Number of writes before it."""
+    """Number of writes before the freeze."""
     duration: float
     """Duration of the freeze, s."""
     job: str = ""
-    """Job whose writes count; empty: any job."""
+    """Name of the job whose writes are counted; empty: any job."""
     on_begin: Callable[[], None] = lambda: None
     """Called when the freeze begins."""
 
 
 class Process:
-    """A process that runs one program on one computer. Times in s of the run."""
+    """A process that runs one program on one computer. Times are in s from the start of the run."""
 
     def __init__(
         self,
@@ -169,11 +170,12 @@ class Process:
         self.frozen_until = 0.0
         self.freeze_before_write: PlannedFreeze | None = None
         self.freeze_after_check: float = 0.0
-        """Duration of a freeze after the next query of a job to its machine, s; 0 for none."""
+        """Duration of a freeze after the next query of a job to the state machine, s; 0: no
+        freeze."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
-        """Called for every message after the machine has handled it."""
+        """Called for every message after the state machine has handled it."""
         self.on_asked: Callable[[str, str, Any], None] = lambda process, job, answer: None
-        """Called for every answer of the machine to a query of its running job."""
+        """Called for every answer of the state machine to a query of its running job."""
         self.on_log: Callable[[str, str], None] = lambda process, sentence: None
         self.freezes = 0
         self.defects: list[str] = []
@@ -189,7 +191,8 @@ class Process:
         self._running: Job | None = None
         self._abandoned: set[int] = set()
         self._inbox: deque[tuple[str, Callable[[], None]]] = deque()
-        """Actions received while the process was frozen, each with its topic (empty if none)."""
+        """Handlers of messages and requests received while the process was frozen, each with its
+        topic (empty for other events)."""
         self._answers: dict[Any, Callable[[Any], None]] = {}
         self._tick: Timer | None = None
         self._life = 0
@@ -202,7 +205,7 @@ class Process:
 
     @property
     def starts(self) -> int:
-        """Number of starts and kills of the process so far."""
+        """Total number of starts and kills of the process so far."""
         return self._life
 
     def start(self) -> None:
@@ -233,7 +236,7 @@ class Process:
         worker.start()
 
     def kill(self) -> None:
-        """Kill the process as by SIGKILL: it publishes nothing more, and its port is closed."""
+        """Kill the process as SIGKILL does: it publishes nothing more, and its port is closed."""
         if not self.alive:
             return
         self._life += 1
@@ -250,7 +253,7 @@ class Process:
             line.fiber = None
 
     def freeze(self, duration: float) -> None:
-        """Freeze the process as by SIGSTOP and, after ``duration`` s, SIGCONT."""
+        """Freeze the process as SIGSTOP does, until SIGCONT after ``duration`` s."""
         if not self.alive:
             return
         self.freezes += 1
@@ -260,7 +263,7 @@ class Process:
         self._scheduler.at(self.frozen_until, self._thaw)
 
     def lifecycle(self, event: LifecycleEvent) -> None:
-        """Activate or deactivate the node from outside."""
+        """Activate or deactivate the node, as an external life cycle request does."""
         if not self.alive:
             return
 
@@ -273,7 +276,7 @@ class Process:
         self._when_awake(handle)
 
     def shut_down(self) -> None:
-        """Shut the process down as by SIGTERM."""
+        """Shut the process down as SIGTERM does."""
         if self.alive:
             self._handle(self.logic.on_lifecycle, Deactivated())
             self._handle(self.logic.on_lifecycle, ShutDown())
@@ -287,10 +290,10 @@ class Process:
         answer: Callable[[Any], None],
         waits: bool = True,
     ) -> None:
-        """Send a service request, an action goal or its cancellation to the machine.
+        """Send a service request, an action goal or its cancellation to the state machine.
 
-        ``answer`` receives the response or result. ``waits`` is False for a cancellation, because
-        it has no answer.
+        ``answer`` receives the response or result. ``waits`` is False for a cancellation, because a
+        cancellation has no answer.
         """
         if waits:
             self._answers[token] = answer
@@ -342,13 +345,13 @@ class Process:
     # The machine and its effects
 
     def _handle(self, call: Callable[..., Sequence[Effect]], *arguments: Any) -> None:
-        """Call a handler of the machine with these arguments and the time, and act on its
-        effects."""
+        """Call a handler of the state machine with these arguments and the time, and carry out the
+        effects that it returns."""
         if not self.alive:
             return
         try:
             effects = call(*arguments, self._clock.now())
-        except Exception as error:  # a defect; it is handled as in the ROS host
+        except Exception as error:  # a defect: handle it as the ROS host does
             self.defects.append(f"{self.name}: {error!r}")
             effects = self.logic.on_defect(error, self._clock.now())
         self._carry_out(effects)
@@ -440,7 +443,7 @@ class Process:
     # Coming up, and ticks
 
     def _configure(self, life: int) -> None:
-        """Configure a node without a device, which needs no waiting."""
+        """Configure a node that has no device. No waiting is necessary."""
         if life == self._life:
             self._finish_start(self._program.connect(None, 0.0, self._clock.now()), life)
 
@@ -501,7 +504,7 @@ class Process:
         self._handle(self.logic.on_job, event)
 
     def _pause(self, worker: Fiber) -> None:
-        """Wait, in the worker, while the process is frozen."""
+        """Let the worker wait while the process is frozen."""
         while self._scheduler.now < self.frozen_until:
             worker.wait_until(self.frozen_until)
 
@@ -548,12 +551,12 @@ class _Context:
         return self.job.number in self.process._abandoned
 
     def post(self, content: object) -> None:
-        """Send a progress report to the machine."""
+        """Send a progress report to the state machine."""
         event = JobProgress(self.job.number, content)
         self.process._handle(self.process.logic.on_job, event)
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """Query the machine."""
+        """Query the state machine."""
         answer = query(self.process._clock.now())
         self.process.on_asked(self.process.name, self.job.name, answer)
         duration = self.process.freeze_after_check

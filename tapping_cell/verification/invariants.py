@@ -15,47 +15,53 @@ from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
 WINDOW_S = 0.1
-"""Maximum delay of a release after it was forbidden, because FIRE may already have been sent: the
-board's longest firing window."""
+"""Maximum time from an event that forbids a release to this release, s. FIRE may already have been
+sent, so this maximum is the board's longest firing window."""
 STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
-"""Maximum deviation of the tip from its commanded pose at a release, with errors of the arm."""
+"""Maximum deviations of the tip from its commanded pose at a release, m and rad. These maximum
+deviations include the errors of the arm."""
 ENERGY_SHARE = 0.03
 """Maximum relative deviation of the energy of a release from the requested one."""
 STRIKE_HEIGHT_M = 0.0005
 BUMP_M = 0.004
 BUMP_RAD = math.radians(6.0)
-"""Displacement of the object beyond which it must not be struck as planned."""
+"""Displacements of the object (m and rad) beyond which a planned tap must not be fired."""
 CHARGED_LIMIT_S = 12.0
 """Maximum time that a striker may stay charged, regardless of any failure of the computers."""
 CHECK_S = 0.045
-"""Maximum time from the last check before FIRE to the release, from the board's deadline."""
+"""Maximum time from the last check before FIRE to the release, s, as limited by the board's
+deadline."""
 PULSE_S = 0.02
-"""Duration of the release pulse; the arm's promise covers it and the striker's flight."""
+"""Duration of the release pulse, s. The arm's promise to stand still covers the pulse and the
+striker's flight."""
 HEARTBEAT_S = 0.45
-"""Maximum silence, before a release, of the camera and of a planner that has shown that it waits
-for this tap."""
+"""Maximum time before a release without a message from the camera, and without one from a planner
+that has already reported that it waits for this tap, s."""
 SILENCE_S = 1.5
-"""Maximum silence of a planner that has not yet shown that it waits for its tap."""
+"""Maximum time before a release without a message from a planner that has not yet reported that it
+waits for its tap, s."""
 ORPHAN_S = 1.5
-"""Maximum time from the end of the planner to a release; by then its heartbeat has timed out."""
+"""Maximum time from the end of the planner's process to a release, s. After this time the planner's
+heartbeat has timed out."""
 HOMED_S = 3.0
-"""Maximum time from the loss of the arm's reference, or from the end of a freeze after it, to the
-last new reading reported as homed, because bytes on the line may be that late."""
+"""Maximum time for which the arm may still be reported as homed after it has lost its reference, or
+after the end of a freeze that followed, s. Bytes on the line may be that late."""
 WAIT_SLACK_S = 1.0
-"""Maximum time by which the planner exceeds the deadline of a wait."""
+"""Maximum time by which the planner may exceed the time limit of a waiting state, s."""
 CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
-"""Time after a report of a charged striker during which the arm must not begin to move, and time
-after charging beyond which the arm need not wait."""
+"""Time in s after a report of a charged striker during which the arm must not begin to move, and
+time in s after charging from which on the arm need not wait any longer."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
-"""Maximum time from a stop command to the arm's rest, with delivery and braking."""
+"""Maximum time from a stop command until the arm is at rest, s. This maximum includes the delivery
+of the command and the braking."""
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """Violation of an invariant; ``time`` in s of the run."""
+    """Violation of an invariant. ``time`` is in s from the start of the run."""
 
     name: str
     time: float
@@ -64,10 +70,12 @@ class Violation:
 
 @dataclass(slots=True)
 class InvariantChecker:
-    """Checks all messages and the ground truth against the invariants. Times in s of the run.
+    """Checks all messages and the ground truth against the invariants. Times are in s from the
+    start of the run.
 
-    ``stopped_at``: for each process, the time of a stop that has not been reset. ``ended_taps``:
-    for each tap, when its end (withdrawal, stop, cancel) was delivered to the tapper's process.
+    ``stopped_at``: for each process, the time of a stop that nobody has cleared yet.
+    ``ended_taps``: for each tap, the time at which a message that ends it (withdrawal, stop,
+    cancel) was delivered to the tapper's process.
     """
 
     scheduler: Scheduler
@@ -92,17 +100,18 @@ class InvariantChecker:
     promised_to: dict[int, int] = field(default_factory=dict)
     """Key of the request for this promise, by tap id; only a request with it can end the promise
     early."""
-    last_check: tuple[float, object | None] = (-math.inf, "never asked")
-    """Time of the last check before FIRE by the tapper's machine, and its reason to refuse."""
+    last_check: tuple[float, object | None] = (-math.inf, "no check was made")
+    """Time of the last check before FIRE by the tapper's state machine, and its reason to refuse
+    the shot (None: no refusal)."""
     motor_weak_until: float = -math.inf
     """Time until which the tapper's motor may have lost steps due to missing power."""
     unseen_limit: float = 0.0
-    """Maximum time from a change of the scene to a release: the limit for an unseen object, the
-    message timeout of the camera, and the delay of messages under way."""
+    """Maximum time from a change of the scene to a release. This maximum is the sum of the time
+    limit for an unseen object, the timeout of camera messages, and the delay of messages."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """Poses of the object that the tapper's process received, each with the time of receipt."""
     motion_seen_by_tapper: bool = False
-    """Whether the object moved in the last of these observations."""
+    """Whether the object moved in the last observation that the tapper's process received."""
     taken_by_tapper: dict[int, list[TapCommand]] = field(default_factory=dict)
     """TAP commands that the tapper's process received, by id. If two commands have the same id, the
     tapper may execute only one that it received."""
@@ -111,22 +120,22 @@ class InvariantChecker:
     planner_received: float = -math.inf
     """Time at which the tapper's process last received a message of the planner."""
     planner_waits: bool = False
-    """Whether the planner has shown, since the tapper's process received the last TAP, that it
-    waits for its tap."""
+    """Whether the planner has reported that it waits for its tap, since the tapper's process
+    received the last TAP."""
     camera_received: float = math.inf
     """Time at which the tapper's process last received a usable observation."""
     seen_moving: bool = False
     """Whether the object moved in the last observation that the planner's process received."""
     deadlines: dict[int, float] = field(default_factory=dict)
-    """Maximum duration of the planner's waits for arm and tapper, by its published state."""
+    """Time limit of each published state in which the planner waits for arm or tapper."""
     unhomed_since: float = math.inf
     """Time since which the arm has had no valid reference; inf while it has one."""
     unseen_by_tapper: float = 0.0
-    """Maximum time for which the tapper itself accepts an unseen object."""
+    """Maximum time since the object was last seen for which the tapper itself still fires."""
     charge_received: float = -math.inf
     """Time at which the arm's process last received that the striker is charged."""
     _struck_until: float = -math.inf
-    """Time at which the last released striker reaches the end of its stroke."""
+    """Time at which the striker that was released last reaches the end of its stroke."""
     _asked_to_move: bool = True
     _released: int = 0
     _charged_since: float | None = None
@@ -138,7 +147,7 @@ class InvariantChecker:
     _read_at: int = 0
     """Stamp of the arm's last reading, ns."""
     _arm: tuple[int, int] = (ArmState.DISCONNECTED, 0)
-    """State and tap id of the arm's last message."""
+    """State and tap id in the arm's last message."""
 
     def violate(self, name: str, sentence: str) -> None:
         """Record a violation of an invariant."""
@@ -204,7 +213,7 @@ class InvariantChecker:
             self.violate(
                 "planner silent",
                 f"shot {shot} was released {silent:.2f} s after the tapper had last received a "
-                "message from the planner that commanded it",
+                "message from the planner that commanded the shot",
             )
         blind = release.time - self.camera_received
         if blind > HEARTBEAT_S + WINDOW_S:
@@ -216,8 +225,8 @@ class InvariantChecker:
         self._check_scene(release, command)
 
     def _command_of(self, release: Release) -> TapCommand | None:
-        """Return the command of a release. If several commands had its id (two planners by
-        mistake), return the one with the nearest strike pose and energy."""
+        """Return the command that caused a release. If several commands have its id (two planners
+        were started by mistake), return the one whose strike pose and energy are closest."""
 
         def distance(command: TapCommand) -> float:
             pose = from_message(command.strike_pose)
@@ -232,8 +241,8 @@ class InvariantChecker:
     def _check_energy(self, release: Release, command: TapCommand) -> None:
         asked = self.physical.energy_for(command.striker_speed)
         weak = release.time < self.motor_weak_until
-        # If the motor did not fully charge the spring, the shot is weaker than requested; no sensor
-        # measures this.
+        # If the motor did not charge the spring completely, the shot is weaker than requested. No
+        # sensor measures this.
         least = 0.0 if weak else 1.0 - ENERGY_SHARE
         if not least * asked <= release.energy <= (1.0 + ENERGY_SHARE) * asked:
             self.violate(
@@ -267,7 +276,10 @@ class InvariantChecker:
     def _check_last_check(self, release: Release) -> None:
         asked, reason = self.last_check
         if reason is not None:
-            self.violate("against its check", f"shot {release.shot} was released against: {reason}")
+            self.violate(
+                "against its check",
+                f"shot {release.shot} was released although the last check refused it: {reason}",
+            )
         elif release.time > asked + CHECK_S:
             self.violate(
                 "check too old",
@@ -280,8 +292,8 @@ class InvariantChecker:
         if ended is not None and release.time > ended + WINDOW_S:
             self.violate(
                 "after its end",
-                f"shot {release.shot} was released {release.time - ended:.3f} s after its end was"
-                " delivered to the tapper",
+                f"shot {release.shot} was released {release.time - ended:.3f} s after the tapper"
+                " had received the end of its tap",
             )
         stopped = self.stopped_at.get("tapper_trigger")
         if stopped is not None and release.time > stopped + WINDOW_S:
@@ -291,7 +303,10 @@ class InvariantChecker:
             )
         late = 1e-9 * (self.tapper_clock.now().ros - to_nanoseconds(command.expiry)) - WINDOW_S
         if late > 0:
-            self.violate("expired", f"shot {release.shot} was released {late:.3f} s too late")
+            self.violate(
+                "expired",
+                f"shot {release.shot} was released {late:.3f} s too late: its command had expired",
+            )
 
     def _check_scene(self, release: Release, command: TapCommand) -> None:
         if release.time > self.hidden_since + self.unseen_limit:
@@ -385,7 +400,7 @@ class InvariantChecker:
             self.violate(
                 "moves while the stop is pressed",
                 f"the arm still moves {now - self.held_since:.2f} s after the panel's"
-                " emergency stop was pressed, and it is still pressed",
+                " emergency stop was pressed, and the stop is still held",
             )
             self.held_since = math.inf
         stopped = self.stopped_at.get("scara_arm")
@@ -394,7 +409,8 @@ class InvariantChecker:
             self.stopped_at["scara_arm"] = math.inf
 
     def _check_striker(self) -> None:
-        """Check that, with a charged striker, the arm begins no motion except to a strike pose."""
+        """Check that the arm begins no motion with a charged striker, except a motion to a strike
+        pose."""
         if self._charged_since is None or self._arm[0] == ArmState.MOVING:
             return
         now = self.scheduler.now
@@ -409,20 +425,22 @@ class InvariantChecker:
     # Reports
 
     def lose_reference(self) -> None:
-        """Record that the arm's board has lost its position, until the arm is homed."""
+        """Record that the arm's board has lost its position. The position remains unknown until the
+        arm is homed."""
         self.motion_allowed = False
         self.unhomed_since = min(self.unhomed_since, self.scheduler.now)
 
     def _check_basis(self, tap_id: int) -> None:
-        """Check that the planner has commanded a tap of an object at rest."""
+        """Check that the planner commanded this tap while the observed object was at rest."""
         if self.seen_moving:
             self.violate(
                 "planned while it moved",
-                f"tap {tap_id} was commanded on an observation of the object in motion",
+                f"tap {tap_id} was commanded although the object was observed in motion",
             )
 
     def _check_reference(self, message: ArmState) -> None:
-        """Check that the arm does not report itself as homed without a valid reference."""
+        """Check that the arm's node does not report the arm as homed when the arm has no valid
+        reference."""
         if message.state == ArmState.HOMING:
             self.unhomed_since = math.inf
         since = self.scheduler.now - max(self.unhomed_since, self.arm_frozen_until)
@@ -441,7 +459,7 @@ class InvariantChecker:
         self._asked_to_move = True
 
     def on_answer(self, service: str, request: object, response: object) -> None:
-        """Process the answer of a service."""
+        """Process the answer to a service call."""
         if not isinstance(request, HoldStill.Request):
             return
         if isinstance(response, HoldStill.Response) and response.granted:
@@ -461,7 +479,7 @@ class InvariantChecker:
             self.promised_to[request.tap_id] = request.key
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Process the answer of a machine to a query of its running job."""
+        """Process what a state machine answered to a query of its running job."""
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
 
@@ -497,7 +515,7 @@ class InvariantChecker:
             )
             self._plan_state_since = self.scheduler.now
         if message.state != PlanState.REACHED or before == PlanState.REACHED:
-            return  # a repeated report was checked when it was first published
+            return  # this report is a repetition and was checked before
         true = self.physical.object_pose(self.scheduler.now)
         goal = from_message(message.goal.pose)
         off, turned = goal.distance_to(true), abs(goal.rotation_to(true))
@@ -507,12 +525,14 @@ class InvariantChecker:
         if (off > position or turned > angle) and not recently:
             self.violate(
                 "false claim",
-                f"reported reached, truly {1e3 * off:.3f} mm and {math.degrees(turned):.3f} deg off"
-                f" (tolerance {1e3 * position:.3f} mm, {math.degrees(angle):.3f} deg)",
+                f"the goal was reported as reached, but the object is {1e3 * off:.3f} mm and"
+                f" {math.degrees(turned):.3f} deg away from it (tolerance {1e3 * position:.3f} mm,"
+                f" {math.degrees(angle):.3f} deg)",
             )
 
     def at_the_end(self) -> None:
-        """Compare every reported outcome with all releases, including later ones."""
+        """Compare every reported outcome with all releases of the run, including releases after the
+        report."""
         fired = {release.shot for release in self.physical.releases}
         for shot, outcome in self.outcomes.items():
             if outcome == TapperState.NOT_FIRED and shot in fired:

@@ -1,7 +1,7 @@
 """Mutation tests: defects that are inserted into the product's code. The invariants must detect
-each of them.
+each defect.
 
-A mutant that is not detected shows that the guard it disables has no effect. A mutant is a small
+If a mutant is not detected, the guard that it disables has no effect. A mutant is a small
 replacement in the source of one module, applied while the module is imported. The files on disk are
 not changed.
 """
@@ -30,9 +30,10 @@ class Mutant:
     """Number of the review finding in docs/safety.md whose correction this mutant removes, at least
     in part; empty if there is none."""
     also: Mutant | None = None
-    """Further replacement that is needed to remove the correction."""
+    """Another mutant that must be applied together with this one to remove the correction."""
     kinds: tuple[str, ...] = ()
-    """Kinds of faults against which the guard protects; a hunt draws its faults from these."""
+    """Kinds of faults against which the guard protects. A hunt for this mutant injects only these
+    kinds."""
     fixed: bool = False
     """Whether the hunt runs the cell with fixed tappers."""
 
@@ -479,12 +480,12 @@ def _source_of(module: str) -> Path:
 
 
 def parts_of(mutant: Mutant) -> tuple[Mutant, ...]:
-    """Return a mutant and its further replacements."""
+    """Return a mutant and the mutants that must be applied with it (``also``)."""
     return (mutant,) if mutant.also is None else (mutant, *parts_of(mutant.also))
 
 
 def mutated(mutant: Mutant) -> str:
-    """Return the changed source of a mutant's module.
+    """Return the source of a mutant's module with the replacement.
 
     Raises:
         MutantError: the text to be replaced does not occur exactly once in the source.
@@ -493,7 +494,8 @@ def mutated(mutant: Mutant) -> str:
 
 
 def _changed(mutants: Sequence[Mutant]) -> str:
-    """Return the source of the common module of these mutants with all of them applied."""
+    """Return the source of a module with all these mutants, which belong to this module,
+    applied."""
     source = _source_of(mutants[0].module).read_text(encoding="utf-8")
     for mutant in mutants:
         count = source.count(mutant.old)
@@ -516,5 +518,5 @@ def plant(mutant: Mutant) -> None:
     for part in parts:
         mutated(part)
         if part.module in sys.modules:
-            raise MutantError(f"{part.module} was imported before mutant '{part.name}' was planted")
+            raise MutantError(f"{part.module} was imported before mutant '{part.name}' was applied")
     sys.meta_path.insert(0, _Finder(parts))

@@ -23,20 +23,20 @@ Handle = Callable[[Any, Callable[[Any], None]], None]
 
 @dataclass(slots=True)
 class Quality:
-    """Quality of service of a topic. ``latched``: transient local."""
+    """Quality of service of a topic. ``latched``: whether its durability is transient local."""
 
     latched: bool = False
 
 
 @dataclass(slots=True)
 class LinkFaults:
-    """Active faults of the network; times in s."""
+    """Active faults of the network. Delays are in s."""
 
     usual_delay: tuple[float, float] = (0.0003, 0.002)
     duplicates: float = 0.0
     """Fraction of messages that arrive twice."""
     slow: dict[tuple[str, str], float] = field(default_factory=dict)
-    """Extra delay by topic and subscriber, or by service and ``request`` or ``answer``."""
+    """Additional delay in s, by (topic, subscriber) or by (service, ``request`` or ``answer``)."""
 
 
 @dataclass(slots=True, eq=False)
@@ -90,7 +90,7 @@ class Network:
                 self._send(link, topic, message)
 
     def end_delay(self, topic: str, towards: str) -> None:
-        """End the extra delay of a link."""
+        """End the additional delay of a link."""
         self.faults.slow.pop((topic, towards), None)
 
     def latched(self, topic: str) -> dict[str, Any]:
@@ -98,8 +98,8 @@ class Network:
         return dict(self._last.get(topic, {}))
 
     def serve(self, node: str, service: str, handle: Handle) -> None:
-        """Offer a service: ``handle(request, answer)``. If several nodes offer it, each of them
-        receives every request, and the first answer counts."""
+        """Offer a service: ``handle(request, answer)``. If several nodes offer the same service,
+        each of them receives every request, and the first answer counts."""
         self._servers.setdefault(service, {})[node] = handle
 
     def servers(self, service: str) -> int:

@@ -24,7 +24,7 @@ from tapping_cell.verification.serial_line import SerialLine
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """Ground truth of a release of the striker. ``energy`` in J, ``height`` of the tip in m."""
+    """Ground truth of one release of the striker: ``energy`` in J, ``height`` of the tip in m."""
 
     shot: int
     energy: float
@@ -37,7 +37,8 @@ class Release:
 
 
 class PhysicalCell:
-    """Parts of the cell that exist independently of any program. Times in s of the run."""
+    """Parts of the cell that exist independently of any program. Times are in s from the start of
+    the run."""
 
     def __init__(self, scheduler: Scheduler, cell: Cell, truth: TruthFile, seed: int) -> None:
         self.cell = cell
@@ -54,7 +55,8 @@ class PhysicalCell:
         self._make_devices(seed, scheduler.now)
 
     def _make_devices(self, seed: int, now: float) -> None:
-        """Create the boards and their lines; other kinds of cells have other boards."""
+        """Create the boards and their lines. Subclasses for other kinds of cells create other
+        boards."""
         cell, truth, scheduler = self.cell, self.truth, self._scheduler
         self.geometry = cell.arm.geometry()
         self._base = cell.arm_base @ Pose(*truth.arm.base_offset)
@@ -91,11 +93,11 @@ class PhysicalCell:
         return None if self._hidden(pose, time) else pose
 
     def energy_for(self, speed: float) -> float:
-        """Return the energy in J for a striker speed in m/s, by the tapper's curve."""
+        """Return the energy in J for a striker speed in m/s, from the tapper's curve."""
         return self._curve.energy_for(speed)
 
     def flight(self, speed: float) -> float:
-        """Return the time of flight in s through the stroke at this striker speed (m/s)."""
+        """Return the time in s in which the striker covers its stroke at this speed (m/s)."""
         return self.cell.file.tapper.stroke / speed
 
     def press_clear_button(self) -> None:

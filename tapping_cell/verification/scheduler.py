@@ -1,9 +1,10 @@
-"""Discrete-event scheduler in virtual time. It uses threads, but only one of them runs at a time.
+"""Discrete-event scheduler in virtual time. The scheduler uses threads, but only one of them runs
+at a time.
 
-Drivers block, so each driver runs in its own thread, a *fiber*. When a fiber waits, its thread
-processes the following events itself until one of them resumes another fiber. Switching threads is
-slow while other processes use the core; here it happens only between two fibers. Because nothing
-runs concurrently, the order of events depends only on the seed.
+Drivers make blocking calls, so each driver runs in its own thread, a *fiber*. When a fiber waits,
+its thread processes the following events itself until one of them resumes another fiber. Switching
+threads is slow while other processes use the core; here it happens only between two fibers. Because
+nothing runs concurrently, the order of events depends only on the seed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from itertools import count
 Action = Callable[[], None]
 
 MAX_EVENTS_AT_ONCE = 100_000
-"""Maximum number of events at the same virtual time; with more, the run counts as hanging."""
+"""Maximum number of events at the same virtual time. A run with more events counts as hanging."""
 
 
 class HangError(Exception):
@@ -27,7 +28,8 @@ class HangError(Exception):
 class Killed(BaseException):
     """Raised in a waiting fiber when its process is killed.
 
-    It is not an ``Exception``, so that no driver handles it as a fault of a device.
+    The class is not derived from ``Exception``, so that no driver handles it as a fault of a
+    device.
     """
 
 
@@ -135,9 +137,11 @@ class Scheduler:
     # Fibers
 
     def pass_on(self, fiber: Fiber, failure: BaseException | None = None) -> None:
-        """End the event that continued ``fiber``, and process events until it continues again.
+        """End the event that resumed ``fiber``, and process further events until one resumes
+        ``fiber`` again.
 
-        Return immediately if the fiber has ended. ``failure``: the exception that ended it.
+        If the fiber has ended, return as soon as another thread has taken over. ``failure``: the
+        exception that ended the fiber.
         """
         heir = None
         try:
@@ -155,7 +159,8 @@ class Scheduler:
             fiber.baton.acquire()
 
     def end(self, fiber: Fiber) -> None:
-        """Let a fiber that is to end run until it has ended; re-raise its exception, if any."""
+        """Let a killed fiber run until it has ended; re-raise the exception that ended it, if
+        any."""
         if threading.get_ident() != self._main:
             raise RuntimeError("only an event in the main thread may end a fiber")
         fiber.baton.release()
@@ -163,7 +168,8 @@ class Scheduler:
         self._raise_failure()
 
     def ended(self, failure: BaseException | None) -> None:
-        """Return control from a fiber that has ended to ``end``."""
+        """Return control to the main thread, which waits in ``end``, from a fiber that has
+        ended."""
         self._failure = failure
         self._baton.release()
 

@@ -11,7 +11,8 @@ from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 
 
 class SerialLine:
-    """A board behind a line that may fail. The board also runs while the host does not read."""
+    """A board connected by a line that may fail. The board keeps running while the host does not
+    read."""
 
     def __init__(self, scheduler: Scheduler, layer: FaultLayer, name: str) -> None:
         self.layer = layer
@@ -63,7 +64,7 @@ class SerialLine:
 
     @property
     def is_open(self) -> bool:
-        """Whether the line is open, as far as the host has noticed."""
+        """Whether the host considers the line to be open."""
         return self._absences is not None
 
     def now(self) -> float:
@@ -95,7 +96,7 @@ class SerialLine:
         """Return the available bytes; wait up to ``timeout`` s for the first one."""
         deadline = self._scheduler.now + timeout
         if timeout > 0:
-            # Time must advance in every wait, however short, despite rounding.
+            # Time must advance in every wait, even if the timeout is lost in rounding.
             deadline = max(deadline, math.nextafter(self._scheduler.now, math.inf))
         while True:
             self._require()
@@ -118,7 +119,7 @@ class SerialLine:
         self._require()
 
     def stop(self, data: bytes) -> bool:
-        """Latch the stop and write ``data``; may also be called from outside the fiber."""
+        """Latch the stop and write ``data``. May be called from inside or outside the fiber."""
         self._stopped = True
         if self.fiber is not None and self._reading:
             self.fiber.wake()

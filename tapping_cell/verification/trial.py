@@ -116,20 +116,21 @@ SERVES = {
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
-"""Maximum times for which the object may be unseen: if the arm can cover it (up to 3.4 s on its way
-to a strike pose), and if the arm cannot cover it."""
+"""Maximum times for which the object may be unseen, s. The first time applies if the arm can cover
+the object (up to 3.4 s on its way to a strike pose), the second if the arm cannot cover it."""
 NOTICED_S = 0.7
-"""Maximum time from the end of that limit to a release, for delayed messages and the board's firing
-window."""
+"""Maximum time from the end of ``COVERED_S`` or ``CLEAR_VIEW_S`` to a release, s. This maximum
+allows for delayed messages and for the board's firing window."""
 GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
-"""Fraction of the runs whose goals have a short time limit, and the range of that limit."""
+"""Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
 SHARE_OF_ONE_FRAME = 0.25
 """Fraction of the runs whose planner decides on a single frame of the object at rest."""
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_CONFLICTS = 0.1
-"""Fraction of these taps for which a second program commands another tap with the same id."""
+"""Fraction of the taps by a program for which a second program commands another tap with the same
+id."""
 PROGRAM_TIMEOUT_S, PROGRAM_EXPIRY_S = 12.0, 10.0
 """Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 GOAL_SLACK_S = 5.0
@@ -137,9 +138,10 @@ GOAL_SLACK_S = 5.0
 STOP_DELIVERY_S = 0.1
 """Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
 BAD_LINE_S = 15.0
-"""Time allowed after a fault of a serial line to detect it and to open the line again."""
+"""Time allowed after a fault of a serial line for detecting the fault and opening the line again,
+s."""
 HAND_STEP_S = 1 / 60
-"""Time between two steps of a slow motion of the object by hand."""
+"""Time between two steps in which a hand moves the object slowly, s."""
 RECOVERY_S = 90.0
 """Maximum time for a person to recover the cell before the next goal."""
 
@@ -181,7 +183,8 @@ class Report:
     violations: list[Violation] = field(default_factory=list)
     faults: Counter[str] = field(default_factory=Counter)
     by_node: Counter[str] = field(default_factory=Counter)
-    """Counts of the faults that were injected into a node, such as "freeze scara_arm"."""
+    """Counts of the faults that were injected into each node, by kind and node, such as "freeze
+    scara_arm"."""
     releases: int = 0
     program_taps: int = 0
     cell_seconds: float = 0.0
@@ -189,13 +192,13 @@ class Report:
 
 
 class Trial:
-    """The complete cell of one seed. Times in s of the run."""
+    """The complete cell of one seed. Times are in s from the start of the run."""
 
     devices: tuple[str, ...] = ("tapper_trigger", "scara_arm")
     """Nodes that drive a device."""
     nodes: tuple[str, ...] = NODES
     arm_node = "scara_arm"
-    """Node affected by faults that are drawn for the arm's node."""
+    """Name of the node in which faults of the arm's node are injected."""
     makers: Mapping[str, Maker] = MAKERS
     at_a_shot: tuple[str, ...] = AT_A_SHOT
     of_a_shot: tuple[str, ...] = OF_A_SHOT
@@ -211,7 +214,7 @@ class Trial:
         faults: bool = True,
         mix: Mix = ALL,
     ) -> None:
-        """``faults``: whether to inject faults; ``mix``: which faults are drawn."""
+        """``faults``: whether to inject faults; ``mix``: distribution of the faults."""
         self._mix = mix
         self.seed = seed
         self._faulty = faults
@@ -227,7 +230,7 @@ class Trial:
         self.joint_names: tuple[str, ...] = Joints._fields
         self.arm_covers = self._covers()
         self.short_time_limit = bool(self.rng.random() < SHARE_OF_SHORT_LIMITS)
-        """Whether goals have a short time limit, which ends some of them without any fault."""
+        """Whether goals have a short time limit; it ends some of them even without a fault."""
         self.settings = PlannerSettings(
             goal_time_limit=draw_duration(self.rng, *SHORT_LIMIT_S)
             if self.short_time_limit
@@ -288,10 +291,11 @@ class Trial:
         self._pressed_until = -math.inf
         self._waiting_faults: list[Fault] = []
         self._taken: dict[int, Time] = {}
-        """Taps whose command the tapper's process has handled: id, stamp of the last command."""
+        """Taps whose command the tapper's process has handled: the stamp of the last command by tap
+        id."""
         self._struck: list[tuple[float, str]] = []
         self._checked_tap = 0
-        """Id of the last tap that was reported with TAPPER_FAULT."""
+        """Id of the last tap whose TAPPER_FAULT was checked."""
         self._struck_before = False
         """Whether the previous goal or tap had faults, which may last into the next one."""
         self._moments: Counter[str] = Counter()
@@ -303,7 +307,7 @@ class Trial:
         place.x, place.y, place.z = truth.camera.position
         self.network.publish("camera_pose", "camera/pose", lens)
 
-    # Parts that other kinds of cells override
+    # Methods that other kinds of cells override.
 
     def _make_cell(self, seed: int) -> Cell:
         return shipped_cell(DIALECTS[seed % len(DIALECTS)])
@@ -315,7 +319,7 @@ class Trial:
         return InvariantChecker(self.scheduler, self.physical, self.clocks["tapper_trigger"])
 
     def _covers(self) -> bool:
-        """Draw whether the arm can cover the object."""
+        """Choose at random whether the arm can cover the object."""
         return bool(self.rng.random() < 0.5)
 
     def _lines(self) -> tuple[SerialLine, ...]:
@@ -323,7 +327,7 @@ class Trial:
         return self.physical.arm_line, self.physical.tapper_line
 
     def _busy_lines(self) -> tuple[SerialLine, ...]:
-        """Return lines in use by another process, for ``_programs``."""
+        """Return lines that another process uses and that cannot be opened, for ``_programs``."""
         physical = self.physical
         return (
             BusyLine(self.scheduler, physical.arm_line.layer, "arm"),
@@ -340,7 +344,7 @@ class Trial:
         )
 
     def _programs(self, *lines: SerialLine) -> dict[str, Program]:
-        """Return the program of each node. ``lines``: as from ``_lines``."""
+        """Return the program of each node. ``lines``: from ``_lines`` or ``_busy_lines``."""
         arm_line, tapper_line = lines
         cell, unseen = self.cell, COVERED_S if self.arm_covers else CLEAR_VIEW_S
 
@@ -394,7 +398,7 @@ class Trial:
     # One run
 
     def run(self, goals: int) -> Report:
-        """Start the cell and execute this number of goals with their faults."""
+        """Start the cell, execute ``goals`` goals with their faults, and return the report."""
         try:
             self.bring_up()
             for number in range(goals):
@@ -430,17 +434,18 @@ class Trial:
             process.start()
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
-        """Draw a goal in the central area of the table."""
+        """Choose a random goal in the central area of the table."""
         x, y = rng.uniform((-0.1, -0.06), (0.1, 0.06))
         return Pose(float(x), float(y), float(rng.uniform(-0.6, 0.6)))
 
     def next_goal(self, number: int) -> Pose:
-        """Draw the next goal, in 80 % of the cases near the object as in the published task."""
+        """Choose the next goal at random. In 80 % of the cases it is near the object, as in the
+        paper's task."""
         rng = self.rng
         true = self.physical.object_pose(self.scheduler.now)
         goal = self.draw_goal(rng)
         if rng.random() < 0.8:
-            # Similar to the published task: a displacement and a rotation relative to the current
+            # Similar to the paper's task: a displacement and a rotation relative to the current
             # pose.
             turn, way = rng.uniform(-0.3, 0.3), rng.uniform(0.0, 0.04)
             angle = rng.uniform(-math.pi, math.pi)
@@ -471,7 +476,8 @@ class Trial:
         if self._result is None:
             if planner.starts == starts:
                 self.checker.violate(
-                    "goal without an end", f"goal {number} has not ended; {planner.logic.state}"
+                    "goal without an end",
+                    f"goal {number} has not ended; state {planner.logic.state}",
                 )
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
         in_time = self.scheduler.now < began + self.settings.goal_time_limit
@@ -491,8 +497,8 @@ class Trial:
         if result.error_code > 0 and not self._is_explained(result.error_code, struck):
             self.checker.violate(
                 "untrue cause",
-                f"goal {number} ended with code {result.error_code} ({result.error_msg}), which"
-                f" is explained by none of the injected faults: {', '.join(sorted(struck)) or '-'}",
+                f"goal {number} ended with code {result.error_code} ({result.error_msg}); none of"
+                f" the injected faults explains this: {', '.join(sorted(struck)) or '-'}",
             )
         if quiet and result.error_code and SHORT_TIME_LIMIT not in struck:
             self.checker.violate(
@@ -511,7 +517,7 @@ class Trial:
         self.recover()
 
     def _work_on_a_tap(self) -> None:
-        """Let a program command one tap without a planner."""
+        """Let another program command one tap, without the planner."""
         command = self._program_tap()
         if command is None:
             return
@@ -549,14 +555,15 @@ class Trial:
         self.recover()
 
     def _publish_conflicting(self, command: TapCommand, conflicting: TapCommand) -> None:
-        """Deliver one of two commands with the same id only to the arm, and the other only to the
-        tapper."""
+        """Publish two different commands with the same id: one is delivered only to the arm, the
+        other only to the tapper."""
         conflicting.strike_pose.position.x += float(self.rng.choice((-1.0, 1.0))) * 0.02
         self.network.publish("second program", "tap_command", conflicting, only="tapper_trigger")
         self.network.publish("program", "tap_command", command, only="scara_arm")
 
     def _program_tap(self) -> TapCommand | None:
-        """Return the last tap, transferred to the observed pose of the object; None if unseen."""
+        """Return a copy of the last tap command for the observed pose of the object; None if the
+        object is not seen at rest."""
         last = max(self.checker.commands, default=0)
         seen = self._last("object_state")
         if not last or seen is None or not (seen.visible and seen.at_rest):
@@ -578,22 +585,23 @@ class Trial:
         return command
 
     def _fit_to_object(self, command: TapCommand, model: TapCommand, there: Pose) -> None:
-        """Move the poses of a tap with the object; ``there``: the object's motion since then."""
+        """Move the poses of a tap command with the object. ``there``: motion of the object since
+        ``model`` was commanded."""
         command.strike_pose = to_message(
             there @ from_message(model.strike_pose), model.strike_pose.position.z
         )
         command.predicted_pose = to_message(there @ from_message(model.predicted_pose))
 
     def _is_explained(self, code: int, struck: set[str]) -> bool:
-        """Return whether a code has a true cause among these kinds of faults."""
+        """Return whether one of these kinds of faults explains the code."""
         return explains(code, struck) or not struck.isdisjoint(self.further_causes.get(code, ()))
 
     def note_kind(self, kind: str) -> None:
-        """Record that a fault of this kind strikes now."""
+        """Record that a fault of this kind is injected now."""
         self._struck.append((self.scheduler.now, kind))
 
     def _causes(self, code: int) -> set[str]:
-        """Return the kinds of faults that may still be the cause of a code."""
+        """Return the kinds of injected faults that are recent enough to be the cause of a code."""
         now = self.scheduler.now
         return {kind for at, kind in self._struck if now - at <= longest_effect(kind, code)}
 
@@ -687,7 +695,8 @@ class Trial:
     def start_second(self, node: str, lasting: float) -> None:
         """Start a second instance of a node, as by mistake, and kill it after ``lasting`` s.
 
-        The ports of the devices are in use. The first instance answers the services.
+        The second instance finds its device's port in use. Only the first instance answers service
+        requests.
         """
         program = replace(self._programs(*self._busy_lines())[node], services=())
         second = Process(
@@ -751,14 +760,15 @@ class Trial:
             self.network.publish("panel", "emergency_stop", Bool(data=False))
 
     def _recover_too_early(self) -> None:
-        """Call clear_fault and home while the emergency stop is held, which must have no effect."""
+        """Call clear_fault and home while the emergency stop is held, to check that these calls
+        have no effect."""
         for node in self.devices:
             self.call_service(node, "~/clear_fault")
         self.scheduler.after(1.0, self._home_too_early)
 
     def _home_too_early(self) -> None:
         if math.isinf(self.checker.held_since):
-            # The stop has been released, so these calls of an operator are valid.
+            # The stop has been released meanwhile, so these calls are valid.
             for node in self.devices:
                 self._clear_stop(node)
             self.checker.motion_allowed = True
@@ -774,7 +784,7 @@ class Trial:
     def turn_arm_motors_off(self) -> None:
         """Switch the arm's motors off, as by a sleep command, so that the quill sinks.
 
-        Marlin does not report that, so its board loses its power instead.
+        Marlin does not report motors that are off, so its board loses its power instead.
         """
         self.note_kind("motors off at the arm")
         if self.cell.arm.dialect == "marlin":
@@ -815,7 +825,7 @@ class Trial:
         self.call_service(node, "~/stop")
 
     def call_service(self, node: str, service: str) -> None:
-        """Call a node's service without arguments, as a person does."""
+        """Call a node's service that has no arguments, as a person does."""
         process = self.processes[node]
         if service == "~/home":
             self.checker.ask_to_move()
@@ -885,7 +895,8 @@ class Trial:
             self._reached(moment_name(topic, message.state))
 
     def _check_fault_report(self, message: TapperState) -> None:
-        """Check that an injected fault explains a tap not fired because of TAPPER_FAULT."""
+        """If a tap was not fired because of TAPPER_FAULT, check that an injected fault explains
+        this."""
         is_fault = message.error_code == ErrorCode.TAPPER_FAULT
         if (
             not is_fault
@@ -898,12 +909,12 @@ class Trial:
         if not self._is_explained(message.error_code, struck):
             self.checker.violate(
                 "untrue cause",
-                f"tap {message.tap_id} was not fired ('{message.error_msg}'), which is explained by"
-                f" none of the injected faults: {', '.join(sorted(struck)) or '-'}",
+                f"tap {message.tap_id} was not fired ('{message.error_msg}'); none of the injected"
+                f" faults explains this: {', '.join(sorted(struck)) or '-'}",
             )
 
     def _reached(self, name: str) -> None:
-        """Inject the faults that wait for this moment."""
+        """Count this moment, and inject the faults that wait for it."""
         self._moments[name] += 1
         for fault in list(self._waiting_faults):
             if fault.moment == Moment(name, self._moments[name]):
@@ -956,7 +967,7 @@ class Trial:
             and message.request == TapCommand.TAP
         ):
             if self._taken.get(message.tap_id) != message.header.stamp:
-                # This outcome belongs to another, refused command with the same id; the tap itself
+                # The recorded end belongs to another, refused command with the same id; this tap
                 # has not ended.
                 self.checker.ended_taps.pop(message.tap_id, None)
             self._taken[message.tap_id] = message.header.stamp
@@ -967,7 +978,8 @@ class Trial:
             self.checker.ended_taps.setdefault(message.tap_id, now)
 
     def _may_move_arm(self, topic: str, message: Any) -> bool:
-        """Return whether a message may make the arm move; a withdrawal without a tap id may not."""
+        """Return whether a message is allowed to make the arm move. A withdrawal without a tap id
+        must not move the arm."""
         if topic == "tap_command":
             return bool(message.request == TapCommand.TAP or message.tap_id)
         return topic == "joint_trajectory"
@@ -997,7 +1009,7 @@ class Trial:
 
 
 def _short(message: Any) -> str:
-    """Return a short text of a message, for the trace."""
+    """Return a short description of a message for the trace."""
     if isinstance(message, ObjectState):
         return f"visible={message.visible} rest={message.at_rest}"
     if isinstance(message, PlanState):

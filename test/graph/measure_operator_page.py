@@ -32,8 +32,8 @@ def cpu_seconds(process: int) -> float:
 
 
 def watch(process: int, sample: object = None) -> tuple[float, list[float]]:
-    """Return the process's load in per cent of a core, and the results of ``sample``, called every
-    0.1 s."""
+    """Return the process's load in per cent of a core, and the results of ``sample``, which is
+    called every 0.1 s."""
     began, used, seen = time.monotonic(), cpu_seconds(process), []
     while time.monotonic() < began + SECONDS:
         time.sleep(0.1)

@@ -1,8 +1,9 @@
 """Check with axe-core that the page and the reports have no serious accessibility problem, in light
 and dark colours and on a phone.
 
-axe-core is not a dependency. Install it with `npm install --no-save axe-core` in the root of the
-repository, or set TAPPING_CELL_AXE=/path/of/axe.min.js. Without it, these tests are skipped.
+axe-core is not a dependency. Install axe-core with `npm install --no-save axe-core` in the root of
+the repository, or set TAPPING_CELL_AXE=/path/of/axe.min.js. Without axe-core, these tests are
+skipped.
 """
 
 from __future__ import annotations
@@ -150,8 +151,8 @@ def asked(page: Page) -> dict[str, list[str]]:
 
 
 def stopped(page: Page) -> dict[str, list[str]]:
-    """Audit the page after STOP: with the recovery steps, and with the confirmation dialog of one
-    of them."""
+    """Audit the page after STOP, first with the recovery steps, then with the confirmation dialog
+    of a step."""
     page.element("stop").click()
     page.wait(lambda: page.mode() == "stopped", "the stop")
     found = audit(page.driver, "stopped")

@@ -1,4 +1,4 @@
-"""Two objects exchange their places in the complete simulated cell, started with the verb
+"""Two objects swap their places in the complete simulated cell, which is started with the verb
 `demo`."""
 
 from __future__ import annotations

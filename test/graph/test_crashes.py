@@ -78,7 +78,7 @@ def test_nothing_is_struck_on_the_word_of_a_frozen_planner_or_camera(
 def test_a_strike_on_the_word_of_a_frozen_node_is_noticed(
     struck: float, frozen_until: float, unsafe: bool
 ) -> None:
-    """The judgement used by the tests above detects a strike that is based on messages of a frozen
+    """The check used by the tests above detects a strike that is based on old messages of a frozen
     node."""
     tap = TapCommand(request=TapCommand.TAP, striker_speed=0.3)
     tap.header.stamp = Time(sec=9)

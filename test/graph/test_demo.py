@@ -38,8 +38,8 @@ def start(folder: Path, *options: str) -> subprocess.Popen[str]:
 
 
 def children_of(folder: Path) -> dict[str, int]:
-    """Return the process ids of the nodes whose parameters contain this run's ports, by node
-    name."""
+    """Return, by node name, the process ids of the nodes whose parameters contain the ports of this
+    run."""
     found = {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
@@ -65,7 +65,8 @@ def wait_for_nodes(folder: Path, process: subprocess.Popen[str]) -> dict[str, in
 
 
 def wait_for_record(folder: Path, process: subprocess.Popen[str]) -> None:
-    """Wait until the bag contains a state of the planner. The bag is written twice a second."""
+    """Wait until the bag contains a state of the planner. The recorder writes to the bag twice per
+    second."""
 
     def written() -> bool:
         try:
@@ -167,7 +168,7 @@ def test_a_killed_recorder_does_not_disturb_the_goal(folder: Path) -> None:
 
 
 def test_ctrl_c_ends_every_node_of_a_background_job(folder: Path) -> None:
-    """A shell starts its background jobs with SIGINT ignored."""
+    """Start the demo with SIGINT ignored, as a shell starts a background job."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         process = start(folder, "--move", "100", "0", "90")

@@ -76,8 +76,8 @@ class Page:
         return str(self.element(name).text)
 
     def node_row(self, name: str) -> tuple[str, str] | None:
-        """Return life cycle state with level, and message, of a node in the list; None if it is not
-        listed."""
+        """Return two texts of a node's row in the list: its life cycle state with the level, and
+        its message. Return None if the node is not listed."""
         script = """
             const row = [...document.querySelectorAll("#nodes li")].find(
                 (each) => each.querySelector(".name").textContent === arguments[0]);
@@ -463,7 +463,7 @@ def test_set_up_mode_moves_only_while_the_key_is_held(tmp_path: Path) -> None:
         page.wait(lambda: page.client.arm_state.enabled, "the arm hears the key", 5.0)
         time.sleep(1.0)
         assert page.client.arm_state.enabled, "held on"
-        # The mouse holds the enabling button, so the other buttons are clicked by script.
+        # The mouse holds the enabling button, so a script clicks the other buttons.
         page.driver.execute_script("document.getElementById('step-home').click()")
         page.driver.execute_script("document.getElementById('confirm-yes').click()")
         page.wait(lambda: arm() == ArmState.HOMING, "the arm homes while the key is held", 10.0)

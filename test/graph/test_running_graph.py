@@ -1,7 +1,7 @@
 """The complete graph as processes, used through its topics and its action as a client would.
 
-How a goal reacts to a second goal, a person who moves the object, or a frozen node is tested in
-virtual time (``test/pure/verification/test_scenarios.py``).
+Second goals, objects moved by hand and frozen nodes are tested in virtual time
+(``test/pure/verification/test_scenarios.py``).
 """
 
 from __future__ import annotations
@@ -150,8 +150,8 @@ def test_a_bad_goal_on_the_topic_is_refused_in_words_and_moves_nothing(
 
 
 def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
-    """The default transport loses best-effort images of 1.3 MB; the profile of this repository does
-    not."""
+    """The default transport of DDS loses best-effort images of 1.3 MB; the transport profile of
+    this repository does not."""
     counts: dict[str, list[tuple[float, int]]] = {"/sim_world": [], "/camera_pose": []}
 
     def count(message: DiagnosticArray) -> None:
@@ -175,7 +175,8 @@ def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
         time.sleep(1.0)
     cell.client.node.destroy_subscription(subscription)
     # The two nodes publish their counts at different times. On a busy machine an image can wait in
-    # a queue, which increases the difference for a while. A lost image increases it permanently.
+    # a queue, which increases the difference of the counts for a while. A lost image increases the
+    # difference permanently.
     times, sent = np.array(counts["/sim_world"]).T
     ahead = [np.interp(at, times, sent) - taken for at, taken in counts["/camera_pose"]]
     assert min(ahead[len(ahead) // 2 :]) - min(ahead) <= 4, counts

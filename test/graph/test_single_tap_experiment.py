@@ -1,4 +1,5 @@
-"""The verb single-tap as a user runs it: interrupted, resumed, and its records read."""
+"""The verb single-tap as a user runs it: it is interrupted and resumed, and its records can be
+read."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from tapping_cell.cli import main
 from tapping_cell.report.bag import read_bag
 
 TINY = ("--speeds", "600", "--incidences", "25", "--trials", "2", "--seed", "3")
-SLOW = ("--slow-motion", "8", "--json")  # so slow that no image is lost even on a busy machine
+SLOW = ("--slow-motion", "8", "--json")  # slow enough that no image is lost even on a busy machine
 
 
 def start(*options: str) -> subprocess.Popen[str]:

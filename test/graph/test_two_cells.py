@@ -85,7 +85,7 @@ def test_two_cells_of_one_account_reach_their_own_goals(
 
 
 def own_domain_beside() -> int:
-    """Reserve a further domain for this process, in addition to the domain of the tests."""
+    """Reserve another ROS domain for this process, in addition to the domain of the tests."""
     chosen = os.environ.pop("ROS_DOMAIN_ID")
     try:
         held = own_domain()

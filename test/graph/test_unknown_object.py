@@ -1,4 +1,4 @@
-"""A cell with an object on the table that no node has a file of, as processes."""
+"""A cell of separate processes with an object on the table for which no node has a file."""
 
 from __future__ import annotations
 

@@ -17,8 +17,8 @@ def _own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def own_graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Use a fresh domain: nodes of earlier tests in this process may still be listed, and the ROS
-    graph confuses nodes of the same name."""
+    """Use a new ROS domain: nodes of earlier tests in this process may still be listed, and the ROS
+    graph does not distinguish nodes with the same name."""
     monkeypatch.delenv("ROS_DOMAIN_ID")
     domain = own_domain()
     assert domain.held is not None

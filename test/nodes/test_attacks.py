@@ -52,8 +52,8 @@ CARRYING = (
     arms.State.FOLLOWING,
 )
 """States in which a motion carries a charged striker away. Motions to a strike pose are not among
-them, because they are allowed with a charged striker. Such a motion is completed even if the node
-is deactivated meanwhile."""
+them, because they are allowed with a charged striker. A motion in one of these states is completed
+even if the node is deactivated meanwhile."""
 
 
 @dataclass
@@ -67,9 +67,9 @@ class Cell:
     arm_states: list[ArmState]
     tapper_states: list[TapperState]
     releases: list[tuple[int, bool]] = field(default_factory=list)
-    """Shot number, and whether the arm was moving."""
+    """For each release: the shot number, and whether the arm was moving."""
     carried: int = 0
-    """Number of forbidden motions: the arm began to carry a charged striker away."""
+    """Number of forbidden motions, in which the arm began to carry a charged striker away."""
 
     def __post_init__(self) -> None:
         assert self.bench.probe is not None
@@ -115,13 +115,13 @@ class Cell:
         return self.arm_states[-1].state == ArmState.IDLE and resting
 
     def end(self) -> None:
-        """Withdraw the tap and wait until the arm has left."""
+        """Withdraw the tap and wait until the arm has moved away."""
         self.withdraw()
         self.wait(self.at_rest, "arm and tapper are at rest")
 
     def fire(self) -> None:
-        """Repeat taps until one is fired. A tap is not fired if the arm's last position report is
-        late."""
+        """Repeat taps until one is fired. A tap is not fired if the arm's last position report
+        arrives late."""
         for _ in range(TRIES):
             self.tap()
             self.wait(self.over, "an ordinary tap")
@@ -267,7 +267,7 @@ def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
 
     other = cell.node.create_service(HoldStill, "hold_still", grant)
     cell.bench.wait(lambda: cell.node.count_services("hold_still") == 2, "both are known")
-    for _ in range(TRIES):  # a tap that ends before the arm is asked does not test this case
+    for _ in range(TRIES):  # if a tap ends before the arm is asked, try again
         cell.tap()
         cell.wait(cell.over, "the tap ends")
         last = cell.tapper_states[-1]
@@ -284,8 +284,8 @@ def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
 
 
 def test_no_line_that_somebody_injects_on_the_arms_port_fires_at_a_moving_arm(cell: Cell) -> None:
-    """Inject a forged line before each output of the arm's controller. One of them is a copy of the
-    report, received during an earlier tap, that the arm is at its strike pose."""
+    """Inject a forged line before each output of the arm's controller. One forged line is a copy of
+    a real report from an earlier tap: the arm is at its strike pose."""
     said, forged, honest = list[bytes](), [b""], cell.mechanics.take_output
 
     def take_output(now: float) -> bytes:

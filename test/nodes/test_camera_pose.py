@@ -270,7 +270,7 @@ def test_a_second_copy_of_the_objects_marker_is_told_by_the_state(cell: Cell) ->
 
 
 def test_two_objects_in_one_picture() -> None:
-    """The cell's object, and another one pasted into the same images."""
+    """The images contain the cell's object and, pasted into them, another object."""
     folder = shared_folder() / "objects"
     plain = load_object(folder / "plain_disk_with_dot.yaml")
     configuration = load_cell()
@@ -333,7 +333,7 @@ def test_pictures_that_waited_long_are_passed_over_for_the_newest(cell: Cell) ->
         if answers()[0] == stamps[-1]:
             break
     else:
-        # Single images may be lost, but it is unlikely that every attempt loses its last image.
+        # A single image may be lost, but the last image is unlikely to be lost in every attempt.
         raise AssertionError(f"none of {TRIES} times was the newest picture answered first")
     assert cell.show(5)[-1].visible
 

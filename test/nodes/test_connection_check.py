@@ -49,7 +49,8 @@ def wait(condition: Callable[[], object]) -> None:
 
 
 def test_exactly_the_endpoints_that_do_not_connect_are_reported(ros: None) -> None:
-    """The reference is the middleware's own count of the subscriptions connected to a publisher."""
+    """The expected result follows from the middleware's count of the subscriptions that are
+    connected to a publisher."""
     other, own = rclpy.create_node("other"), rclpy.create_node("own")
     pairs = [*enumerate(itertools.product(PROFILES, PROFILES))]
     publishers = {

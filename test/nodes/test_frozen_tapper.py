@@ -66,8 +66,8 @@ def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
         node.create_service(HoldStill, "hold_still", hold)
         try:
             b.wait(lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe")
-            # On a busy machine a tap may end before the arm is asked. In this case nothing is
-            # frozen, and the tap does not count.
+            # On a busy machine a tap may end before the arm is asked. If the arm is not asked,
+            # nothing is frozen, and the tap does not count.
             for tap_id in range(100, 100 + 6 * FREEZES):
                 if len(promised) == FREEZES:
                     break
@@ -154,7 +154,8 @@ def test_a_frozen_arm_does_not_move_before_the_striker_has_landed(tmp_path: Path
 
         try:
             b.wait(at_rest, "arm and tapper are ready", 60.0)
-            # On a busy machine a tap may end before the arm is asked. Such a tap does not count.
+            # On a busy machine a tap may end before the arm is asked. A tap that ends so early does
+            # not count.
             for tap_id in range(100, 100 + 3 * ARM_FREEZES):
                 if frozen == ARM_FREEZES:
                     break

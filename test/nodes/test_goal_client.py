@@ -73,7 +73,8 @@ def test_a_goal_that_is_cancelled_in_the_terminal_makes_no_tap() -> None:
 
 def test_a_goal_that_is_sent_again_does_not_end_the_wait_for_it() -> None:
     with acted(), client_of_a_cell() as client:
-        # session.send repeats a request like this if the response to the first one is late.
+        # session.send itself sends a second request like this one if the response to the first is
+        # late.
         client.send(GOAL)
         session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
         finished = session.follow(client, lambda: None, Console(quiet=True))
@@ -89,7 +90,7 @@ def test_a_planner_that_is_killed_in_mid_goal_ends_the_wait() -> None:
             with GoalClient("goal") as client:
                 session.wait_for_planner(client, 60.0, Console(quiet=True))
                 session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
-                planner.kill()  # it waits for arm, tapper and camera, which do not exist here
+                planner.kill()  # it still waits for arm, tapper and camera, which do not exist
                 began = time.monotonic()
                 finished = session.follow(client, lambda: None, Console(file=words))
                 took = time.monotonic() - began
@@ -97,7 +98,7 @@ def test_a_planner_that_is_killed_in_mid_goal_ends_the_wait() -> None:
             planner.kill()
     assert finished.error_code == ErrorCode.NOT_READY, finished.error_msg
     assert "sent no message" in finished.error_msg
-    # The bound does not measure speed. It shows that the client does not wait for the 120 s that a
-    # goal may wait for the cell.
+    # The bound does not check speed. The bound shows that the client does not wait for 120 s, the
+    # time for which a goal may wait for the cell.
     assert took < RETURN_S + SILENCE_S + 30.0
     assert "waiting for it to return" in words.getvalue()

@@ -29,7 +29,8 @@ LUMA = COLOUR @ np.array([0.114, 0.587, 0.299])
 
 
 def message(pixels: np.ndarray, encoding: str, padding: int = 0) -> Image:
-    """Build a message by hand: the rows in order, each followed by ``padding`` bytes."""
+    """Build an image message without library functions: the rows in order, each followed by
+    ``padding`` bytes."""
     rows = pixels.reshape(HEIGHT, -1).view(np.uint8)
     padded = np.pad(rows, ((0, 0), (0, padding)), constant_values=77)
     made = Image(height=HEIGHT, width=WIDTH, encoding=encoding, step=padded.shape[1])
@@ -38,8 +39,8 @@ def message(pixels: np.ndarray, encoding: str, padding: int = 0) -> Image:
 
 
 def bayer(first: str, second: str) -> np.ndarray:
-    """Return a Bayer image. The arguments name the colours of the first two pixels of the first and
-    the second row."""
+    """Return a Bayer image. The arguments are the colours of the first two pixels in the first row
+    and in the second row, such as "rg"."""
     index = {"b": 0, "g": 1, "r": 2}
     mosaic = np.zeros((HEIGHT, WIDTH), np.uint8)
     for row, letters in enumerate((first, second)):
@@ -113,8 +114,8 @@ def test_a_message_is_made_of_any_picture():
 
 
 def test_a_pictures_memory_is_not_given_back_and_cleared_anew() -> None:
-    """Count the page faults while a process repeatedly allocates and frees images. The process is a
-    separate one because the setting applies to a whole process."""
+    """Count the page faults while a process repeatedly allocates and frees images. A separate
+    process is used because the memory setting applies to a whole process."""
     script = """
 import ctypes, resource
 from tapping_cell.nodes.memory import keep_memory

@@ -293,7 +293,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
             picture = cv2.imdecode(np.frombuffer(frame[20:], np.uint8), cv2.IMREAD_COLOR)
             assert picture.shape == colours.shape and 0.0 <= age < 10.0
             assert np.abs(picture[500, 600].astype(int) - colours[0, 0]).max() < 12
-            for _ in range(5):  # until the page reports the image as drawn, no other image is sent
+            for _ in range(5):  # nothing more is sent until the page reports the image as drawn
                 show()
                 await asyncio.sleep(0.1)
             with pytest.raises(asyncio.TimeoutError):
@@ -305,7 +305,8 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
         cell.bench.wait(lambda: subscribers() == 0, "nobody listens when nobody looks")
 
     async def ghost(page: Browser) -> None:
-        """A pixel of the image corresponds to the place on the table that the camera sees there."""
+        """Check that a pixel is converted to the place on the table that the camera sees at this
+        pixel."""
         wanted = Pose(0.08, -0.05, 0.6)
         pixel = view.project([[wanted.x, wanted.y]], height)[0]
         u, v = (pixel + 0.5) / (camera.width, camera.height)
@@ -390,7 +391,7 @@ def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
                 await page.send({"do": "cancel"})
                 assert "no goal that was sent" in (await page.answer("cancel"))["text"]
                 await page.send({"do": "goal", "x": 50, "y": 0, "angle": 10})
-                # The planner's state may be received before or after this answer.
+                # The planner's state may be received before this answer or after it.
                 assert (await page.answer("goal"))["text"] == "goal sent"
                 await page.state(lambda s: s["plan"]["busy"])
                 await page.send({"do": "cancel"})
@@ -562,8 +563,8 @@ def test_the_stop_is_held_for_late_joiners_and_by_the_next_process(cell: Cell) -
     assert link._process is not None
     link._process.kill()
     cell.bench.wait(lambda: [m.data for m in late] == [True, True], "the next process holds it")
-    # The process publishes before it accepts requests. Until then, a release is refused and
-    # repeated.
+    # The process publishes the stop before it accepts requests. Until it accepts them, the release
+    # is refused and repeated.
     cell.bench.wait(link.release, "the next process takes the release")
     cell.bench.wait(lambda: [m.data for m in late] == [True, True, False], "it is released")
     assert not link.held

@@ -31,8 +31,8 @@ PATIENT = {
         30.0,
     ),
 }
-"""Long time limits: these tests do not check them, and a busy machine may pause a process for
-seconds."""
+"""Long time limits, because a busy machine may pause a process for seconds. These tests do not
+check the limits."""
 NAME, RADIUS = "plain disk with dot", 0.048
 START, GOAL = Pose(-0.10, 0.0, 0.0), Pose(0.12, 0.0, 0.3)
 BETWEEN = Pose(0.01, 0.02, 0.0)

@@ -30,9 +30,10 @@ from tapping_cell.nodes.drivers.tapper_trigger import TapperTrigger
 pytestmark = pytest.mark.alone
 """The pulses last a few milliseconds and must not be delayed by other tests."""
 TRIES = 5
-"""Number of attempts to measure a pulse. The curve gives 20 mJ for 0.6 m/s, and the table 12 ms for
-20 mJ. The emulated robot notes when each command arrives. A busy machine may delay a command, but
-hardly in each of five taps."""
+"""Number of attempts to measure a pulse. The expected length is 12 ms: a striker speed of 0.6 m/s
+requires 20 mJ, and 20 mJ require a pulse of 12 ms. The emulated robot measures the length from the
+arrival of its commands. A busy machine may delay a command, but is unlikely to do so in each of
+five taps."""
 
 
 def output_cell(folder: Path, interface: str, reads_back: bool) -> Path:

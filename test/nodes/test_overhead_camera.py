@@ -55,7 +55,7 @@ def test_a_folder_is_sent_with_its_calibration_and_rising_stamps(tmp_path):
         pictures, infos, diagnostics = listen(b)
         b.wait(lambda: len(pictures) >= 9 and infos, "nine pictures")
         b.wait(lambda: reports(diagnostics, "1a.png"), "the broken picture is named")
-        pictures = list(pictures)  # the images received before ``now`` is read
+        pictures = list(pictures)  # only the images that were received before ``now``
         now = b.probe.get_clock().now().nanoseconds
     seen = [int(np.median(images.to_grey(p))) for p in pictures]
     assert set(seen) == set(LEVELS)

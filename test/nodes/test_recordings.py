@@ -43,14 +43,14 @@ BASE = CELL.arm_base @ Pose(0.002, -0.001, 0.01)
 
 @dataclass
 class HeldMarker:
-    """Simulated arm and camera: the marker that the arm holds is seen at the pose to which the arm
-    moved."""
+    """Simulated arm and camera. The camera sees the marker that the arm holds at the pose to which
+    the arm has moved."""
 
     bench: Bench
     blind: bool = False
     refuses: bool = False
     unseen: int = 0
-    """Number of coming postures at which the camera does not see the marker."""
+    """Number of the next postures at which the camera does not see the marker."""
     joints: Joints = field(default_factory=lambda: Joints(0.4, 0.8, -0.02, 0.0))
     other_file: float = 0.0
     """Error of the tip in the cell file that the running cell uses, in m."""

@@ -147,7 +147,8 @@ def is_written(runs: Path) -> bool:
 def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> None:
     with cell(tmp_path, seed=3, pictures=True) as fake:
         fake.arms.publish(fake.stamp(ArmState(state=ArmState.IDLE)))
-        # longer than the lead before a goal; latched messages must be in the bag all the same
+        # Longer than the time that is recorded before a goal. The bag must still contain latched
+        # messages.
         time.sleep(2.5)
         fake.follow(fake.goal())
         (run,) = fake.recorded(1)
@@ -162,7 +163,7 @@ def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> No
     assert "/camera/image_annotated/compressed" in names
     first = next(stamp for stamp, _ in bag.of("plan_state"))
     assert min(stamp for stamp, _ in bag.of("object_state")) < first
-    # The same holds for topics that the recorder subscribes to only during a goal.
+    # This also applies to topics that the recorder subscribes to only during a goal.
     assert min(stamp for stamp, _ in bag.of("ground_truth")) < first
     stamps = [message.stamp for message in bag.messages]
     assert stamps == sorted(stamps)
@@ -283,7 +284,7 @@ def test_refused_replaced_and_lost_goals_are_told_truly(
     monkeypatch.setattr(run_recorder, "SILENCE_S", 5.0)
     with cell(tmp_path) as fake:
         off = fake.goal(Pose(0.9, 0.0, 0.0))
-        for _ in range(3):  # a repeated refusal makes only one folder
+        for _ in range(3):  # a refusal that is published repeatedly makes only one folder
             fake.report(
                 off,
                 PlanState.FAILED,
@@ -407,7 +408,7 @@ def test_messages_of_another_version_are_reported_and_do_not_end_the_recorder(
         )
         fake.bench.wait(lambda: fake.arrangements.get_subscription_count() == 1, "a third topic")
         publisher = getattr(fake, topic)
-        # A definition with fewer fields, like that of an older version.
+        # A message with fewer fields, as in an older version of the definition.
         publisher.publish(serialize_message(Header(frame_id="table")))
         fake.bench.wait(lambda: fake.health()[0] == DiagnosticStatus.WARN, "it says so")
         sentence = fake.health()[1]

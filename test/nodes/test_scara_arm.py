@@ -1,6 +1,7 @@
 """The arm's node over DDS and a pseudo-terminal: topics, services, life cycle, cable.
 
-Its decisions are tested in virtual time (``test/pure/logic/test_arm_with_its_controller.py``).
+The node's decisions are tested in virtual time
+(``test/pure/logic/test_arm_with_its_controller.py``).
 """
 
 from __future__ import annotations
@@ -162,7 +163,8 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
     tip = from_message(cell.last.tip_pose)
     assert tip.distance_to(STRIKE) < 0.0005 and abs(tip.rotation_to(STRIKE)) < 0.002
     assert cell.last.tip_pose.position.z == pytest.approx(0.006, abs=2e-4)
-    # The arm's true pose, from the emulator by forward kinematics, not from its messages.
+    # Compute the arm's true pose from the emulator by forward kinematics, not from the node's
+    # messages.
     configuration = load_cell()
     with cell.terminal.lock:
         joints = cell.device.joints(time.monotonic())
@@ -191,8 +193,8 @@ def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> 
     )
     assert cell.last.state == ArmState.STOPPED
     cell.stop.publish(Bool(data=False))
-    # Messages and service requests are not ordered: the clear may be processed before the release,
-    # and is then refused.
+    # Messages and service requests are not ordered: the request to clear the stop may be processed
+    # before the release of the stop, and is then refused.
     cell.bench.wait(lambda: cell.call("clear_fault").success, "the stop is cleared")
     cell.wait_state(ArmState.NOT_HOMED)
     assert not cell.moves(0.3)
@@ -236,7 +238,8 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
 
 def test_a_source_that_does_not_repeat_its_level_asks_for_a_confirmation(cell: Cell) -> None:
     """Some sources do not repeat their level, so nobody can check whether they still hold the stop.
-    The release of one source must not release the stop of such a source."""
+    The stop of a source that does not repeat its level must remain if another source releases its
+    own stop."""
     panel = Node("panel")
     held = panel.create_publisher(Bool, "emergency_stop", COMMAND)
     cell.bench.wait(lambda: held.get_subscription_count() >= 1, "the panel is known")

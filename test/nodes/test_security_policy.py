@@ -98,8 +98,8 @@ def _grant(rules: Endpoints, kind: str, name: str) -> None:
 def opened(node: Any, name: str, expected: Endpoints) -> Endpoints:
     """Return what a node has opened in the running middleware.
 
-    The middleware lists an endpoint shortly after it was created. Therefore, this waits until all
-    expected endpoints are listed, for at most ``DISCOVERY_S``.
+    The middleware lists an endpoint shortly after it was created. Therefore, this function waits
+    until all expected endpoints are listed, for at most ``DISCOVERY_S``.
     """
     end = time.monotonic() + DISCOVERY_S
     while True:

@@ -67,7 +67,7 @@ def test_a_tap_is_made_once_and_recorded(experiment: Experiment) -> None:
     # Without a given direction, the tap goes towards the middle.
     assert math.hypot(actors.pose.x, actors.pose.y) < math.hypot(before.x, before.y)
     ends = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]
-    assert set(ends) == {command.tap_id}  # the second withdrawal parks the arm
+    assert set(ends) == {command.tap_id}  # two withdrawals: the second one parks the arm
     actors.bench.wait(lambda: actors.plans[-1].state == PlanState.IDLE, "it ends in idle")
 
 

@@ -1,6 +1,7 @@
 """The planning node over DDS: its topics, its stored goal, and its shutdown.
 
-Its decisions are tested in virtual time (``test/pure/logic/test_planner_with_played_devices.py``).
+The node's decisions are tested in virtual time
+(``test/pure/logic/test_planner_with_played_devices.py``).
 """
 
 from __future__ import annotations
@@ -47,13 +48,14 @@ FAST = {
     "withdraw_deadline": 4.0,
     "silence_limit": 4.0,
 }
-"""Shorter than in a cell, so that missing messages are soon detected, but long enough for a busy
-machine: the simulated devices publish every 30 ms."""
+"""Time limits that are shorter than in a real cell, so that missing messages are detected soon. The
+limits are long enough for a busy machine, because the simulated devices publish every 30 ms."""
 
 
 @dataclass
 class Actors:
-    """Simulated camera, arm and tapper. Each behaves normally unless a test changes it."""
+    """Simulated camera, arm and tapper. Each device behaves normally unless a test changes its
+    behaviour."""
 
     bench: Bench
     pose: Pose = START
@@ -99,7 +101,8 @@ class Actors:
                     fired = self.tapper_answers != TapperState.NOT_FIRED
                     if fired and self.moves_when_fired:
                         self.pose = from_message(command.predicted_pose)
-                    # At once: otherwise an image would still show the object after the tap.
+                    # Hide the object immediately: otherwise an image after the tap would still show
+                    # it.
                     self.visible = self.visible and not (fired and self.lost_when_fired)
             elif self.arm_withdraws:
                 self.arm_state = ArmState.IDLE
@@ -171,7 +174,7 @@ def actors() -> Iterator[Actors]:
 
 
 def test_a_planner_that_has_ended_serves_nothing() -> None:
-    # If some services of an ended planner stayed visible, new clients would wait for its action
+    # If services of a planner stayed visible after its end, new clients would wait for its action
     # server.
     context = Context()
     rclpy.init(context=context)
@@ -194,8 +197,8 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg
     assert end.taps == len(actors.taps()) >= 1
-    # Each tap is ended by a withdrawal, and the last one by a second withdrawal that parks the arm.
-    # The ids increase.
+    # A withdrawal ends each tap. After the last tap, a second withdrawal parks the arm. The ids
+    # increase.
     ids = [command.tap_id for command in actors.taps()]
     assert ids == sorted(set(ids))
     ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]

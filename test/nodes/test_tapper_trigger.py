@@ -1,6 +1,6 @@
 """The tapper's node over DDS and a pseudo-terminal: topics, services, life cycle, cable.
 
-Its decisions are tested in virtual time (``test/pure/logic/test_tapper_with_its_board.py``).
+The node's decisions are tested in virtual time (``test/pure/logic/test_tapper_with_its_board.py``).
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ PATIENT: dict[str, object] = {
     "unseen_limit": 10.0,
     "needs_camera": False,
 }
-"""Limits long enough that the simulated arm and planner are not timed out on a busy machine. The
-limits are tested in virtual time."""
+"""Time limits long enough that the simulated arm and planner do not exceed them on a busy machine.
+The limits themselves are tested in virtual time."""
 
 
 @contextmanager
@@ -168,8 +168,8 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     assert cell.shots() == []
     cell.publish_until(lambda: cell.outcome(100) == TapperState.FIRED, "fired", tap_id=100)
     assert cell.shots() == [100]
-    # The same command again while the arm is still in position: it is answered, but nothing is
-    # fired.
+    # The same command arrives again while the arm is still in position: it is answered, but nothing
+    # is fired.
     cell.command(100)
     keep_publishing(cell, 0.5, tap_id=100)
     assert cell.shots() == [100]
@@ -185,8 +185,8 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
     assert cell.states[-1].state == TapperState.STOPPED
     with cell.terminal.lock:
         cell.device.press_clear_button(time.monotonic())
-    # Messages and service requests are not ordered: the clear may be processed before the release,
-    # and is then refused.
+    # Messages and service requests are not ordered: the request to clear the stop may be processed
+    # before the release of the stop, and is then refused.
     cell.bench.wait(cell.cleared, "the stop is cleared")
     cell.bench.wait(lambda: cell.states[-1].state == TapperState.SAFE, "safe again")
     cell.fire(101)

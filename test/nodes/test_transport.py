@@ -1,4 +1,4 @@
-"""Images use shared memory. Nodes that may be killed and restarted during a tap do not use it."""
+"""Images use shared memory. Nodes that may be killed and restarted during a tap use UDP only."""
 
 from __future__ import annotations
 

@@ -192,8 +192,9 @@ def test_homing_survives_a_pulled_cable_but_not_a_reset(
 
 
 def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerminal]) -> None:
-    """The controller does not notice if somebody pushes the arm. The driver only notices that the
-    reported position has changed; a move of another program causes this here."""
+    """The controller does not notice if somebody pushes the arm. The driver can only notice that
+    the reported position has changed. In this test a move of another program changes the reported
+    position."""
     cell = emulated(plug)
     driver = cell.ready()
     with cell.port.lock:
@@ -262,7 +263,8 @@ def test_unknown_firmware_is_refused(plug: Callable[..., PseudoTerminal]) -> Non
 
 
 def test_a_homing_that_did_not_run_is_not_believed(plug: Callable[..., PseudoTerminal]) -> None:
-    """A single wrong bit turns $H into $X, which an unlocked Grbl answers with ok."""
+    """A single wrong bit changes $H (home) to $X (unlock), to which Grbl, if not locked, answers
+    ok."""
     cell = emulated(plug)
     cell.driver.connect()
     cell.driver.clear_fault()
@@ -284,8 +286,8 @@ def test_homing_without_switches(
     plug: Callable[..., PseudoTerminal], strategy: HomingStrategy
 ) -> None:
     settings = dict(MACHINE.settings) | {22: 0.0}
-    # MANUAL_POSE homes at the marked pose. With NONE, the controller counts from zero where it
-    # starts.
+    # With MANUAL_POSE, the arm is homed at its marked pose. With the strategy NONE, the controller
+    # takes its position at the start as zero.
     place = HOME if strategy is HomingStrategy.MANUAL_POSE else (0.0, 0.0, 0.0, 0.0)
     cell = emulated(plug, GrblMachine(start_joints=place, settings=settings))
     cell.driver.connect()

@@ -124,12 +124,12 @@ def test_a_restart_during_a_move_is_noticed(plug: Plug) -> None:
 
 
 class OctoPrintPort:
-    """OctoPrint's virtual printer as a device on a pseudo-terminal of the test.
+    """OctoPrint's virtual printer, connected to a pseudo-terminal.
 
-    It is an independent implementation, but not a real board. It answers a repeated line number
-    with ``Resend`` and ``ok``, where real Marlin does not answer. It has an axis E instead of a
-    fourth arm axis, its reported step counts are not those of motors, and the ``ok`` of ``M114`` is
-    on the same line as the position.
+    It is an independent implementation, but not a real board. The virtual printer answers a
+    repeated line number with ``Resend`` and ``ok``, whereas real Marlin does not answer. The
+    virtual printer has an axis E instead of a fourth arm axis, its reported step counts are not
+    those of motors, and the ``ok`` of ``M114`` is on the same line as the position.
     """
 
     def __init__(self, printer: object) -> None:

@@ -213,7 +213,8 @@ def test_a_port_that_vanishes_while_it_is_set_up_is_missing(
 
 
 def test_however_connecting_fails_nothing_stays_open_or_locked(tmp_path: Path) -> None:
-    """Disconnect cables at random times of forty connects, also with boards that do not answer."""
+    """Disconnect the cable at random times during forty attempts to connect, some of them to boards
+    that do not answer."""
     draw = random.Random(5)
     path = tmp_path / "device"
     board = TapperEmulator(now=time.monotonic())

@@ -74,7 +74,7 @@ class BoardPair:
         self.sequence = 10
 
     def run(self, duration: int) -> None:
-        """Let time pass, extended until neither board is about to change its state."""
+        """Let time pass, and continue until neither board is about to change its state."""
         end = self.now + duration
         while self.now < end:
             before = self.emulator.state

@@ -140,7 +140,8 @@ class BoardPair:
         return (START_MS + self.now - self.started) % 2**32
 
     def run(self, duration: int) -> None:
-        """Let ``duration`` ms pass, extended until neither board is about to change its state."""
+        """Let ``duration`` ms pass, and continue until neither board is about to change its
+        state."""
         end = self.now + duration
         while self.now < end:
             before = self.emulator.state
@@ -181,7 +182,7 @@ class BoardPair:
                 self.library.host_enabling(held)
                 self.emulator.set_enabling_switch(bool(held), now)
             case ("motor" | "switch" | "lose", _) if self.emulator.drive.status is Status.MOVING:
-                pass  # both detect a failure during a motion, but not at the same step
+                pass  # skipped: both detect a failure during a motion, but not at the same step
             case ("motor", powered):
                 self.library.host_motor(powered)
                 self.emulator.drive.set_power(bool(powered), now)
@@ -276,7 +277,7 @@ class Board:
                 self.times.put((int(at), float(place)))
 
     def command(self, order: str) -> None:
-        """Give an order to the simulated board; it has been executed when this returns."""
+        """Give an order to the simulated board and wait until it has been executed."""
         assert self.process.stdin is not None
         self.process.stdin.write(order + "\n")
         self.clock()
@@ -358,7 +359,7 @@ def fault(reason: FaultReason) -> Iterator[None]:
 
 
 NEAR = 4
-"""Tolerance of the carriage's position after it was sent to its front switch, in steps, because the
+"""Tolerance of the carriage's position, in steps, after it has moved to its front switch. The
 switch bounces."""
 
 

@@ -75,7 +75,7 @@ ARROWS = {
     "__main__": {"cli"},
 }
 ROS_SUBPACKAGES = {"nodes", "cli"}
-# External libraries that only these subpackages import.
+# External libraries that only the listed subpackages may import.
 HOMES = {
     "serial": {"hardware"},
     "matplotlib": {"report"},
@@ -85,7 +85,8 @@ HOMES = {
     "tornado": {"nodes"},
     "argcomplete": {"cli"},
 }
-# These modules open real ports. The simulated world must never do that, so it may not import them.
+# These modules open real ports. The simulated world must never open a real port, so it may not
+# import these modules.
 DRIVERS = {"serial_transport", "arm", "tapper"}
 # Other external libraries that may be imported by the subpackages that need them.
 COMMON = {"numpy", "scipy", "cv2", "yaml", "ament_index_python"}
@@ -184,7 +185,7 @@ def against_the_arrows(imports: list[Import], package: str) -> list[Import]:
         if {".".join(parts[1:end]) for end in range(2, len(parts) + 1)} & allowed:
             continue
         if target not in ARROWS and target != "":
-            continue  # a name in the package itself, such as __version__
+            continue  # a name defined in the package itself, such as __version__
         wrong.append(found)
     return wrong
 

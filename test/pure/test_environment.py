@@ -43,7 +43,7 @@ run_tests = load(ROOT / "environment" / "run_tests.py")
 
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
-    """Let the set-up's functions work in an empty folder."""
+    """Make the functions of the set-up work in an empty folder."""
     monkeypatch.setattr(set_up, "ROOT", tmp_path)
     monkeypatch.setattr(set_up, "LOG", tmp_path / "log")
     return tmp_path

@@ -27,8 +27,8 @@ from tapping_cell.vision.markers.detection import marker_pattern
 
 Random = np.random.Generator
 _MODULES_A_SQUARE = 48
-"""Pixels per square of the drawn target. Each module of its marker, whose size is 3 / 4 of the
-square, has a whole number of pixels."""
+"""Pixels per square of the drawn target. The marker in a square is 3 / 4 of the square's size, so
+that each module of the marker has a whole number of pixels."""
 
 
 def camera(random: Random) -> CameraModel:
@@ -120,8 +120,7 @@ def markers(random: Random) -> ReferenceMap:
 
 
 def markers_sheet(references: ReferenceMap) -> Sheet:
-    """Return one sheet of 0.84 x 0.66 m with the markers. The value of a pixel is that at its
-    centre."""
+    """Return one sheet of 0.84 x 0.66 m with the markers. A pixel has the value at its centre."""
     pixel = 0.00025
     pattern = np.full((round(0.66 / pixel), round(0.84 / pixel)), 255, dtype=np.uint8)
     rows, columns = pattern.shape
@@ -205,8 +204,8 @@ def tap_record(
     shares: Sequence[int],
     scatter: float,
 ) -> TapRecord:
-    """Return taps through the middle of the object at energies from 1 to 60 mJ, ``shares`` of them
-    at each energy, measured to 0.1 mm."""
+    """Return taps through the middle of the object at energies from 1 to 60 mJ, measured to 0.1 mm.
+    ``shares`` contains the number of taps at each energy."""
     energies = np.repeat(np.geomspace(1e-3, 6e-2, len(shares)), shares)
     striker = speed(energies) * np.exp(scatter * random.standard_normal(len(energies)))
     near = np.array([-tap.body.bounding_radius, 0.0])

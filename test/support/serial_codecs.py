@@ -122,7 +122,8 @@ def grbl_out(data: bytes) -> None:
 
 
 def marlin_out(data: bytes) -> None:
-    """Check numbered move lines with a checksum and a parser of this file."""
+    """Check numbered move lines with a checksum and a parser that are implemented in this
+    function."""
     *target, feed = _numbers(data)
     number = int.from_bytes(data[:3], "little")
     try:

@@ -70,7 +70,7 @@ def write(folder: Path, trials, **header) -> Path:
 
 
 def track(speed=0.3, spin=2.0, rate=30.0, sliding=None, impact=0.41, start=(0.1, -0.05, 0.3)):
-    """Return the exact track of one slide along x."""
+    """Return the exact track of one slide along x, sampled at ``rate`` Hz."""
     sliding = sliding or Sliding(DISK.body(), 0.21, 2.6)
     time = np.arange(0.0, impact + float(sliding.rest(speed, spin).duration) + 0.3, 1 / rate)
     profile = sliding.profile(speed, spin, np.maximum(time - impact, 0.0))

@@ -60,8 +60,8 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
 
     ``torque_ratio`` is kappa m R^2 / I. With r = hypot(speed, rim speed), the integration variable
     is L = ln(r0 / r), and the integration ends when r is 1e-8 of its initial value r0. The products
-    x / v0 and theta / omega0 are integrated, so that a very small part also has this relative
-    accuracy.
+    x / v0 and theta / omega0 are integrated, so that even a very small translation or rotation has
+    this relative accuracy.
     """
     friction = {"disk": disk_force_and_torque, "ring": ring_force_and_torque}[support]
     r0 = math.hypot(speed, rim_speed)

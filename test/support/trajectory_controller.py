@@ -1,10 +1,11 @@
 """Emulator of a joint_trajectory_controller and its arm in ros2_control, with time as an argument.
 
-It accepts a trajectory whose joints are its own, in any order, and whose times increase. A new
-trajectory replaces the current one, starting from the present command (preemption). Points with
-velocities are joined by cubics, others by straight lines. The arm follows its commands with a lag.
-An action goal succeeds once every joint is within its goal tolerance after the trajectory's end. It
-is aborted if that takes longer than the goal time or if the arm leaves the path tolerance.
+The emulator accepts a trajectory if it names the controller's joints, in any order, and if its
+times increase. A new trajectory replaces the current one, starting from the present command
+(preemption). Points with velocities are joined by cubics, others by straight lines. The arm follows
+its commands with a lag. An action goal succeeds once every joint is within its goal tolerance after
+the trajectory's end. The goal is aborted if this takes longer than the goal time or if the arm
+leaves the path tolerance.
 """
 
 from __future__ import annotations

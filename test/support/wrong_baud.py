@@ -9,8 +9,8 @@ def sampled(data: bytes, sent: float, read: float) -> bytes:
     """Return the bytes that a receiver at ``read`` baud decodes from ``data`` sent at ``sent``
     baud, 8N1.
 
-    The receiver waits for a falling edge and samples the middle of each bit in its own period. It
-    forwards bytes with a wrong stop bit, as Linux does by default.
+    The receiver waits for a falling edge and samples the middle of each bit in its own period. The
+    receiver forwards bytes with a wrong stop bit, as Linux does by default.
     """
     levels = [
         level

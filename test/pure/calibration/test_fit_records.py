@@ -274,7 +274,7 @@ def tracked(tmp_path, seen, **values):
     write_header(tmp_path, header)
     experiment = read_experiment(tmp_path)
     with pytest.raises(RecordError) as refusal:
-        # raises in any case, because one trial is not enough
+        # always raises, because one trial is not enough
         screen([experiment], DISK.body(), GRAVITY)
     return str(refusal.value)
 

@@ -46,7 +46,7 @@ def test_states_are_those_of_the_mechanics(body, speed, ratio, factor, share):
     state, _ = curves.at(
         launch, np.array([time]), np.zeros(1, dtype=int), np.array([0.17]), math.log(factor)
     )
-    # Values are interpolated between two tabulated torque factors.
+    # The fit interpolates between two tabulated torque factors, so it is not exact.
     size = float(rest.distance) + body.support_radius * abs(float(rest.rotation))
     assert state.distance[0] == pytest.approx(float(exact.distance[0]), abs=1e-3 * size)
     turned = body.support_radius * (state.rotation[0] - float(exact.rotation[0]))
@@ -111,8 +111,8 @@ def test_noise_of_the_velocities_does_not_bias_the_torque_factor():
 
 
 def test_intervals_cover_as_often_as_they_say():
-    """The estimate is the mean of 4 x 10 samples from a skewed distribution. The score of a sample
-    x is mean - x."""
+    """The estimate is the mean of 4 x 10 samples from a skewed distribution. Sample x contributes
+    the score mean - x."""
     random = np.random.default_rng(0)
     runs = np.repeat([1, 2, 3, 4], 10)
     trials, covered = 300, 0

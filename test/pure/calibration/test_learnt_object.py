@@ -26,7 +26,8 @@ GUESS = replace(CELL.object, friction=0.2, torque_factor=1.8, smallest_tap=0.001
 
 
 def drawn(seed: int) -> tuple[ObjectFile, float, float]:
-    """Return the file of a guessed object, its true friction and its true torque factor."""
+    """Return the file of a random object with guessed values, its true friction and its true torque
+    factor."""
     random = np.random.default_rng(seed)
     kind = ("disk", "ring", "polygon")[seed % 3]
     if kind != "polygon":
@@ -46,7 +47,8 @@ def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, fl
     tap = replace(content.tap(STRIKER), smallest_distance=0.0)
     asked = np.empty((0, 3))
     while len(asked) < count:
-        # A single call for many taps, because each call integrates the slides of a polygon again.
+        # Use a single call for many taps, because each call integrates the slides of a polygon
+        # again.
         distance, heading = random.uniform(0.004, 0.03, 64), random.uniform(-3, 3, 64)
         turn = random.uniform(-0.9, 0.9, 64) * tap.cone_slope * distance
         some = np.column_stack([distance * np.cos(heading), distance * np.sin(heading), turn])

@@ -51,7 +51,8 @@ def made_taps(entry, true: Pose, factor: float, count: int, rng: np.random.Gener
 
 
 def line_error(found: Pose, true: Pose) -> float:
-    """Return the distance between the two lines at an object in the middle, m."""
+    """Return the signed distance between the two lines, measured near the middle of the table,
+    m."""
     reach = math.hypot(true.x, true.y) - 0.05
     point = np.array([true.x + reach * math.cos(true.theta), true.y + reach * math.sin(true.theta)])
     off = point - np.array([found.x, found.y])
@@ -72,7 +73,7 @@ def test_twelve_taps_know_a_line_to_a_third_of_a_millimetre() -> None:
         claimed.append(fit.line_deviation)
         assert fit.speed_factor == pytest.approx(factor, rel=0.05)
         expected = line_error(fit.mount, true) - line_error(nominal, true)
-        # The mean place of the objects is up to 3 cm from the one in the middle.
+        # The fit refers to the mean place of the objects, which may be up to 3 cm from the middle.
         assert fit.line_offset == pytest.approx(expected, abs=0.03 * abs(fit.angle) + 1e-4)
         assert abs(wrap_angle(fit.mount.theta - true.theta)) < 5.0 * fit.angle_deviation
     assert np.sqrt(np.mean(np.square(errors))) < MAX_DEVIATION

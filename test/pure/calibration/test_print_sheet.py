@@ -96,7 +96,8 @@ def test_reference_markers_are_where_the_table_file_says(tmp_path: Path, kind: s
 
 
 def test_the_sheet_for_the_shipped_table_file_has_its_markers(tmp_path: Path) -> None:
-    """The sheet of docs/build that is glued to the table matches the table file of the cell."""
+    """The sheet that the build guide says to glue to the table matches the table file of the
+    cell."""
     image = page(tmp_path, "table", "--paper", "a1", "--table", str(SHIPPED), "--dpi", "101.6")
     references = load_reference_map(SHIPPED)
     found = {d.id: d for d in find_markers(image, references.dictionary)}

@@ -1,4 +1,5 @@
-"""The soak test detects a growing use of resources; that of the drivers does not grow."""
+"""The soak test detects a resource use that grows over time; the resource use of the drivers does
+not grow."""
 
 from __future__ import annotations
 

@@ -151,7 +151,8 @@ def test_a_cluster_that_is_not_there_is_refused(
     monkeypatch.setattr(cluster_module, "CONNECTION_DEADLINE", "1s")
     more = ("--cluster", "tcp://127.0.0.1:1")
     assert run_sweep(tmp_path, "tolerance=2", more=more) == 2
-    # With Dask installed, no scheduler answers. Without it, the message says how to install it.
+    # If Dask is installed, the message says that no scheduler answers; otherwise, how to install
+    # Dask.
     assert "scheduler" in (text := capsys.readouterr().err) or "pip install distributed" in text
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert run_sweep(tmp_path, "tolerance=2", more=more) == 2

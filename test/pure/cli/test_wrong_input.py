@@ -1,4 +1,4 @@
-"""Wrong input is refused immediately with one sentence, before anything starts."""
+"""Wrong input is refused immediately with a message of one sentence, before anything starts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tapping_cell.cli import main
 from tapping_cell.configuration.files import shared_folder
 
 LONGEST_S = 2.0
-"""Limit of the processor time. The elapsed time would depend on the load of the machine."""
+"""Limit of the processor time, s. The elapsed time would depend on the load of the machine."""
 WRONG: list[tuple[str, str]] = [
     ("", "no verb was given"),
     ("dance", "there is no verb 'dance'"),
@@ -180,7 +180,7 @@ def test_wrong_input_is_refused_in_one_sentence(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     line = line.replace("HARDWARE", str(hardware_cell)).replace("FILES", str(files))
-    # The first call of a verb also imports its module. The second one measures only the refusal.
+    # The first call of a verb also imports its module. The second call measures only the refusal.
     for _ in range(2):
         began = time.process_time()
         try:

@@ -20,7 +20,7 @@ from tapping_cell.simulation.fault_layer import (
 )
 
 THOROUGH = (Dialect.GRBL, Dialect.MARLIN)
-"""Dialects with complete tests. The other controllers have shorter ones."""
+"""Dialects with complete tests. The tests of the other dialects are shorter."""
 
 
 @pytest.mark.parametrize("dialect", Dialect)
@@ -41,9 +41,9 @@ def test_random_faults(dialect: Dialect) -> None:
 def test_seeds_that_once_led_to_something_untrue_or_a_board_that_nobody_reset(
     dialect: Dialect, seed: int
 ) -> None:
-    """Regression tests: one line number used for two lines; a move line that a wrong bit turned
-    into G92; a bad answer to M115, after which a stop halted the board while its cable was
-    disconnected."""
+    """Regression tests for three cases: one line number was used for two lines; a wrong bit changed
+    a move line to G92; after a corrupted answer to M115, a stop halted the board while its cable
+    was disconnected."""
     tally = run_taps(dialect, 100, seed)
     assert tally.clean, tally.notes
 

@@ -1,5 +1,5 @@
-"""Connecting identifies the board and compares its settings with the cell file. Real drivers with
-emulated boards in virtual time."""
+"""Connecting identifies the board and compares its settings with the cell file, tested with the
+real drivers and emulated boards in virtual time."""
 
 from __future__ import annotations
 

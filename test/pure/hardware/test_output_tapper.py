@@ -1,5 +1,5 @@
-"""A tapper that is fired by a digital output: the guarantees of its driver, and what it reports
-that it cannot guarantee."""
+"""A tapper that is fired by a digital output: what its driver guarantees, and what it reports as
+not guaranteed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kinematics: forward and inverse agree, and every refused pose is truly out of reach."""
+"""Forward and inverse kinematics agree, and every refused pose is truly out of reach."""
 
 from __future__ import annotations
 

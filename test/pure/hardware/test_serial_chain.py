@@ -1,7 +1,7 @@
 """A six-axis arm instead of the SCARA: its kinematics, and the driver of its joints.
 
 The independent reference is the forward kinematics of the shipped arm, written link by link with
-SciPy's rotations. Its lengths come from the drawing, not from the URDF.
+SciPy's rotations. The lengths in this reference come from the drawing, not from the URDF.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""All boards of a cell as one device: at most one is charged at any time, regardless of the replies
-of the others."""
+"""All boards of a cell as one device: at most one board is charged at any time, regardless of what
+the other boards reply."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Replies that remain unreadable, byte by byte: wrong baud rate, interference, other firmware."""
+"""Replies that are unreadable for a long time, because of a wrong baud rate, interference or other
+firmware."""
 
 from __future__ import annotations
 
@@ -74,7 +75,8 @@ def test_an_arm_at_another_baud_rate_is_unreadable(dialect: str, rate: int) -> N
 
 @pytest.mark.parametrize("rate", OTHER_RATES)
 def test_a_tapper_at_another_baud_rate_never_looks_like_a_tapper(rate: int) -> None:
-    """The board does not answer what it cannot read, so most rates result in a timeout."""
+    """The board does not answer lines that it cannot read, so most baud rates result in a
+    timeout."""
     line = Line(WrongBaud(TapperEmulator(), 115200, rate))
     with pytest.raises(HardwareFault) as caught:
         TapperDriver(line.transport).connect(1.0)

@@ -199,8 +199,8 @@ def test_who_always_says_charged_holds_the_arm_for_a_limited_time() -> None:
 
 
 def test_a_restarted_arm_keeps_the_promise_of_one_with_another_cell_file() -> None:
-    """The cell file may have changed before the restart, but the striker was fired with the old
-    one."""
+    """The cell file was changed before the restart, but the striker was fired with the old cell
+    file."""
     tapper = replace(CELL.file.tapper, stroke=0.1 * CELL.file.tapper.stroke)
     quick = replace(CELL, file=replace(CELL.file, tapper=tapper))
     assert permit.longest_hold(quick) < permit.longest_hold(CELL)

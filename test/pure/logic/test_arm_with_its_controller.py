@@ -115,7 +115,8 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
     tip = from_message(cell.last.tip_pose)
     assert tip.distance_to(STRIKE) < 0.0005 and abs(tip.rotation_to(STRIKE)) < 0.002
     assert cell.last.tip_pose.position.z == pytest.approx(0.006, abs=2e-4)
-    # The arm's true pose, from the emulator by forward kinematics, not from its messages.
+    # Compute the arm's true pose from the emulator by forward kinematics, not from the node's
+    # messages.
     configuration = load_cell()
     joints = cell.device.joints(cell.now())
     true = configuration.file.arm.geometry().forward(joints)
@@ -128,8 +129,8 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
 
 
 def test_the_striker_is_lowered_only_at_its_place(cell: Cell) -> None:
-    """The arm raises, travels and lowers. Below travel height, the tip moves only vertically, above
-    its strike pose."""
+    """The arm raises its quill, travels, and lowers the quill. Below travel height, the tip moves
+    only vertically, above its strike pose."""
     configuration = load_cell()
     geometry = configuration.file.arm.geometry()
     cell.command(100)

@@ -1,5 +1,5 @@
 """Arrangements of several objects in virtual time, with the planner's state machine and simulated
-devices; and the tapper's checks of the object that is tapped."""
+devices. This file also tests the tapper's checks of the object that is tapped."""
 
 from __future__ import annotations
 
@@ -44,8 +44,7 @@ PLACES = (Pose(-0.12, 0.03, 0.0), Pose(0.04, 0.05, 0.2), Pose(0.10, -0.12, 0.0))
 
 @cache
 def files() -> tuple[ObjectFile, ...]:
-    """Return further disks like the cell's own, which are small enough for three to fit on the
-    table."""
+    """Return two more disks like the cell's own. Three of these disks fit on the table."""
     own = shipped()[0].object
     return tuple(replace(own, name=f"disk {number}") for number in (2, 3))
 
@@ -318,7 +317,7 @@ def test_an_object_moved_by_hand_before_the_tap_gives_it_up(cell: Table) -> None
     one, other = cell.names[:2]
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
     cell.wait(lambda: cell.states[-1].state == PlanState.LOOKING, "it looks")
-    # From here on the arm does not react to commands, until the other object has been moved.
+    # From now on, the arm does not react to commands until the other object has been moved.
     cell._on_command = lambda command: cell.taps.append(command)  # type: ignore[method-assign]
     cell.wait(lambda: cell.taps, "a tap is commanded")
     cell.poses[other] = moved(cell.poses[other], 0.01, 0.0)
@@ -451,7 +450,8 @@ def test_the_last_check_is_of_the_tapped_object() -> None:
         found = peers._disturbance(planned, now)
         return found[0] if found is not None else ErrorCode.NONE
 
-    # An object that was never seen is not tapped, wherever the cell's own object is.
+    # An object that was never seen is not tapped, even if the cell's own object is at the planned
+    # pose.
     assert reason("other", there) == ErrorCode.OBJECT_NOT_SEEN
     assert reason("other", here) == ErrorCode.OBJECT_NOT_SEEN
     peers.on_object_states(states_of(own=here, other=there), now)
@@ -459,8 +459,8 @@ def test_the_last_check_is_of_the_tapped_object() -> None:
     assert reason("other", here) == ErrorCode.OBJECT_MOVED
     assert reason("own", here) == reason("", here) == ErrorCode.NONE
     assert reason("own", there) == ErrorCode.OBJECT_MOVED
-    # The age of a state follows from its own stamp, and an older state does not replace a newer
-    # one.
+    # The age of an object's state is computed from its own stamp, and an older state does not
+    # replace a newer one.
     late = states_of(other=away)
     late.objects[0].header.stamp.sec = 9
     peers.on_object_states(late, now)

@@ -33,7 +33,7 @@ class Asked(Actors):
     """The simulated devices and a person who confirms or rejects taps."""
 
     def proposal(self, other_than: int = 0) -> PlannedTap:
-        """Return the tap that waits for confirmation now."""
+        """Wait until a tap waits for confirmation, and return it."""
 
         def waits() -> bool:
             plan = self.plans[-1]
@@ -299,8 +299,8 @@ def test_the_mode_is_switched_while_the_cell_runs() -> None:
 
 
 def test_what_is_expected_is_shown_with_its_uncertainty(asked: Asked) -> None:
-    """The ellipse of the expected result is at least as long as a tap's scatter and grows with the
-    tap."""
+    """The ellipse of the expected result is at least as long as the scatter of a tap and grows with
+    the length of the tap."""
     sizes = []
     for goal in (Pose(-0.02, 0.02, 0.2), Pose(0.06, 0.02, 0.2)):
         asked = Asked(ASKING)

@@ -63,7 +63,7 @@ def monitor_with(ahead: float, delays: list[float]) -> tuple[CellMonitor, float]
 
 
 def shown_skew(sentence: str) -> float:
-    """Return the clock difference stated in a sentence, rounded to 0.01 s."""
+    """Return the clock difference that a message states, rounded to 0.01 s."""
     shown = re.search(r"([-+]\d+\.\d\d) s", sentence)
     assert shown is not None
     return float(shown[1])

@@ -1,4 +1,4 @@
-"""Invalid goals are refused with a code and a sentence before anything moves."""
+"""Invalid goals are refused with an error code and a message before anything moves."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def quaternion(values: Sequence[float]) -> Quaternion:
 
 
 class OneFrame:
-    """Lookup of frames that knows the pose of a single frame."""
+    """Frame lookup that only knows the pose of the frame ``fixture``."""
 
     def __init__(self, place: Numbers, turn: Numbers) -> None:
         self.pose = PoseMessage(position=point(place), orientation=quaternion(turn))
@@ -137,7 +137,7 @@ quaternions = (
 def test_a_goal_in_another_frame_is_the_same_place_on_the_table(
     place: Numbers, turn: Numbers, wanted: tuple[float, float, float]
 ) -> None:
-    # The goal expressed in another frame with any pose, such as a camera's.
+    # Express the goal in another frame, which may have any pose, such as the frame of a camera.
     rotation, planar = matrix(turn), matrix(tuple(vars_of(to_message(Pose(*wanted)))))
     local = rotation.T @ (np.array([wanted[0], wanted[1], 0.0]) - place)
     own = rotation.T @ planar

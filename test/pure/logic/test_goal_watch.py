@@ -22,7 +22,7 @@ PERIOD = 0.25
 
 
 class Client:
-    """Checks the planner's state every PERIOD until the wait ends."""
+    """A client that checks the planner's state every PERIOD seconds until the wait ends."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -34,8 +34,8 @@ class Client:
     def wait(
         self, patience: float, state: int | None, who: bytes = OLD, pose: Pose = GOAL, code: int = 0
     ) -> Ended | None:
-        """Wait for ``patience`` s while the planner publishes ``state``; None: it publishes
-        nothing."""
+        """Wait for ``patience`` s while the planner publishes ``state`` (None: it publishes
+        nothing). Return how the wait ended, or None if it has not ended."""
         end = self.now + patience
         while self.now < end:
             self.now += PERIOD
@@ -97,8 +97,8 @@ def test_a_planner_that_forgot_the_goal_ends_the_wait() -> None:
 
 
 def test_a_planner_that_was_frozen_answers_itself() -> None:
-    """After the freeze the planner continues. When it reports the end, the client still waits up to
-    GRACE_S for the result of the action."""
+    """After the freeze the planner continues. When it reports the end of the goal, the client still
+    waits up to GRACE_S for the result of the action."""
     client = Client()
     client.wait(5.0, PlanState.PLACING)
     client.wait(SILENCE_S + 1.0, None)

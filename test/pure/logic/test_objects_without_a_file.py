@@ -1,4 +1,5 @@
-"""Objects without a file in ``object_states``: obstacles of goals, waits, and what is published."""
+"""Objects without a file in ``object_states``: goals avoid them, a goal on one of them is refused,
+and no tap is planned before the table has been searched."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ def square_at(x: float, y: float) -> Polygon:
 
 
 class Searching(Actors):
-    """Actors whose camera also searches for objects without a file."""
+    """Simulated devices; the camera also searches for objects without a file."""
 
     def __init__(self, *unknown: Polygon) -> None:
         self.unknown = list(unknown)

@@ -1,7 +1,7 @@
 """The striker is never fired while the arm may move, regardless of delays and freezes.
 
-The state machines of arm and tapper run together in virtual time. Either can be frozen for any time
-between two steps. The board fires within its time window or not at all.
+The state machines of arm and tapper run together in virtual time. Each of the two can be frozen for
+any time between two steps. The board fires within its time window or not at all.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def test_no_release_falls_into_a_motion_of_the_arm(
     call = pair.begin()
     asked = START
     handled = asked + to_arm
-    # Arm, network or tapper may be frozen or slow: each delay can have any value.
+    # Each delay can have any value, because arm, network and tapper may be frozen or slow.
     (answer,) = [
         effect
         for effect in pair.arm.on_request("hold_still", call.request, 1, at(handled))
@@ -163,7 +163,7 @@ def test_no_release_falls_into_a_motion_of_the_arm(
 
 
 def test_a_prompt_answer_lets_the_shot_go() -> None:
-    """The test above is not vacuous: with prompt answers, the shot is fired."""
+    """With prompt answers, the shot is fired; otherwise the test above would prove nothing."""
     pair = Pair()
     call = pair.begin()
     made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
@@ -213,8 +213,8 @@ def test_only_who_asked_for_the_promise_can_end_it(
 def test_no_sequence_of_other_requests_takes_the_promise_over(
     asked: list[tuple[int, int, float, float]], first: bool
 ) -> None:
-    """Other requests to stand still, before or after the tapper's request, cannot end its promise
-    early."""
+    """Other requests to stand still, before or after the tapper's request, cannot end the arm's
+    promise to the tapper early."""
     pair = Pair()
     call = pair.begin()
     assert call.request.key > 3, "the tapper's key is not one of the others'"

@@ -1,5 +1,5 @@
-"""The state machine of the planner in virtual time, with devices that fail: every wait ends with a
-sentence, and nothing is fired twice."""
+"""The state machine of the planner in virtual time, with simulated devices that fail: every wait
+ends with an error message, and nothing is fired twice."""
 
 from __future__ import annotations
 
@@ -59,7 +59,8 @@ def shipped() -> tuple[Cell, TableMaps]:
 
 
 class Actors(VirtualNode):
-    """Simulated camera, arm and tapper. Each behaves normally unless a test changes it."""
+    """Simulated camera, arm and tapper. Each device behaves normally unless a test changes its
+    behaviour."""
 
     def __init__(
         self,
@@ -201,8 +202,8 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg
     assert end.taps == len(actors.taps()) >= 1
-    # Each tap is ended by a withdrawal, and the last one by a second withdrawal that parks the arm.
-    # The ids increase.
+    # A withdrawal ends each tap. After the last tap, a second withdrawal parks the arm. The ids
+    # increase.
     ids = [command.tap_id for command in actors.taps()]
     assert ids == sorted(set(ids))
     ended = [c.tap_id for c in actors.commands if c.request == TapCommand.WITHDRAW]

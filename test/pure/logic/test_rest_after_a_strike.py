@@ -1,5 +1,5 @@
-"""After a tap of a fixed tapper, only images of a rest that began after the strike show its
-result."""
+"""After a tap by a fixed tapper, an image shows the result only if the object came to rest after
+the strike."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ MOMENTS = st.floats(-5.0, 5.0, allow_nan=False)
 
 
 def monitor(rest: float, *, at_rest: bool = True, visible: bool = True) -> tuple[CellMonitor, Now]:
-    """Return a monitor that received an image of an object that has been at rest since ``rest`` s
-    after the strike."""
+    """Return a monitor that has received an image. In this image the object has been at rest since
+    ``rest`` s after the strike."""
     at = STRUCK + 6.0
     now = Now(at, round(1e9 * at))
     state = ObjectState(visible=visible, at_rest=at_rest)

@@ -1,5 +1,5 @@
-"""Each state can be left, by an action of a person or after some time. The documentation shows the
-current tables."""
+"""Each state can be left, either by a person's action or after some time. The documentation shows
+the current transition tables."""
 
 import importlib.util
 from enum import Enum
@@ -28,7 +28,7 @@ def test_the_page_is_what_the_tables_draw() -> None:
     ("machine", "rest"), [(arm, arm.State.IDLE), (tapper, tapper.State.SAFE)], ids=["arm", "tapper"]
 )
 def test_every_state_leads_back_to_rest(machine: ModuleType, rest: Enum) -> None:
-    """Each state leads back to rest."""
+    """From each state, a sequence of transitions leads back to the resting state."""
     leads = {rest}
     grown = True
     while grown:

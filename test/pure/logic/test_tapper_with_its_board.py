@@ -133,12 +133,12 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
         lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.publish_arm(100)
     )
     assert cell.shots() == [100]
-    # The same command again while the arm is still in position: it is answered, but nothing is
-    # fired.
+    # The same command arrives again while the arm is still in position: it is answered, but nothing
+    # is fired.
     cell.command(100)
     cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == [100]
-    # The command is refused before the board is asked to charge. The board would refuse it as well.
+    # The node refuses the command before it requests charging. The board would refuse it as well.
     assert cell.outcome(100) == TapperState.FIRED
     assert {s.state for s in cell.states[-5:]} == {TapperState.SAFE}
 
@@ -225,7 +225,7 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
 
 
 def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Cell) -> None:
-    """The state IN_POSITION alone is not enough."""
+    """The arm's state IN_POSITION alone does not permit a shot."""
     cell.arm_holds = False
     cell.command(100)
     cell.publish_until(
@@ -359,8 +359,8 @@ def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_hea
 
 
 def test_another_program_may_command_taps_while_the_planner_is_idle(cell: Cell) -> None:
-    """The idle planner publishes only twice per second. For a tap of another program this is not a
-    timeout."""
+    """The idle planner publishes only twice per second. During a tap of another program, this low
+    rate does not cause a timeout."""
     for tap_id in (100, 101, 102):
         cell.command(tap_id)
         for _ in range(10):

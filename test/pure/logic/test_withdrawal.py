@@ -1,5 +1,5 @@
-"""After a tap the arm moves out of the camera's view of the object. The test compares this with the
-silhouettes that the simulation draws."""
+"""After a tap the arm moves out of the camera's view of the object. The test checks the free view
+with the silhouettes that the simulation draws."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ REACH = 0.015 + CELL.object.body().bounding_radius
 
 
 def struck(x: float, y: float, heading: float, slide: float) -> tuple[Scene, Joints] | None:
-    """Return a tap of the object at this place, and the joints at its strike pose."""
+    """Return the scene of a tap of the object at this place, and the arm's joints at the strike
+    pose."""
     before = Pose(x, y, 0.3)
     way = np.array([math.cos(heading), math.sin(heading)])
     strike = Pose(x - REACH * way[0], y - REACH * way[1], heading)
@@ -79,8 +80,8 @@ def test_object_and_markers_are_free_after_every_withdrawal(
 
 
 def test_withdrawals_are_short() -> None:
-    """Withdrawals take less than half the time of parking, and at most one of the taps needs
-    parking for a free view."""
+    """On average, a withdrawal takes less than half the time of parking. At most one of the taps
+    requires parking to free the view."""
     rng = np.random.default_rng(3)
     early, parked, parks = 0.0, 0.0, 0
     for _ in range(60):

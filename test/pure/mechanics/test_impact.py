@@ -17,14 +17,14 @@ masses = st.floats(0.01, 2.0)
 restitutions = st.floats(0.0, 1.0)
 frictions = st.floats(0.02, 2.0)
 incidences = st.floats(-1.5, 1.5)
-# Contacts far from the normal through the centre make B3 large, so that the sliding direction can
+# Contacts whose normal passes far from the centre make B3 large, so that the sliding direction can
 # reverse.
 contacts = st.tuples(st.floats(-0.1, -0.001), st.floats(-0.1, 0.1))
 
 
 def step_by_step(impact, incidence, contact, steps=40_000):
-    """Integrate Routh's method in small impulses, without case distinctions: the sliding velocity
-    determines each step."""
+    """Integrate Routh's method in small steps of the impulse, without case distinctions: the
+    sliding velocity determines each step."""
     b1, b2, b3 = (float(b) for b in impact.inverse_inertias(incidence, contact))
     a_n, a_t = math.cos(incidence), math.sin(incidence)
     mu = impact.friction

@@ -20,8 +20,8 @@ MU, G = 0.2, 9.81
 
 
 def launches(body: Polygon, count: int, largest: float) -> np.ndarray:
-    """Return initial motions in all directions, with all ratios of spin to speed and all sizes,
-    including the limits."""
+    """Return initial motions in all directions, with all ratios of spin to speed and all
+    magnitudes, including the limits."""
     random = np.random.default_rng(4)
     rho = body.radius_of_gyration
     major = np.sqrt(largest * random.uniform(0, 1, count) ** 2 * MU * G * rho)
@@ -60,7 +60,8 @@ def test_the_inverse_undoes_it_and_nothing_moves_without_a_launch() -> None:
 
 
 def test_a_jump_of_the_slide_does_not_end_the_inverse() -> None:
-    """Beyond the table the number of integration steps jumps, and the slide with it."""
+    """Outside the table, the number of integration steps is not continuous, so that the computed
+    slide may jump."""
 
     def jumping(z: np.ndarray, _: np.ndarray) -> np.ndarray:
         return z * (1.0 + 1e-4 * (z > 0.5))

@@ -46,7 +46,7 @@ round_bodies = st.sampled_from([DISK, RING])
 
 
 def backed(poses, travel):
-    """Return the poses moved back by ``travel`` along the lines of travel."""
+    """Return the poses moved back by ``travel`` m along their own x axes."""
     back = np.zeros_like(poses)
     back[..., 0] = -travel
     return se2.compose(poses, back)
@@ -192,7 +192,8 @@ def test_the_launch_velocity_slides_to_the_outcome():
 
 
 def test_the_papers_cone():
-    """Section 4 of the paper: 10 mm and 10 degrees are three times what one tap can turn."""
+    """Section 4 of the paper: 10 degrees over 10 mm are three times the rotation that one tap can
+    cause."""
     slope = math.degrees(PAPER.cone_slope) / 1e3
     assert slope == pytest.approx(0.333, rel=0.02)
     assert math.degrees(make(friction=math.tan(math.radians(11.5))).cone_slope) / 1e3 == (
@@ -265,8 +266,8 @@ def test_the_jacobian_predicts_small_errors(rotation):
 
 
 def test_the_papers_jacobian():
-    """Section 5.1 of the paper: the x and theta rows agree within 10 % rms, and the product within
-    20 %."""
+    """The x and theta rows of the Jacobian agree with section 5.1 of the paper within 10 % rms, and
+    the product within 20 %."""
     both = sensitivity(paper_tap(), (0.010, 0.0, math.radians(3)))
     error = (both.printed - PAPER_JACOBIAN)[[0, 2]] / [[0.135], [0.0251]]
     assert np.sqrt((error**2).mean(axis=1)).max() < 0.10

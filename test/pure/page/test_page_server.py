@@ -1,4 +1,4 @@
-"""The web server alone, used as browsers and attackers would; without ROS."""
+"""The web server without ROS, with requests as from browsers and from attackers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The separate server of STOP, used as browsers and attackers would; without ROS."""
+"""The separate server of STOP without ROS, with requests as from browsers and from attackers."""
 
 from __future__ import annotations
 

@@ -73,8 +73,8 @@ def test_the_map_among_others_is_that_of_a_space_with_these_keep_outs(kind: Kind
     areas = [CircleArea(0.1, 0.05, 0.03), CircleArea(-0.1, -0.08, 0.04)]
     quick = kind.free.among(areas)
     slow = FreeSpace(kind.free.space.among(areas))
-    # ``quick`` uses the exact capsule of the bar, and ``slow`` uses points on it. ``quick`` never
-    # allows more places than ``slow``, and at most 2 % fewer.
+    # ``quick`` represents the bar of the tool by an exact capsule, ``slow`` by points along the
+    # bar. ``quick`` never allows more places than ``slow``, and at most 2 % fewer.
     assert not np.any(quick.tappable & ~slow.tappable)
     assert np.sum(slow.tappable & ~quick.tappable) <= 0.02 * np.sum(slow.tappable)
     assert np.array_equal(kind.free.among([]).tappable, kind.free.tappable)
@@ -209,8 +209,8 @@ def test_an_object_does_not_return_to_where_it_blocks_another(kind: Kind) -> Non
 def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(
     kind: Kind, off: float, direction: float
 ) -> None:
-    """With the small noise, an observation inside the tolerance is enough. A first observation 0.5
-    mm outside would not confirm the goal."""
+    """With this small noise, an observation inside the tolerance is enough to keep an object
+    confirmed. If the first observation were 0.5 mm outside, the object would not be confirmed."""
     goals = [Pose(0.1, 0.0, 0.0), Pose(-0.1, 0.1, 0.0)]
     session = ArrangementSession(bodies_of(kind, goals))
     noise = np.diag([2e-4, 2e-4, 2e-3]) ** 2

@@ -37,7 +37,8 @@ TIP = CELL.file.tapper.tip_radius
 
 @cache
 def solver() -> GoalSolver:
-    """Return a solver of two coarse grids: half a second per goal, at the cost of 0.2 taps."""
+    """Return a solver with two coarse grids, which takes half a second per goal. Its solutions need
+    0.2 taps more than those of the normal grids."""
     return GoalSolver(finer=(0.5,))
 
 
@@ -65,7 +66,7 @@ def test_a_disk_is_hit_where_its_line_passes(x: float, y: float, theta: float) -
         elif abs(lever) > reach * math.sin(math.radians(61.0)):
             assert not lines.usable[index]
         if lines.usable[index] and abs(lever) > 1e-6:
-            # An impact on the object's right side turns it counter-clockwise.
+            # An impact to the right of the object's centre turns the object counter-clockwise.
             assert np.sign(lines.slope[index]) == np.sign(lever)
 
 
@@ -104,8 +105,9 @@ def test_trials_end_at_the_goal() -> None:
 
 
 def test_the_coarse_solution_also_turns_an_object_half_around() -> None:
-    """The first taps are chosen from the coarse solution. With steps in proportion to the rotation,
-    its interpolated values were three times too high there and the taps too short: 20 taps."""
+    """The first taps are chosen from the coarse solution. In an earlier version, whose grid steps
+    were proportional to the rotation, the interpolated values near half a turn were three times too
+    high. The chosen taps were then too short, and a goal took 20 taps."""
     half_around = FixedEvaluation(
         SPACE, PLAN, trials=12, seed=1, start_angle=math.pi, goal=(-0.05, 0.02, -1.57)
     )
@@ -132,7 +134,8 @@ def test_the_grading_is_monotone_and_its_steps_are_limited(
     assert grading.steps(grading.value(steps)) == pytest.approx(steps, rel=1e-6, abs=1e-6)
     whole = grading.value(np.arange(-30, 31))
     assert np.all(np.diff(whole) > 0.0)
-    # A step of asinh ends beyond the slope at its start by at most the factor sinh(step) / step.
+    # A step of the asinh grading exceeds the step given by the slope at its start by at most the
+    # factor sinh(step) / step.
     assert np.all(np.diff(whole) <= grading.widest * math.cosh(step) * (1.0 + 1e-9))
 
 

@@ -78,7 +78,7 @@ def test_the_error_is_as_large_as_the_belief_says():
         true = np.array(FILE) + rng.standard_normal(6) * [0.04, 0.06, 0.01, 0.001, 0.03, 0.03]
         gains = learn(true, 6, seed)
         squares.append((gains.value - true) ** 2 / gains.deviation**2)
-    # The wide priors make the stated deviation slightly too large, but never too small.
+    # Because the priors are wide, the stated deviation is slightly too large, but never too small.
     mean = np.mean(squares, axis=0)
     assert np.all(mean < 1.35) and np.all(mean[:3] > 0.5)
 
@@ -105,7 +105,7 @@ def test_a_bumped_object_is_not_a_gain():
     after = gains.observe([0.01, 0.0, 0.05], [-0.02, 0.03, 1.0], 0.0, SCATTER, CAMERA)
     assert np.allclose(after.value, gains.value, atol=0.02)
     assert bool(after.surprised) and float(after.outliers) == float(gains.outliers) + 1
-    # Until the next tap decides, the larger gain is considered possible.
+    # The larger gain is considered possible until the next tap shows whether it is.
     asked = np.array([0.01, 0.0, 0.0])
     assert after.spread(asked, SCATTER, 3.0).longest > 2 * gains.spread(asked, SCATTER, 3.0).longest
     calm = learn(FILE, 2, 3, after)

@@ -40,7 +40,7 @@ def test_fine_tolerances_are_taken_down_to_what_the_smallest_tap_allows() -> Non
     refused = precision_limit(coarse)
     assert "0.05 mm" in refused and "its 6 mm scatter by 0.3 mm" in refused
     assert precision_limit(replace(coarse, scatter=Scatter(0.005, 0.05, 0.002))) == ""
-    # A tolerance below the camera's accuracy is refused elsewhere.
+    # Another check refuses a tolerance below the camera's accuracy.
     assert precision_limit(replace(coarse, camera=CameraNoise(1e-4, 1e-3))) == ""
 
 

@@ -1,4 +1,5 @@
-"""Preset layouts: gaps, the shortest assignment, and pairs that exchange their places."""
+"""Preset layouts: gaps between objects, the shortest assignment of objects to places, and pairs
+that swap places."""
 
 from __future__ import annotations
 

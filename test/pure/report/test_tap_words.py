@@ -1,4 +1,4 @@
-"""The report's description of a tap, and the film of a run."""
+"""The report's description of a tap, and the animation of a run."""
 
 from __future__ import annotations
 

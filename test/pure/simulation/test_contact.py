@@ -33,7 +33,7 @@ def collided(
     incidence: float,
     speed: float,
 ) -> tuple[Motion, Flight, float]:
-    """Simulate a ball that comes from -x and meets the body at y = ``along``."""
+    """Simulate the impact of a striker that comes from -x and meets the body at y = ``along``."""
     outline = Outline(body, (0.0, 0.0))
     contact = Contact(outline, body.mass, body.inertia, striker, law, smooth)
     if isinstance(body, Polygon):

@@ -1,4 +1,4 @@
-"""The emulated Marlin answers wrong lines like real boards (measured with real firmware)."""
+"""The emulated Marlin answers incorrect lines as real firmware does (measured)."""
 
 from __future__ import annotations
 

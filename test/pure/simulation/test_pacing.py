@@ -13,12 +13,12 @@ PERIOD = 1 / 30
 
 
 def play(pace: Pace, ticks: list[float], launch: float, slide: float) -> list[tuple[float, float]]:
-    """Return the times (machine, world) of the images. The world is at rest except for one
-    slide."""
+    """Return the times of the images as (machine time, world time). The world is at rest except for
+    one slide."""
     taken: list[tuple[float, float]] = []
     world = ticks[0]
     for now in ticks:
-        # The slide begins at a time of the machine, but ends at a time of the world.
+        # The slide begins at a given machine time and ends at a given world time.
         at_rest = now < launch or world >= launch + slide
         time = pace.next_picture(now, at_rest)
         if time is not None:

@@ -139,7 +139,7 @@ def test_an_object_at_rest_is_known_to_rest_however_rare_its_turn(rate: float, t
     seen = [CELL.object.seen(), SQUARE.seen()]
     settings = TrackerSettings(other_ids=marker_ids(seen))
     tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
-    turns = RoundRobin(turn)  # of these, only object 0 is on the table
+    turns = RoundRobin(turn)  # only object 0 of these is on the table
     settled, since = [], set()
     for frame in range(round(12 + 4 * rate)):
         stamp = 1.0 + frame / rate

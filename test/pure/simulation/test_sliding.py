@@ -167,8 +167,8 @@ def test_a_disk_that_rests_on_its_rim_slides_as_a_ring_of_its_inertia() -> None:
     law = replace(PLAIN, torque_factor=1.3)
     slide = slide_of(DISK, law, SupportTruth(pressure="rim"))
     end, _ = slide.rest(Motion(0.0, 0.0, 0.0, 0.2, 0.0, 4.0))
-    # The ring's moment of inertia is m R^2, which is twice the disk's. Therefore, its torque factor
-    # is doubled, too.
+    # The ring's moment of inertia is m R^2, which is twice the disk's. Therefore, the ring's torque
+    # factor is doubled, too.
     ring = Sliding(Ring(0.048, 0.2455, 0.012), friction=0.17, torque_factor=2.6, gravity=GRAVITY)
     distance, rotation, _ = ring.rest(0.2, 4.0)
     assert end.x == pytest.approx(float(distance), rel=5e-3)
@@ -179,7 +179,7 @@ def test_three_points_carry_what_the_centre_of_mass_says() -> None:
     support = SupportTruth(pressure="three_points", feet_radius=1.0, mass_offset=(0.012, 0.0))
     points, grip = sample_support(DISK, support)
     assert grip @ points == pytest.approx([0.012, 0.0], abs=1e-12)
-    # Equilibrium of moments about the line through the two feet at -R / 2.
+    # Expected value: equilibrium of the moments about the line through the two feet at x = -R / 2.
     assert grip[0] == pytest.approx((0.012 + 0.024) / 0.072)
 
 

@@ -55,7 +55,7 @@ def test_the_truth_and_the_gains_count_and_the_generator_decides() -> None:
         world.answer(poses, poses, wanted, gains, np.random.default_rng(7)) for _ in range(2)
     )
     assert np.array_equal(first, again)
-    # Twice the friction halves the distance, and the gain multiplies it.
+    # Twice the friction halves the distance, which is then multiplied by the gain.
     ratio = np.hypot(*first[:, :2].T) / np.hypot(*wanted[:, :2].T)
     assert ratio == pytest.approx(0.75, rel=0.15)
     assert not math.isclose(ratio[0], ratio[1])

@@ -223,8 +223,8 @@ def test_every_supplied_world_answers_a_tap(file: Path) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.7])
 def test_small_taps_end_beside_their_end_by_the_floor(share: float) -> None:
-    """The final pose of taps of two lengths scatters by the floor: along the tap, across it, and in
-    rotation."""
+    """For taps of two lengths, the final pose scatters by the constant floor: along the tap, across
+    it, and in rotation."""
     floor = ScatterTruth(position_floor=3e-4, angle_floor=0.004)
     tap = CELL.object.tap(STRIKER)
     for distance in (0.003, 0.02):

@@ -1,7 +1,7 @@
 """Error codes provoked in the simulated cell, in virtual time.
 
 Each scenario ends with a code in a published state or in a goal's result, and checks that the
-sentence names the cause. ``test_every_code_is_named_in_a_test`` finds codes without a test.
+message names the cause. ``test_every_code_is_named_in_a_test`` finds codes without a test.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class HighTravel(Trial):
 
 
 class ReportedCell:
-    """A cell without injected faults that collects the codes reported by its nodes, with their
-    sentences."""
+    """A cell without injected faults that collects the error codes reported by its nodes, with
+    their messages."""
 
     def __init__(self, kind: type[Trial] = Trial) -> None:
         self.trial = kind(seed=21, faults=False)
@@ -87,12 +87,13 @@ class ReportedCell:
         self.codes.clear()
 
     def run(self, duration: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Let virtual time pass; return whether the condition was met."""
+        """Let virtual time pass until the condition is met; return whether it was met in time."""
         self.trial.scheduler.run(self.trial.scheduler.now + duration, until)
         return until()
 
     def read(self, code: int, *words: str) -> None:
-        """Wait until a state or result has this code; its sentence must contain the words."""
+        """Wait until a state or a result has this code, and check that its message contains the
+        words."""
         assert self.run(LONG_S, lambda: code in self.codes), f"{code} missing from {self.codes}"
         for word in words:
             assert word in self.codes[code], self.codes[code]

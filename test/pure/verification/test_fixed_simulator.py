@@ -1,5 +1,5 @@
-"""The positioning cell in virtual time: one board or two, no arm, all faults. A defect makes the
-checks fail."""
+"""The positioning cell (no arm, one board or two) in virtual time with all faults. An inserted
+defect makes the checks fail."""
 
 from __future__ import annotations
 

@@ -41,7 +41,8 @@ Setter = Callable[[Any], None]
 
 
 def changes(message: Any) -> Iterator[Setter]:
-    """Yield functions, each of which sets one number of such a message to an extreme value."""
+    """Yield functions, each of which sets one number in a message of this type to an extreme
+    value."""
     if isinstance(message, list):
         for index, item in enumerate(message[:4]):
             if isinstance(item, float):

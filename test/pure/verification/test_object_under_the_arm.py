@@ -112,7 +112,7 @@ def test_without_an_object_the_arm_is_moved_once_a_goal_and_then_told(cell: Scen
 
 
 def test_a_stopped_arm_is_not_moved_off_the_object(cell: ScenarioCell) -> None:
-    """An arm that was stopped is moved neither by a goal nor by its own commands."""
+    """An arm that was stopped is moved neither by a goal nor by a command to clear the view."""
     move_by_hand(cell)
     put_under_the_arm(cell)
     cell.trial.press_emergency_stop(60.0)

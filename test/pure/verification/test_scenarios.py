@@ -46,7 +46,7 @@ class ScenarioCell:
         self.plans.clear()
 
     def run(self, duration: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Let virtual time pass; return whether the condition was met."""
+        """Let virtual time pass until the condition is met; return whether it was met in time."""
         self.trial.scheduler.run(self.trial.scheduler.now + duration, until)
         return until()
 

@@ -49,8 +49,8 @@ def test_projection_is_the_definition_and_rays_undo_it(values, x, y, count):
 
 
 def wide_lens(half_angle: float) -> CameraModel:
-    """Return a fisheye lens whose radius grows with the angle, as a rational_polynomial model, with
-    ``half_angle`` deg in the corners."""
+    """Return a rational_polynomial model of a fisheye lens whose image radius is proportional to
+    the angle. The corners of the image are at ``half_angle`` degrees."""
     angle = np.radians(np.linspace(0.0, half_angle, 80))
     r = np.tan(angle)
     powers = r[:, None] ** [2, 4, 6]
@@ -77,7 +77,7 @@ def test_rays_of_a_wide_lens_are_seen_at_their_pixels(half_angle):
 def test_a_lens_that_folds_back_inside_the_image_is_refused():
     with pytest.raises(CameraError, match="pixel \\(0, 0\\).*fold back"):
         CameraModel(1280, 1024, 500.0, 500.0, 639.5, 511.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
-    # In the middle of the image such a lens is valid; beyond the fold there are no rays.
+    # Such a lens can be used in the middle of the image. Beyond the fold, pixels have no rays.
     small = CameraModel(640, 512, 500.0, 500.0, 319.5, 255.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
     assert np.isfinite(small.rays([0.0, 0.0])).all()
     assert np.isnan(small.rays([-320.0, -256.0])).all()

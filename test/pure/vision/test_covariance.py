@@ -98,8 +98,8 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
 
 
 def test_a_measured_map_may_be_stretched_and_turned_as_a_whole():
-    """The covariance includes a deformation that all markers have in common. It is compared with
-    the errors of many randomly deformed maps."""
+    """The covariance includes a deformation that all markers have in common. The covariance is
+    compared with the errors of many randomly deformed maps."""
     deviation, place = 3e-5, np.array([0.2, -0.1, 0.7])
     judged = []
     for references in (REFERENCES, dataclasses.replace(REFERENCES, deviation=deviation)):

@@ -1,4 +1,4 @@
-"""Faults of the camera and of the table that occurred in recorded films."""
+"""Faults of the camera and of the table that occurred in recorded image sequences."""
 
 from __future__ import annotations
 

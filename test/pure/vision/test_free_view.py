@@ -48,8 +48,8 @@ def test_a_level_bar_hides_exactly_its_shadow(
     ray = (point + share * (LENS - point))[:2]
     bar = start + np.linspace(0.0, 1.0, 2001)[:, None] * (end - start)
     distance = np.min(np.linalg.norm(bar[:, :2] - ray, axis=1)) - radius
-    # The clearance refers to the plane of the point, where distances are larger than at the bar's
-    # height.
+    # The clearance is measured in the plane of the point, where distances are larger than at the
+    # bar's height.
     assert abs(clearance * (1.0 - share) - distance) < 1e-3
 
 

@@ -90,7 +90,8 @@ def test_a_viewers_rotation_of_a_photograph_is_not_applied(folder, capsys):
 
 
 def test_files_as_strangers_have_them(folder, capsys):
-    """12 of 16 bits, rotated portraits, colour and other formats give the same result."""
+    """Images with 12 bits stored in 16, rotated portrait photographs, colour images and other
+    formats give the same result."""
     grey = cv2.imread(str(folder / "shot0.png"), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(folder / "deep.png"), grey.astype(np.uint16) * 16)
     cv2.imwrite(str(folder / "grey.tiff"), grey)

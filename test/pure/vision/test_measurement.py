@@ -42,8 +42,8 @@ def errors(found: np.ndarray, pose: np.ndarray) -> tuple[float, float]:
 
 
 def test_one_frame_by_edges_and_by_all_pixels():
-    """The figures of the accuracy table (median and 90 % quantile of 24 scenes), and the
-    covariance."""
+    """Check the accuracy stated in the documentation (median and 90 % quantile of 24 scenes), and
+    the covariance."""
     template = make_template(MARKER, PIXEL, 0.35 * PIXEL)
     by_edges, by_pixels, normalised = [], [], []
     for seed in range(24):

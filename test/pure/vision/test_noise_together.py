@@ -33,7 +33,8 @@ def compressed(image: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("camera", [smoothed, compressed])
 def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(camera):
-    """The correct value is 3. If the smoothed noise were treated as independent, it would be 14."""
+    """The mean normalised squared error should be 3. If the smoothed noise were treated as
+    independent, this mean would be 14."""
     clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)
     clean = cv2.GaussianBlur(clean, (0, 0), 0.8)
     x, y = VIEW.project(PLACE[:2], MARKER.height).astype(int)
@@ -49,15 +50,15 @@ def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(cam
         error = aligned.pose - PLACE
         error[2] = wrap_angle(error[2])
         normalised.append(error @ np.linalg.solve(aligned.covariance, error))
-    # A chi-square value with 120 degrees of freedom, divided by 40. The bounds are four standard
-    # deviations.
+    # The mean is a chi-square value with 120 degrees of freedom, divided by 40. The asserted bounds
+    # are at four standard deviations.
     assert 1.5 < np.mean(normalised) < 4.5
 
 
 @pytest.mark.parametrize(("block", "least", "most"), [(1, 0.8, 1.2), (4, 2.0, 4.0)])
 def test_rows_that_err_alike_tell_less(block, least, most):
-    """``spread`` grows if the noise of neighbouring rows is correlated; the noise is constant in
-    blocks."""
+    """``spread`` grows if the noise of neighbouring rows is correlated. In this test, the noise is
+    constant in blocks of rows."""
     clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)
     x, y = VIEW.project(PLACE[:2], MARKER.height).astype(int)
     window = slice(y - 80, y + 80), slice(x - 80, x + 80)

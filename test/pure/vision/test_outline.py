@@ -1,5 +1,5 @@
 """Objects without a marker are found and measured with a correct covariance, or refused with a
-sentence."""
+message."""
 
 from __future__ import annotations
 
@@ -158,7 +158,8 @@ def test_an_object_that_stays_is_measured_as_by_a_whole_fit(outline):
         whole = fit_outline(image, shown.view, outline, HOME)
         again = fit_again(image, known.linearisation, HOME)
         deviation = np.sqrt(np.diag(whole.covariance))
-        # The pixels at the edge of the band and the accepted sectors differ slightly.
+        # The two fits use slightly different pixels at the edge of the band, and slightly different
+        # sectors.
         assert np.all(np.abs(again.pose - whole.pose) < 0.7 * deviation)
         assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.3)
     moved = HOME + np.array([3e-4, 0.0, 0.0])
@@ -198,15 +199,15 @@ def test_the_normalised_error_is_that_of_the_covariance(outline):
         film = Film(outline)
         for _ in range(4):
             place = random.uniform([-0.22, -0.15, -3.1], [0.22, 0.15, 3.1])
-            # If the search misses an object at first, it is repeated 0.1 s later.
+            # If the first search misses an object, a second search follows 0.1 s later.
             seen = film.rest(shown, 12, place)
             d = error(seen, place)
             errors.append(d)
             normalised.append(d @ np.linalg.solve(seen.covariance, d))
     assert np.quantile(np.abs(errors), 0.9, axis=0) == pytest.approx([0, 0, 0], abs=6e-4)
     assert np.all(np.abs(errors)[:, :2] < 4e-5)
-    # Mean of 8 observations with 3 degrees of freedom each. Some of them share systematic errors of
-    # the table and the edge.
+    # The mean is that of 8 observations with 3 degrees of freedom each. Some of the observations
+    # share systematic errors of the table and the edge.
     assert 0.2 < np.mean(normalised) < 6.0
     assert np.max(normalised) < 20.0
 

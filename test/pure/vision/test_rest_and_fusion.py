@@ -56,8 +56,8 @@ def delay_of_rest(random: np.random.Generator, rate: float, lose: bool) -> float
     """Return the time at which rest is reported after a slide of random friction and speed that
     ends at time 0.
 
-    The noise is as in the tracker: larger (by edges) during the motion, and smaller (by all pixels)
-    when the object hardly moves.
+    The noise is that of the tracker: larger during the motion, when edges are measured, and smaller
+    when the object hardly moves, because all pixels are used.
     """
     track = Track()
     deceleration, speed = random.uniform(0.3, 5.0), random.uniform(0.02, 0.6)
@@ -162,8 +162,8 @@ def test_fused_error_follows_its_covariance():
         error = mean - true
         error[2] = wrap_angle(error[2])
         normalised.append(error @ np.linalg.solve(covariance, error))
-    # The mean of 300 chi-square values with 3 degrees of freedom each. The bounds are four standard
-    # deviations. The fusion slightly reduces the weight of large errors.
+    # The mean is that of 300 chi-square values with 3 degrees of freedom each. The asserted bounds
+    # are at four standard deviations. The fusion gives large errors slightly less weight.
     assert 2.4 < np.mean(normalised) < 3.6
 
 

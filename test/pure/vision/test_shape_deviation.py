@@ -1,5 +1,5 @@
-"""A lifted or tilted object, and a table that differs from its file, seen as exact squares in space
-that are projected point by point."""
+"""Detection of a lifted or tilted object, and of a table that differs from its file. The markers
+are exact squares in space that are projected point by point."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ NOISE = 0.02
 
 
 def edges_of(corners: np.ndarray, random: np.random.Generator, bloom: float = 0.0) -> MarkerEdges:
-    """Return the edges of squares in space, corners (M, 4, 3), as VIEW shows them, enlarged by
-    ``bloom`` px."""
+    """Return the edges of squares in space, with the corners (M, 4, 3), in the image of VIEW. The
+    squares are enlarged by ``bloom`` pixels."""
     share = (np.arange(BINS) + 0.5) / BINS
     ahead = np.roll(corners, -1, axis=1)
     sides = corners[:, :, None] + share[:, None] * (ahead - corners)[:, :, None]

@@ -1,4 +1,4 @@
-"""Markers as in photographs: small, seen obliquely, found with a corner that is wrong by some
+"""Markers as in photographs: small, seen obliquely, or detected with one corner wrong by several
 pixels."""
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def test_markers_of_a_pixel_and_a_half_a_module_are_measured_as_well_as_they_say
         assert right.all()
         shift = edges.corners[0].mean(axis=0) - corners.mean(axis=0)
         errors.append(np.linalg.norm(shift))
-        # Four sides with this noise determine the centre with half of its variance in x and y.
+        # If each side has this noise, the centre of the four sides has half of its variance in x
+        # and in y.
         normalised.append(shift @ shift / (0.5 * side_noise(edges, 1.0)[0] ** 2))
     assert np.max(errors) < 0.1
     assert np.mean(normalised) < 3.5
@@ -114,7 +115,8 @@ def test_another_pattern_or_half_of_it_is_not_believed():
 
 
 def test_no_pattern_is_blurred_until_it_fits_another():
-    """With much blur and an uncertain place, many patterns fit. Such a fit must be refused."""
+    """With much blur and an uncertain place, many patterns fit. A fit that requires such blur must
+    be refused."""
     corners = square(24.0, 0.2)
     image = picture(marker_pattern("ARUCO_ORIGINAL", 6), corners, blur=0.9)
     assert fit_pattern(image, corners, marker_pattern("ARUCO_ORIGINAL", 6)) is not None

@@ -123,8 +123,8 @@ def test_exact_files_give_small_errors_and_a_covariance_that_says_so():
             errors.append(d)
             normalised.append(d @ np.linalg.solve(seen.covariance, d))
     assert np.all(np.quantile(np.abs(errors), 0.95, axis=0) < [8e-6, 8e-6, np.radians(0.01)])
-    # Mean of 30 chi-square values with 3 degrees of freedom; the five values of a scene share the
-    # error of the table's mean.
+    # The mean is that of 30 chi-square values with 3 degrees of freedom. The five values of a scene
+    # share the mean error of the table's markers.
     assert 1.8 < np.mean(normalised) < 4.2
     assert np.mean(np.array(normalised) < 7.815) > 0.85
 

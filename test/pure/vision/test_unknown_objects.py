@@ -1,4 +1,4 @@
-"""Objects without a file: found with outlines that enclose them, and nothing else is one."""
+"""Objects without a file are found, with outlines that enclose them; nothing else is found."""
 
 from __future__ import annotations
 
@@ -38,10 +38,12 @@ SHAPES = {
 def scene_with(
     sizes: list[tuple[str, float, float, bool]], seed: int = 0
 ) -> tuple[SceneRenderer, list[np.ndarray]]:
-    """A scene with the cell's disk and unknown objects: shape, size and height in m, brighter."""
+    """Return a scene with the cell's disk and unknown objects, and the outlines of these objects.
+    ``sizes`` contains shape, size and height in m, and whether the object is brighter than the
+    table."""
     outlines = [size * SHAPES[shape] for shape, size, _, _ in sizes]
     others = [
-        # The renderer takes the height, the brightness and the dot of the top from the second.
+        # The renderer takes the height, the brightness and the dot from the second argument.
         SceneObject(
             outline, ObjectOutline(height, bright, radius=size, dot=Dot(0.002, (0.004, 0.0), True))
         )
@@ -105,7 +107,8 @@ def test_each_unknown_object_has_an_outline_that_encloses_its_footprint(seed: in
         footprint = transform_points(place, outline)
         nearest = min(found, key=lambda one: math.hypot(*(one.mean(axis=0) - place[:2])))
         assert inside(nearest, footprint, slack=0.0005)
-        # The side of a tall object is seen outwards, by its height times the slope of the view.
+        # A tall object appears larger, outwards from the image centre, by its height times the
+        # slope of the line of sight.
         away = math.hypot(*place[:2]) / 0.7 * height
         wide = np.ptp(nearest, axis=0).max()
         assert wide <= 2.0 * size + away + 0.018
