@@ -151,7 +151,7 @@ PINS: tuple[Pin, ...] = (
     Pin("D3", "PD3", "STOP_LOOP", False, "stop loop to ground: closed contact of the stop relay"),
     Pin("D4", "PD4", "RELEASE", True, "gate of the release driver; 10 kohm to ground"),
     Pin("D5", "PD5", "STEP", True, "STEP of the motor driver", True),
-    Pin("D6", "PD6", "DIRECTION", True, "DIR of the motor driver; high: draws the spring", True),
+    Pin("D6", "PD6", "DIRECTION", True, "DIR of the motor driver; high: charges the spring", True),
     Pin("D7", "PD7", "DISABLE", True, "EN of the motor driver; 10 kohm to 5 V", True),
     Pin("D8", "PB0", "CLEAR_BUTTON", False, "clear button to ground"),
     Pin("D9", "PB1", "FRONT", False, "front switch of the carriage to ground", True),

@@ -37,7 +37,7 @@ VERBS = {
     "sensitivity": "compute the sensitivity of a tap's result to errors of the striker's pose",
     "locate": "measure the object's pose in image files",
     "calibrate": "calibrate camera, table, arm or tappers; print sheets",
-    "faults": "test the drivers with taps over faulty serial lines",
+    "faults": "test logic, drivers and boards under injected faults, in simulated time",
     "report": "rewrite the reports of run folders, and compare runs",
     "check-config": "check configuration files without starting anything",
     "doctor": "check the settings of arm and tapper without moving them",

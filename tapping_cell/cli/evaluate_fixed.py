@@ -79,7 +79,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
         "--table": arguments.table,
         "--probe": arguments.probe,
         "--random-tasks": arguments.random_tasks is not None,
-        "--model physics": arguments.model != "abstract",
+        f"--model {arguments.model}": arguments.model != "abstract",
         "--report": arguments.report is not None,
         "--box": arguments.box is not None,
         "--gain-bias": tuple(arguments.gain_bias) != (0.0, 0.0),

@@ -16,8 +16,8 @@ CodedError = tuple[int, str]
 
 QUICKEST_IMAGE_S = 0.05
 """Maximum time by which the estimated capture time of an image can be too late, s. The minimum
-delay of the camera's messages, beyond that of the arm's messages, cannot be distinguished from a
-difference of the clocks."""
+delay of the camera's messages, beyond that of the messages of arm and tapper, cannot be
+distinguished from a difference of the clocks."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 DOING = {
     ArmState.HOMING: "homing",

@@ -53,7 +53,7 @@ class PeerLimits:
     if the arm itself covers the object on its way to some strike poses."""
     moved: float = 0.002
     """Maximum distance of the object from the pose for which the tap was planned, m."""
-    turned: float = math.radians(3)
+    turned: float = 0.05
     """Maximum rotation of the object from the pose for which the tap was planned, rad."""
     needs_camera: bool = False
     """Whether a usable image must have arrived since the start. If False, a camera that has sent

@@ -94,7 +94,7 @@ class CoilBank:
         self._flying = channel, now + LEAVES_AFTER, self._returns
         self._proven = False
 
-    # Faults.
+    # Power and faults
 
     def start(self) -> None:
         """Simulate power-on of the board, after which no striker position is verified."""

@@ -22,8 +22,7 @@ rest pose. The second value is the displacement (m) beyond which the standard de
 grows.
 
 If the motion begins within the exposure, the blurred image does not correspond to the middle of the
-exposure. The resulting error is at most the whole displacement, and zero if the displacement
-exceeds one eighth of the motion during a whole exposure.
+exposure. The resulting error is at most the whole displacement.
 """
 
 
