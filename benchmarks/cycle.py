@@ -6,8 +6,8 @@ time, in which software takes no time and messages take a few milliseconds, so t
 the cell's mechanics remains. A tap lasts from its command to the next command, or to the end of its
 goal. The activities of a tap follow each other without gaps or overlaps. Simultaneous activities
 (the slide, charging while the arm moves) are listed separately, as is the planned duration of the
-arm's motion to the strike. The two cells make different taps. The durations of their cycles are
-therefore compared without the planned motion.
+arm's motion to the strike. The two cells make different taps. The planned duration
+of the motion to the strike is therefore subtracted from each cycle before the cycles are compared.
 """
 
 from __future__ import annotations

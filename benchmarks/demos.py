@@ -54,7 +54,8 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
         old = _demos(configured, configured.object, truth, count)
         fitted = replace(configured, object=_fitted(configured, truth, seed))
         new = _demos(fitted, configured.object, truth, count)
-        # After `calibrate tapper`, the striker's true speed agrees with its curve.
+        # `calibrate tapper` corrects the tapper's speed curve, so that the true speed equals the
+        # commanded speed.
         nominal = replace(truth, impact=replace(truth.impact, striker_speed_factor=1.0))
         both = _demos(fitted, configured.object, nominal, count)
         saved = np.array(old) - np.array(new)

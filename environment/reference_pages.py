@@ -30,7 +30,7 @@ _HEAD = """# Commands
 
 `python -m tapping_cell VERB`, or `ros2 run tapping_cell cell VERB`. Every verb has `--help` with an
 example. On the command line, lengths are in mm and angles in degrees. With `--json`, a verb prints
-its results for a program on standard output and its messages on standard error. Progress is shown
+its results as JSON on standard output and its messages on standard error. Progress is shown
 only on a terminal.
 
 The Tab key completes verbs and options after the command

@@ -485,8 +485,8 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
     if abs(mean) < max(_MIN_SPEED_ERROR, 3.0 * standard_error):
         return []
     return [
-        f"The striker is {100 * math.expm1(mean):+.1f} % faster than commanded. The fit "
-        "accounts for this; the planner's distances deviate by "
+        "The striker's speed differs from the commanded one by "
+        f"{100 * math.expm1(mean):+.1f} %. The fit accounts for this; the planner's distances deviate by "
         f"{100 * math.expm1(2 * mean):+.0f} % until `calibrate tapper` has measured its curve."
     ]
 

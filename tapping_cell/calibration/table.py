@@ -83,8 +83,10 @@ def observe_markers(
     dictionary: str,
     known: Sequence[int] | None = None,
 ) -> MarkerView | str:
-    """Detect the markers of an image (those in ``known``, or all); a string is the reason for a
-    failure."""
+    """Detect the markers of an image: those with an id in ``known``, or all if it is None.
+
+    Return the reason as a string if this fails.
+    """
     problem = camera.check_image(image)
     if problem:
         return problem

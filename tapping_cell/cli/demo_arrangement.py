@@ -93,7 +93,7 @@ def arrange(
         return 1
     console.print(
         f"[green]arrangement reached[/green] in {ended.taps} taps, {took:.0f} s, "
-        f"{len(contacts)} contacts; see {folder / PAGE}"
+        f"{len(contacts)} contacts between objects; see {folder / PAGE}"
     )
     return 0
 

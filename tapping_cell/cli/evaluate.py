@@ -118,9 +118,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(1.0, 1.0),
         metavar=("D", "R"),
-        help="largest ratios of the true to the assumed gain (D: of the distance, R: of the "
-        "rotation per distance); each trial draws ratios from 1/D to D and from 1/R to R "
-        "(default: 1 1)",
+        help="largest factors by which the true displacements by taps differ from the assumed ones "
+        "(D: distance, R: rotation per distance); each trial draws the factors from 1/D to D and "
+        "from 1/R to R (default: 1 1)",
     )
     numbers(
         "--off-centre",

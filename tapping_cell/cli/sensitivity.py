@@ -40,10 +40,16 @@ _SWEEP_ROTATIONS = 41
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the tap, the striker's error and the sweep."""
     parser.add_argument(
-        "--distance", type=float, default=10.0, help="distance of the tap in mm (default: 10)"
+        "--distance",
+        type=float,
+        default=10.0,
+        help="distance by which the tap moves the object, in mm (default: 10)",
     )
     parser.add_argument(
-        "--rotation", type=float, default=3.0, help="rotation of the tap in degrees (default: 3)"
+        "--rotation",
+        type=float,
+        default=3.0,
+        help="angle by which the tap rotates the object, in degrees (default: 3)",
     )
     parser.add_argument(
         "--error",

@@ -432,7 +432,7 @@ class ArmDriver:
             raise HardwareFault(
                 FaultReason.ALARM,
                 f"the arm's controller is {reading.alarm}: clear the fault before homing"
-                f" by {strategy.value}",
+                f" (arm.homing is '{strategy.value}')",
             )
         if reading.moving:
             raise HardwareFault(

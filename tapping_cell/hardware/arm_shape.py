@@ -64,8 +64,8 @@ def arm_bars(geometry: ScaraGeometry, shape: ArmShape, joints: ArrayLike) -> Bar
 
 
 def _levels(shape: ArmShape) -> int:
-    """Return the number of bars per link at which their spacing is at most half the link's
-    width."""
+    """Return how many bars to stack over the thickness of a link, so that their spacing is at most
+    half the link's width."""
     return 2 + int(shape.link_thickness / shape.link_half_width)
 
 

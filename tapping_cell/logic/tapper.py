@@ -652,8 +652,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._set_error(of_tapper(fault), fault.sentence)
 
     def _overtaken(self, event: JobEnded, now: Now) -> None:
-        # If a stop, fault or reconnection interrupted the shot, the outcome of the shot is still
-        # valid.
+        # The fire job may end after a stop, a fault or a reconnection. The outcome that it returns
+        # is still valid.
         if self._reported.outcome == TapperState.NONE and self._reported.tap_id:
             if isinstance(event.result, FireEnd) and event.result.shot == self._reported.tap_id:
                 self._reported.outcome = OUTCOMES[event.result.outcome]

@@ -372,8 +372,11 @@ def _cubic_and_slope(
 
 
 def _hermite(values: Array, slopes: Array) -> Array:
-    """Cubic coefficients, one row per piece, from values and slopes (with respect to p) at (halves,
-    PIECES + 1) knots."""
+    """Return the coefficients of cubic Hermite polynomials, one row per interval between knots.
+
+    ``values`` and ``slopes`` (derivatives with respect to p) have the shape (n, PIECES + 1): curve,
+    knot.
+    """
     y0, y1 = values[:, :-1], values[:, 1:]
     s0, s1 = slopes[:, :-1] / PIECES, slopes[:, 1:] / PIECES
     rows = np.stack([y0, s0, 3 * (y1 - y0) - 2 * s0 - s1, 2 * (y0 - y1) + s0 + s1], axis=-1)

@@ -137,7 +137,7 @@ def _scenes(run: ArrangementRun, moves: Sequence[ArrangedMove], pictures: Sequen
         for number, one in enumerate(run.objects)
     )
     return (
-        f'<section><h2>Before, between and after</h2><div class="three">{figures}</div>'
+        f'<section><h2>Start, middle and end of the run</h2><div class="three">{figures}</div>'
         f"<p>{legend} Dashed: goals.</p>{photographs}</section>"
     )
 

@@ -184,7 +184,8 @@ def write_folder(folder: Path, pictures: bool = True) -> Run:
     """
     illustrated = read_illustrated_run(folder / BAG, folder.name)
     if illustrated.run.outcome == UNFINISHED:
-        # An earlier write_failure may have recorded the reason for the missing end.
+        # The bag does not contain the end of the run. An earlier call of write_failure may have
+        # recorded why the run ended.
         with contextlib.suppress(RunError):
             report = read_run(folder)
             ended = replace(

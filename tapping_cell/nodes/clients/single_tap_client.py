@@ -117,7 +117,8 @@ class SingleTapClient(GoalClient):
             striker_speed=striker_speed, incidence=incidence, direction=direction, slack=slack
         )
         self._handle = None
-        # The goal is sent from the executor's thread for the same reason as in ActionFollower.
+        # The goal is sent from the executor's thread. If another thread sent it, the response could
+        # arrive before rclpy has registered the request, and would be lost.
         self._executor.create_task(self._send_tap, message)
         begun = there = time.monotonic()
         try:

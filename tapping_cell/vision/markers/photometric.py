@@ -228,7 +228,8 @@ def _judged(
 def _together(
     chosen: NDArray[np.intp], width: int, influence: Array, residual: Array
 ) -> NDArray[np.float64]:
-    """Covariance (3, 3) of whitened parameters; the identity for pixels with independent noise.
+    """Covariance (3, 3) of the pose parameters, which are whitened as if the noise of the pixels
+    were independent; the identity if it is.
 
     ``influence`` (N, 3) are the derivatives of the parameters with respect to the pixels ``chosen``
     (flat indices, rows of ``width``). The correlation of the noise is estimated from the

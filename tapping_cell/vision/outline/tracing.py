@@ -43,8 +43,8 @@ _SHADOW = 0.4
 """Minimum contrast of a pixel, as a fraction of the object's contrast, for the pixel to belong to
 the object and not to a soft shadow."""
 _EVERY = 8
-"""Spacing of the pixels of the rectified image that are projected; the pixels between them are
-interpolated."""
+"""Spacing, in pixels of the rectified image, of the grid nodes that are projected into the camera
+image. Between nodes, the position in the camera image is interpolated."""
 _APART = 0.05
 """Area of another region, relative to the object's area, above which that region is a second
 object."""
@@ -211,8 +211,8 @@ class _Plane:
     def rectified(self, image: Image) -> NDArray[np.float32]:
         """Rectify a camera image to the plane; NaN outside the camera image."""
         columns, rows = self.size
-        # A lens is smooth, so the projection is interpolated between nodes. On both axes one extra
-        # node is added before and after, so that the border is interpolated too.
+        # The projection is a smooth function, so it is interpolated between nodes. On both axes one
+        # extra node is added before and after, so that the border is interpolated too.
         u, v = ((np.arange(-1, n // _EVERY + 2) + 0.5) * _EVERY - 0.5 for n in (columns, rows))
         nodes = self.view.project(self.places(np.stack(np.meshgrid(u, v), axis=-1)), self.height)
         size = (_EVERY * len(u), _EVERY * len(v))

@@ -232,8 +232,8 @@ class TableTracker:
         view = View(self.camera, fit.pose)
         seen, shifts = lens_shifts(view, points[fit.used], 0.0)
         count = int(fit.used.sum())
-        # Convert directions to lengths on the table for each corner, because the view may be
-        # oblique.
+        # Derivative of the position on the table with respect to the direction of the ray, for each
+        # corner: it differs between corners if the view is oblique.
         ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
         lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
         block: Array = np.zeros((4 * count, 2, 4 * count, 2))

@@ -168,11 +168,11 @@ def test_a_striker_faster_than_commanded_is_said_so_and_not_taken_for_restitutio
         for t in taps()
     ]
     fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
-    output = [s for s in fit.sentences if "faster than commanded" in s]
+    output = [s for s in fit.sentences if "speed differs from the commanded" in s]
     assert len(output) == 1 and "+6 %" in output[0] and "calibrate tapper" in output[0]
     assert fit.estimate("restitution").value == pytest.approx(TRUE["restitution"], rel=0.01)
     exact = fit_object([read_experiment(write(tmp_path / "e", taps()))], DISK)
-    assert not any("faster than commanded" in s for s in exact.sentences)
+    assert not any("speed differs from the commanded" in s for s in exact.sentences)
 
 
 def replace_values(trial, values):

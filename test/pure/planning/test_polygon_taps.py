@@ -81,7 +81,8 @@ def test_the_choice_is_that_of_a_session():
             if reached.size:
                 alike += bool(np.allclose(taps[reached[0]], chosen[row], atol=1e-9))
                 break
-    # The remaining choices have the same cost, or the polygon's exact slide cannot reach them.
+    # The other choices differ because two taps have the same cost, or because the tap that the
+    # approximation ranks first is impossible with the polygon's exact slide.
     assert alike >= 0.8 * rows.size
 
 

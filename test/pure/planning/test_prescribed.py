@@ -105,8 +105,8 @@ def test_the_object_stays_on_the_table_though_the_model_is_wrong(
     moved = truth.outcome(pose, decision.plan.strike_pose, speed)
     end = np.asarray(pose[:2]) + moved[:2] * (1 + 0.05 * luck)
     room = float(space.workspace.edge_distance(end))
-    # If all errors of the model add up, the object may be closer to the edge than planned by a
-    # tenth of the slide's length.
+    # If all errors of the model add up, the object may end closer to the edge than planned, by up
+    # to a tenth of the slide's length.
     assert room >= body.bounding_radius - 0.1 * float(np.hypot(*moved[:2]))
     assert np.all(np.abs(end) < (0.33, 0.25))
 

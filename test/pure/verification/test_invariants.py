@@ -1,5 +1,8 @@
-"""The motion invariants detect forbidden motions: the test moves the controller without any
-node."""
+"""Test that the motion invariants detect forbidden motions.
+
+The test jogs the arm by a command that it sends directly to the emulated controller, so that no
+node has commanded the motion.
+"""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def test_projection_is_the_definition_and_rays_undo_it(values, x, y, count):
     try:
         camera = CameraModel(1280, 1024, 1100.0, 1120.0, 630.0, 515.0, tuple(values[:count]), model)
     except CameraError:
-        reject()  # this lens folds back inside the image
+        reject()  # this lens model maps two directions to one pixel
     pixel = camera.project([2.0 * x, 2.0 * y, 2.0])
     assert pixel == pytest.approx(by_definition(camera, x, y), abs=1e-8)
     assert camera.rays(pixel) == pytest.approx([x, y], abs=1e-8)
