@@ -486,8 +486,9 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
         return []
     return [
         "The striker's speed differs from the commanded one by "
-        f"{100 * math.expm1(mean):+.1f} %. The fit accounts for this; the planner's distances deviate by "
-        f"{100 * math.expm1(2 * mean):+.0f} % until `calibrate tapper` has measured its curve."
+        f"{100 * math.expm1(mean):+.1f} %. The fit accounts for this; "
+        f"the planner's distances deviate by {100 * math.expm1(2 * mean):+.0f} % until "
+        "`calibrate tapper` has measured its curve."
     ]
 
 

@@ -27,11 +27,11 @@ _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 """Limit below which stretch and strain are not significant.
 
 The limit is the sum of four contributions. The first is a constant relative error (of print and
-lens). The second is an error of the side's length in pixels (position of edges within pixels, nonlinear grey
-levels). The third is an error of blurred edges in pixels, multiplied by p / (1 - p), where p is
-``MarkerEdges.pull``. The fourth is a number of standard deviations of the noise. None of 140 images
-exceeded this limit. The markers' sides measured 28 to 149 pixels, and the images included gamma,
-Bayer patterns and blur.
+lens). The second is an error of the side's length in pixels (position of edges within pixels,
+nonlinear grey levels). The third is an error of blurred edges in pixels, multiplied by
+p / (1 - p), where p is ``MarkerEdges.pull``. The fourth is a number of standard deviations of the
+noise. None of 140 images exceeded this limit. The markers' sides measured 28 to 149 pixels, and the
+images included gamma, Bayer patterns and blur.
 """
 
 
