@@ -49,7 +49,7 @@ def test_a_node_that_ends_again_and_again(name: str, ends: bool) -> None:
         supervisor.check(now)
     graph.end(name)
     if ends:
-        with pytest.raises(NodeDied, match=f"without {name}: 4 times"):
+        with pytest.raises(NodeDied, match=f"without {name}, which ended 4 times"):
             supervisor.check(now)
         return
     (incident,) = supervisor.check(now)
