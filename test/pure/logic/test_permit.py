@@ -6,8 +6,9 @@ any time between two steps. The board fires within its time window or not at all
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,7 +25,7 @@ from tapping_cell.logic.effects import Answer, Call, Effect, Job, JobEnded, Publ
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.poses import to_message
 from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, Status
-from tapping_cell.messages import ArmState, HoldStill, TapCommand, TapperState
+from tapping_cell.messages import ArmState, ErrorCode, HoldStill, TapCommand, TapperState
 from tapping_cell.se2 import Pose
 
 CELL = load_cell()
@@ -173,6 +174,36 @@ def test_a_prompt_answer_lets_the_shot_go() -> None:
     release_by = START + 0.008 + (WINDOW_S + LONGEST_PULSE) * 1.01
     assert pair.tapper.check_firing(release_by, at(START + 0.008)) is None
     assert pair.tapper.check_firing(release_by + 0.2, at(START + 0.008)) is not None
+
+
+@pytest.mark.parametrize("state", [ArmState.MOVING, ArmState.FAULT, ArmState.WITHDRAWING])
+def test_the_last_check_refuses_an_arm_that_reports_another_state_despite_its_promise(
+    state: int,
+) -> None:
+    pair = Pair()
+    call = pair.begin()
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    pair.tapper.on_answer(call.token, answer.response, at(START + 0.004))
+    pair.tapper.on_message("arm_state", replace(pair.arm_state, state=state), at(START + 0.006))
+    release_by = START + 0.008 + (WINDOW_S + LONGEST_PULSE) * 1.01
+    reason = pair.tapper.check_firing(release_by, at(START + 0.008))
+    assert reason is not None and reason[0] == ErrorCode.TAPPER_ARM_NOT_IN_POSITION
+
+
+def test_an_answer_to_an_earlier_request_is_no_promise() -> None:
+    """The tapper asks twice, because the first answer is late; the late answer does not count."""
+    pair = Pair()
+    first = pair.begin()
+    made = pair.arm.on_request("hold_still", first.request, 1, at(START))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    again = pair.tapper.on_answer(first.token, None, at(START + 0.3))
+    (second,) = [effect for effect in again if isinstance(effect, Call)]
+    assert second.token != first.token
+    assert not jobs(pair.tapper.on_answer(first.token, answer.response, at(START + 0.31)))
+    made = pair.arm.on_request("hold_still", second.request, 2, at(START + 0.31))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    assert jobs(pair.tapper.on_answer(second.token, answer.response, at(START + 0.32)))
 
 
 @given(
