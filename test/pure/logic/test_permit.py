@@ -82,6 +82,15 @@ class Pair:
 
     def begin(self) -> Call:
         now = at(START)
+        charge = self.begin_charging()
+        status = Status(board(BoardState.CHARGED, TAP), 0)
+        made = self.tapper.on_job(JobEnded(charge, ChargeEnd(status, True, None)), now)
+        (call,) = [effect for effect in made if isinstance(effect, Call)]
+        return call
+
+    def begin_charging(self) -> int:
+        """Return the number of the tapper's job that charges the striker."""
+        now = at(START)
         joints = Joints(*CELL.file.arm.park)
         here = Reading(True, joints, False, now.steady)
         # Started long before, so that a promise of an earlier arm process has expired.
@@ -97,11 +106,8 @@ class Pair:
         arm_state = messages(self.arm.on_job(JobEnded(place, placed), now), "arm_state")[-1]
         assert arm_state.state == ArmState.IN_POSITION
         (charge,) = jobs(self.tapper.on_message("arm_state", arm_state, now))
-        status = Status(board(BoardState.CHARGED, TAP), 0)
-        made = self.tapper.on_job(JobEnded(charge, ChargeEnd(status, True, None)), now)
-        (call,) = [effect for effect in made if isinstance(effect, Call)]
         self.arm_state = arm_state
-        return call
+        return charge
 
 
 def jobs(effects: list[Effect]) -> list[int]:
@@ -189,6 +195,32 @@ def test_the_last_check_refuses_an_arm_that_reports_another_state_despite_its_pr
     release_by = START + 0.008 + (WINDOW_S + LONGEST_PULSE) * 1.01
     reason = pair.tapper.check_firing(release_by, at(START + 0.008))
     assert reason is not None and reason[0] == ErrorCode.TAPPER_ARM_NOT_IN_POSITION
+
+
+def test_a_tap_withdrawn_at_the_end_of_charging_discharges_the_striker() -> None:
+    pair = Pair()
+    charge = pair.begin_charging()
+    now = at(START + 0.1)
+    pair.tapper.on_message("tap_command", pair.command(TapCommand.WITHDRAW, now), now)
+    status = Status(board(BoardState.CHARGED, TAP), 0)
+    made = pair.tapper.on_job(JobEnded(charge, ChargeEnd(status, True, None)), now)
+    (discharge,) = [effect.job for effect in made if isinstance(effect, RunJob)]
+    assert discharge.name == "discharge"
+    done = JobEnded(discharge.number, Status(board(BoardState.SAFE, TAP), 0))
+    state = messages(pair.tapper.on_job(done, at(START + 0.2)), "tapper_state")[-1]
+    assert (state.state, state.outcome) == (TapperState.SAFE, TapperState.NOT_FIRED)
+
+
+def test_a_stop_button_at_the_cell_stops_the_tapper_until_it_is_cleared() -> None:
+    tapper = tappers.TapperLogic(tappers.TapperOptions())
+    tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), at(START))
+    tapper.on_lifecycle(Activated(), at(START))
+    (read,) = jobs(tapper.on_tick(at(START + 1.0)))
+    pressed = Status(replace(board(BoardState.SAFE), stop_latched=True), 0)
+    state = messages(tapper.on_job(JobEnded(read, pressed), at(START + 1.0)), "tapper_state")[-1]
+    assert state.state == TapperState.STOPPED
+    tap = Pair().command(TapCommand.TAP, at(START + 1.1))
+    assert not jobs(tapper.on_message("tap_command", tap, at(START + 1.1)))
 
 
 def test_an_answer_to_an_earlier_request_is_no_promise() -> None:
