@@ -247,8 +247,8 @@ def joints(session: Session) -> Proof:
     lower, upper = Joints(*arm.lower), Joints(*arm.upper)
     park = Joints(*arm.park)
     session.instruct(
-        "clear everything within the arm's reach and hold the enabling device: each joint moves"
-        " a little, and then almost to its limits"
+        "clear everything within the arm's reach and hold the enabling device: shoulder,"
+        " elbow and tool move a little, then shoulder and elbow move almost to their limits"
     )
     with _homed(session, set_up=True) as (graph, client):
         try:
