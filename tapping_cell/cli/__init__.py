@@ -49,7 +49,7 @@ MOVED = {
     "bench": "the benchmarks are no longer part of the package; in the source tree, run  python -m "
     "benchmarks",
 }
-"""Error messages for verbs of earlier versions. Each message names the replacement."""
+"""Error messages for verbs that were removed, by verb. Each message names the replacement."""
 
 SET_UP = (
     "set this shell up first, with  . ./env.sh  in the source folder, or"
@@ -98,8 +98,8 @@ def _not_set_up(why: str) -> int:
 
 
 def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
-    """Return the parser and the run function of the verb that the first word names. If it names no
-    verb, print an error and exit."""
+    """Return the parser and the run function of the verb, which is the first argument. If there is
+    no such verb, print an error and exit."""
     from tapping_cell.cli.errors import Parser, suggestion
 
     verb = argv[0] if argv else ""

@@ -8,9 +8,9 @@ Lengths are in mm, angles in degrees, shares in percent. With the model "abstrac
 intended displacement plus scatter. The model "physics" simulates strike, impact and slide with true
 parameters that the planner does not receive (option --truth; also --truth-object if --object is a
 fitted file). With --table, the trials run on the cell's table, with its edges and keep-outs, within
-the arm's reach. Goals that are out of reach must then be refused before the first tap. A cell with
-fixed tappers is evaluated on its own working area, with one row of results for each of
---start-angles:
+the arm's reach. A goal out of reach must then be refused before the first tap: a later refusal
+counts as a failure. A cell with fixed tappers is evaluated on its own working area, with one row of
+results for each of --start-angles:
 
   python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
 
@@ -639,7 +639,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     axes = sweep.read_axes(arguments.sweep)
     points = list(sweep.grid(axes))
     for point in points:
-        # Errors are reported before the first trial.
+        # Check every point now, so that an error is reported before the first trial.
         chosen = sweep.arguments_at(arguments, point)
         make_evaluation(chosen, chosen.planner)
     kept = sweep.KeptPoints(arguments.report, _inputs(arguments))
@@ -680,7 +680,8 @@ def _measure_point(arguments: argparse.Namespace, point: Point) -> dict[str, Any
     from tapping_cell.cli import sweep
 
     chosen = sweep.arguments_at(arguments, point)
-    # The points share the cores, and only the whole sweep has a progress bar.
+    # Use one process, because the points are evaluated in parallel. The option json suppresses the
+    # progress bar of the point, because the whole sweep has one.
     chosen.processes, chosen.json = 1, True
     return measure(chosen, make_evaluation(chosen, chosen.planner))
 

@@ -40,8 +40,8 @@ class ProbingStopped(RuntimeError):
 
 
 def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, None, None]:
-    """Send up to ``arguments.goals`` goals; the caller may stop earlier. Yield the folder of each
-    run.
+    """Send up to ``arguments.goals`` goals one by one, and yield the folder of each run. The caller
+    may stop iterating earlier.
 
     Raises:
         ConfigurationError: the cell's files are unusable, or another object is in the cell.

@@ -27,8 +27,11 @@ def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> 
 
 
 def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
-    """Return the decelerations of the arm's joints in a braking stop, rad/s^2 or m/s^2: those of
-    the kinematic chain if the cell file has one, otherwise those of the SCARA."""
+    """Return the deceleration of each joint of the arm in a braking stop, in rad/s^2 or m/s^2.
+
+    They are the values of the kinematic chain if the cell file has one, otherwise those of the
+    SCARA.
+    """
     own = arm.ros2_control
     if own is None or own.chain is None:
         return arm.max_acceleration

@@ -593,7 +593,8 @@ class TapperSection:
 
 @dataclass(frozen=True, slots=True)
 class FixedTapperSection:
-    """One tapper at a fixed mount; an omitted key has the value of the section `tapper`."""
+    """One tapper at a fixed mount. For an omitted key, the value in the section `tapper` is
+    used."""
 
     name: str = text("name of the tapper, unique in the cell", longest=40)
     position: tuple[float, float] = quantity(

@@ -17,7 +17,7 @@ from tapping_cell.se2 import Pose
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One run in a comparison. mm, deg, s; NaN if unknown."""
+    """One run in a comparison, in mm, degrees and s. Unknown values are NaN."""
 
     name: str
     outcome: str
@@ -168,7 +168,7 @@ def _table(rows: Sequence[Row], links: Sequence[str]) -> str:
 
 
 def _cell(value: float, text: str) -> str:
-    """Return a cell that sorts by its value."""
+    """Return a table cell that shows ``text`` and is sorted by ``value``."""
     key = repr(value) if math.isfinite(value) else ""
     return f'<td data-key="{key}">{text}</td>'
 
@@ -197,7 +197,8 @@ def _charts(runs: Sequence[Run]) -> str:
     for run in runs:
         goal = run.goal
         if goal is None or run.start is None or not run.taps:
-            # Without a tap there is no curve, and a distant goal would only compress the scale.
+            # A run without taps has no curve. It is left out, because a large distance at its start
+            # would only compress the scale.
             continue
         poses = [run.start, *(tap.measured for tap in run.taps)]
         colour = colours[run.planner]
