@@ -77,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _not_set_up(f"{sys.executable} cannot import '{error.name}' ({error})")
     except RuntimeError as error:
-        # Base class of rclpy's errors. rclpy is not imported for verbs that do not need it.
+        # Catch the base class of rclpy's errors, because rclpy is imported only by the verbs that
+        # need it.
         refused = security.explain(error)
         if refused is None:
             raise
@@ -86,7 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         if not _reader_has_gone():
             raise
-        # Python flushes once more at exit, so the remaining output is redirected to /dev/null.
+        # Python flushes stdout once more at exit. Redirect it to /dev/null, so that this does not
+        # fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     return status

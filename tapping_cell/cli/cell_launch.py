@@ -54,7 +54,7 @@ class LaunchedNode:
     """Mapping from the name of a launch argument to the name of the node parameter that it sets."""
     respawn: bool = False
     parameters: Mapping[str, object] = field(default_factory=dict)
-    """Fixed parameter values, used for every instance of this node in the graph."""
+    """Values of node parameters that no launch argument sets, by name of the parameter."""
 
 
 PAGE = LaunchedNode(

@@ -1,4 +1,4 @@
-"""Connect to the arm and the tapper of a cell and compare their settings with the required ones.
+"""Connect to arm and tapper of a cell, and compare their settings with the required settings.
 
 Nothing moves and nothing is charged. Each difference is printed with its remedy. With --write,
 settings that are safe to store (holding torque, report format) are stored in the controller after

@@ -40,7 +40,8 @@ LAST_DOMAIN = 232
 """Highest ROS domain for which the middleware has valid port numbers."""
 
 MAX_PARTICIPANTS = 20
-"""Number of participant ports that are checked in a domain; a cell has 8 participants."""
+"""Number of participant ports that are checked in a domain. It is larger than the number of
+participants of a cell, which is 8."""
 OWN_DOMAINS = range(1, 102)
 """Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is excluded, because it
 is the default domain of all ROS programs."""
@@ -186,7 +187,8 @@ class Graph:
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,
-            # A Ctrl-C at the terminal then reaches only this process, which ends the nodes.
+            # In a session of its own, a node does not receive a Ctrl-C at the terminal. Only this
+            # process receives it, and then ends the nodes.
             start_new_session=True,
             preexec_fn=_die_with_parent,
         )

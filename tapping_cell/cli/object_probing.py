@@ -88,8 +88,8 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
 
 
 def goal_of(middle: Pose, here: Pose, number: int) -> Pose:
-    """Return the goal with this number (from 0) about ``middle``. Its rotation relative to ``here``
-    alternates in sign."""
+    """Return the goal with this number (from 0) on the circle about ``middle``. Its rotation
+    relative to ``here`` alternates in sign."""
     heading = number * BETWEEN
     turn = TURN if number % 2 == 0 else -TURN
     return Pose(

@@ -97,8 +97,10 @@ def require_object(client: GoalClient, cell: Cell) -> None:
 
 
 def wait_for_planner(client: GoalClient, patience: float, console: Console) -> None:
-    """Wait until the planner accepts goals. The planner itself waits for the other conditions and
-    reports them.
+    """Wait until the planner accepts goals.
+
+    Arm, tapper and camera are not checked here: after a goal is sent, the planner waits for them
+    and reports what is missing.
 
     Raises:
         NotReadyInTime: the planner did not accept goals within ``patience`` seconds.

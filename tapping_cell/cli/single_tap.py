@@ -264,8 +264,8 @@ def _measure(
     trials: list[Trial],
     console: Console,
 ) -> None:
-    """Make the remaining trials of the design. Each trial is written to disk before the next one
-    starts."""
+    """Make the trials of the design that have not been recorded yet. Each trial is written to disk
+    before the next one starts."""
     sessions = sum(1 for entry in folder.glob("session_*") if entry.is_dir())
     name = f"session_{sessions + 1:02d}"
     seed = design.seed + STEP_OF_SEED * sessions

@@ -17,9 +17,10 @@ from tapping_cell.hardware.transport import Transport
 
 
 def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDriver:
-    """Create the driver of the cell's arm on an open or closed connection; send nothing.
+    """Create the driver of the cell's arm. Nothing is sent to the controller.
 
-    ``connection`` is a serial line or, for the dialect ``ros2_control``, a link to its controller.
+    ``connection`` is a serial line or, for the dialect ``ros2_control``, a link to the arm's ROS
+    controller. It may be open or closed.
     """
     return ArmDriver(
         connection, make_dialect(arm, connection), arm.geometry(), arm.driver_settings()

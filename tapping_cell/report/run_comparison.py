@@ -1,4 +1,5 @@
-"""Comparison of several runs: a table, figures of each planner, and a page with plots."""
+"""Comparison of several runs: a table of the runs, mean results of each planner, and a page with
+plots."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ class Row:
 
 
 def row_of(run: Run) -> Row:
-    """Compute the figures of one run."""
+    """Compute the results of one run for the comparison."""
     start, measured, true = (
         _to_go(pose, run.goal) for pose in (run.start, run.final_measured, run.final_true)
     )
@@ -62,7 +63,8 @@ def _to_go(pose: Pose | None, goal: Pose | None) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Runs of one planner with one object; means are over runs that reached their goal."""
+    """Results of the runs with one planner and one object. The means include only the runs that
+    reached their goal."""
 
     planner: str
     object_name: str
