@@ -82,7 +82,7 @@ RANGES = (
     ("slow-motion", 1.0, 100.0),
     ("exposure", 0.0, 100.0),
 )
-"""Ranges of the options, each in the unit of its option."""
+"""Name, minimum and maximum of each option with a range, in the unit of the option."""
 STEP_OF_SEED = 1000
 """Difference between the seeds of two sessions of one experiment. With the same seed, the simulated
 world would repeat its scatter."""

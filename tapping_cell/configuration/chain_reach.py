@@ -1,5 +1,5 @@
-"""Check that an arm that is not a SCARA reaches the strike poses of the SCARA that its cell file
-describes."""
+"""For an arm that is not a SCARA, check that it reaches the strike poses that are in reach of the
+SCARA in the section ``arm`` of its cell file."""
 
 from __future__ import annotations
 

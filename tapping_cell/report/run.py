@@ -22,9 +22,9 @@ class Learnt:
     """Estimated properties of the object after a tap: expected values and standard deviations.
 
     ``distance`` is the ratio of measured to modelled distance, and ``rotation`` the ratio of
-    measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` and
-    ``offset_y`` are the rotations per distance (rad/m) caused by taps through the middle of the
-    object in its -y and +x directions. NaN if unknown.
+    measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` is the
+    rotation per distance (rad/m) that a tap through the middle of the object in its -y direction
+    causes, and ``offset_y`` that of a tap in its +x direction. Unknown values are NaN.
     """
 
     distance: float = math.nan

@@ -17,7 +17,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A row of the table of values; ``low`` and ``high`` are NaN if the value was not fitted."""
+    """A row of the table of values. ``low`` and ``high`` are the limits of the 95 % interval, or
+    NaN if the value was not fitted."""
 
     name: str
     old: float

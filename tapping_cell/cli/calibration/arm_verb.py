@@ -1,11 +1,12 @@
 """Calibrate the pose of the arm's base and the zero offset of its elbow from a CSV record of poses.
 
-Each row is one pose. Columns shoulder, elbow and tool (rad; or shoulder_deg and so on) are the
-joint positions reported by the controller. Columns x, y and theta (m and rad; or x_mm, y_mm,
-theta_deg) are the camera's measurement, in the frame table, of a marker held by the arm. Without
-theta, each row is a point on the table that the tip touched. Record 20 poses over the whole table,
-with the elbow bent to both sides by different angles, and with different tool angles. Writes a copy
-of the cell file with the new values in its section arm.
+Each row is one pose. Columns shoulder, elbow and tool are the joint positions reported by the
+controller, in rad (or in degrees, as shoulder_deg, elbow_deg and tool_deg). Columns x, y and theta
+are the pose of a marker held by the arm, measured by the camera in the frame table, in m and rad
+(or as x_mm, y_mm and theta_deg). Without theta, each row is a point on the table that the tip
+touched. Record 20 poses over the whole table, with the elbow bent to both sides by different
+angles, and with different tool angles. Writes a copy of the cell file with the new values in its
+section arm.
 
 With --record, the verb first records the poses with the running cell. The arm must hold a marker,
 and the cell must have been started with an object file that describes this marker. The height in
