@@ -49,7 +49,7 @@ MOVED = {
     "bench": "the benchmarks are no longer part of the package; in the source tree, run  python -m "
     "benchmarks",
 }
-"""Error messages for verbs of earlier versions. Each message names the replacement."""
+"""Error messages for verbs that were removed, by verb. Each message names the replacement."""
 
 SET_UP = (
     "set this shell up first, with  . ./env.sh  in the source folder, or"
@@ -77,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _not_set_up(f"{sys.executable} cannot import '{error.name}' ({error})")
     except RuntimeError as error:
-        # Base class of rclpy's errors. rclpy is not imported for verbs that do not need it.
+        # Catch the base class of rclpy's errors, because rclpy is imported only by the verbs that
+        # need it.
         refused = security.explain(error)
         if refused is None:
             raise
@@ -86,7 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         if not _reader_has_gone():
             raise
-        # Python flushes once more at exit, so the remaining output is redirected to /dev/null.
+        # Python flushes stdout once more at exit. Redirect it to /dev/null, so that this does not
+        # fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     return status
@@ -98,8 +100,8 @@ def _not_set_up(why: str) -> int:
 
 
 def _parser_of(argv: list[str]) -> tuple[argparse.ArgumentParser, Execute]:
-    """Return the parser and the run function of the verb that the first word names. If it names no
-    verb, print an error and exit."""
+    """Return the parser and the run function of the verb, which is the first argument. If there is
+    no such verb, print an error and exit."""
     from tapping_cell.cli.errors import Parser, suggestion
 
     verb = argv[0] if argv else ""

@@ -62,7 +62,7 @@ seed = whole(0, 2**31 - 1)
 
 
 def namespace(text: str) -> str:
-    """Parse a namespace of ROS nodes; empty for no namespace."""
+    """Return a namespace of ROS nodes without the outer slashes. It is empty for no namespace."""
     if text in ("", "/"):
         return ""
     if not _NAMESPACE.fullmatch(text) or len(text) > LONGEST_NAMESPACE:

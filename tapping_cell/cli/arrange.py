@@ -128,7 +128,8 @@ def wait_for(
             conditions.
     """
     session.wait_for(lambda: client.missing(names), patience, check, console)
-    # The planner must also have discovered this client, or the response is lost.
+    # Wait until the planner has discovered this client too: before that, its response to a
+    # request would be lost.
     time.sleep(session.MUTUAL_DISCOVERY_S)
 
 
@@ -138,7 +139,8 @@ def follow(
     console: Console,
     on_tap: Callable[[], None] = lambda: None,
 ) -> ArrangementEnded:
-    """Show an arrangement's progress until it ends. ``check`` may raise an exception to abort."""
+    """Show an arrangement's progress until it ends. ``check`` is called at every event and may
+    raise an exception to abort."""
     with console.status("arrangement sent") as status:
         for event in client.events():
             check()
@@ -156,7 +158,7 @@ def follow(
 
 
 def end_text(one: ObjectEnd) -> str:
-    """Format the remaining error of an object."""
+    """Format the state of an object and its remaining distance and rotation to the goal."""
     if not math.isfinite(one.residual_distance):
         return f"'{one.name}' {one.state}"
     return (
@@ -166,8 +168,8 @@ def end_text(one: ObjectEnd) -> str:
 
 
 def result_of(ended: ArrangementEnded) -> dict[str, object]:
-    """Return the result of an arrangement for JSON output, in mm and degrees; unknown values are
-    None."""
+    """Return the result of an arrangement for JSON output, in mm and degrees, with None for unknown
+    values."""
 
     def known(value: float, factor: float) -> float | None:
         return factor * value if math.isfinite(value) else None

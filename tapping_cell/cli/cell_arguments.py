@@ -1,4 +1,4 @@
-"""Common options of the verbs that use a running cell, and the client of these verbs."""
+"""Options and client that all verbs for a running cell have in common."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def with_cell(arguments: argparse.Namespace, act: Callable[[CellClient], int]) -> int:
-    """Call a function with a client of the cell. Convert errors to a message and an exit code."""
+    """Call ``act`` with a client of the cell and return its exit code. After an error, print a
+    message and return the exit code of the error."""
     end_on_signals()
     try:
         with CellClient(arguments.namespace) as client:

@@ -51,10 +51,10 @@ class LaunchedNode:
 
     name: str
     arguments: Mapping[str, str] = field(default_factory=dict)
-    """Name of the node parameter that each launch argument sets."""
+    """Mapping from the name of a launch argument to the name of the node parameter that it sets."""
     respawn: bool = False
     parameters: Mapping[str, object] = field(default_factory=dict)
-    """Fixed parameter values, used for every instance of this node in the graph."""
+    """Values of node parameters that no launch argument sets, by name of the parameter."""
 
 
 PAGE = LaunchedNode(
@@ -108,7 +108,8 @@ def _start(
     if given["page"].lower() == "true":
         nodes = (*nodes, PAGE)
     description = given["description"].lower() == "true"
-    # Each frame may have only one publisher.
+    # The arm's node publishes the frames of its links only if no robot_state_publisher does: a
+    # frame may have only one publisher.
     links = {"link_frames": not (description and _has_state_publisher())}
     started: list[Node | LogInfo] = [
         Node(
@@ -119,7 +120,7 @@ def _start(
             parameters=[
                 *shared,
                 {**node.parameters, **(links if node.name == "scara_arm" else {})},
-                # With an empty argument, the parameter comes from params_file.
+                # An empty argument sets no parameter: params_file or the node's default applies.
                 {
                     name: LaunchConfiguration(key)
                     for key, name in node.arguments.items()
@@ -134,7 +135,7 @@ def _start(
             output="screen",
             respawn=node.respawn,
             respawn_delay=1.0,
-            # A node with an invalid configuration would end again after each restart.
+            # Limited, because a node with an invalid configuration ends again after each restart.
             respawn_max_retries=MAX_RESTARTS,
         )
         for node in nodes

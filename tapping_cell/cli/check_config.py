@@ -247,7 +247,7 @@ def check_parameters(document: Any, path: Path) -> list[str]:
 
 
 def _by_node(document: Mapping[Any, Any], above: str = "") -> list[tuple[str, Any]]:
-    """Return node names with their namespaces, and their parameters."""
+    """Return (node name with its namespace, parameters) for each node in a document."""
     found = []
     for name, value in document.items():
         place = f"{above}/{str(name).strip('/')}" if above else str(name)

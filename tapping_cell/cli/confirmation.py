@@ -33,13 +33,14 @@ class Person:
         self._asked = 0
 
     def on_event(self, event: Event | None) -> None:
-        """Process an event (None if there is none) and read the typed input.
+        """Process an event, and the input that the person has typed. ``event`` is None if none
+        arrived.
 
         Raises:
             KeyboardInterrupt: the person cancels the goal, or the input has ended.
         """
         if isinstance(event, PhaseChanged):
-            self._asked = 0  # the proposal is obsolete: answered by another client, or replanned
+            self._asked = 0  # another client answered the question, or the tap was replanned
         elif isinstance(event, TapProposed):
             self._asked = event.tap.tap_id
             if os.isatty(self._answers):

@@ -38,15 +38,15 @@ LOW = 0.030
 STILL = 2e-4
 """Minimum displacement in m that counts as a motion of the object."""
 SILENCE_MARGIN_S = 0.4
-"""Maximum time in s between the stamp of the arm's last report that it is in position and the stamp
-of a strike."""
+"""A strike is unsafe if its stamp is more than this time, in s, after the last stamp at which the
+arm reported that it was in position."""
 RELEASE_AFTER_SILENCE_S = 0.65
-"""Maximum time in s from the last message of the planner or the camera to a release: the
-``silence_limit`` of the tapper (0.45 s), the transmission time of a message, and the firing
-window."""
+"""Maximum time in s from the last message of the planner or the camera to the release of the
+striker. It is the sum of the tapper's ``silence_limit`` (0.45 s), the transmission time of a
+message and the firing window."""
 STROKE_FACTOR = 1.1
-"""Maximum time of flight of the striker, as a multiple of the stroke divided by the commanded
-speed."""
+"""Maximum time of flight of the striker, relative to the time that it would need for the stroke at
+the commanded speed."""
 TIMEOUT_S = 240.0
 PHASE_S = 120.0
 """Maximum wait for a phase of a tap."""
@@ -94,7 +94,7 @@ class Observed:
     unsafe: list[str] = field(default_factory=list)
     shots: dict[int, int] = field(default_factory=dict)
     frozen: list[tuple[str, float, float]] = field(default_factory=list)
-    """Freezes of a node: its name, begin and end, s."""
+    """Periods in which a node was stopped: name of the node, begin and end in s."""
     watching: bool = False
 
     def on_arm(self, message: ArmState) -> None:
@@ -126,9 +126,9 @@ class Observed:
         self.lain = pose
 
     def judge_strikes(self) -> None:
-        """Add the strikes for which the arm was not in position to the unsafe events. Strikes are
-        judged by their stamps at the end of a trial, because messages of two topics can arrive in
-        any order."""
+        """Add a strike to the unsafe events if the arm was not in position, or if a node had been
+        frozen for too long. This is checked by stamps at the end of a trial, because messages of
+        different topics can arrive in any order."""
         for at in self.struck:
             silent = at - max((stamp for stamp in self.settled if stamp <= at), default=-math.inf)
             if silent > SILENCE_MARGIN_S:
@@ -150,7 +150,8 @@ class Observed:
         return STROKE_FACTOR * load_cell().file.tapper.stroke / speeds[-1] if speeds else 0.0
 
     def judge(self) -> None:
-        """Add the other unsafe events that can be detected only at the end of a trial."""
+        """Add to the unsafe events: a tap id that was commanded twice, and more strikes than
+        taps."""
         ids = [c.tap_id for c in self.commands if c.request == TapCommand.TAP]
         if len(ids) != len(set(ids)):
             self.unsafe.append("a tap id was commanded twice")
@@ -173,7 +174,7 @@ class CrashCell:
             "scara_arm": {"port": arm, "home_on_activate": True},
             "tapper_trigger": {"port": tapper},
         }
-        # The planner's stored goal is kept separate from the stored goals of other cells.
+        # With its own HOME, the planner does not use the stored goal of another cell.
         self.graph = Graph(SIMULATED, parameters, folder / "logs", {"HOME": str(folder)})
         self.client = GoalClient("crash_trials")
         self.seen = Observed()
@@ -241,8 +242,9 @@ class CrashCell:
         self.graph.restart(node)
 
     def freeze(self, node: str, duration: float) -> None:
-        """Stop the process of a node for ``duration`` s (SIGSTOP). A strike is an unsafe event if
-        the node had been silent for longer than the last check before firing allows."""
+        """Stop the process of a node for ``duration`` s (SIGSTOP). A strike in this period is
+        unsafe if, at its last check before firing, the tapper should have noticed the node's
+        silence."""
         began = time.time()
         os.kill(self.graph.process_ids[node], signal.SIGSTOP)
         try:

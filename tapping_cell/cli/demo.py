@@ -8,8 +8,9 @@ measured and the true pose of the object are within the tolerance.
     python -m tapping_cell demo --move 10 0 10 --seed 1
 
 With --objects, several objects lie on the table, and each is brought to its own goal. Start and
-goal poses are random and depend on --seed; with --goals swap the objects exchange their places. The
-run folder then contains the scene's files, report.html, arrangement.json and arrangement.png.
+goal poses are random and depend on --seed. With --goals swap, the goals are not random: the objects
+exchange their places in pairs. The run folder of several objects contains the scene's files,
+report.html, arrangement.json and arrangement.png.
 
     python -m tapping_cell demo --objects 3
     python -m tapping_cell demo --objects 2 --goals swap

@@ -1,4 +1,4 @@
-"""Connect to the arm and the tapper of a cell and compare their settings with the required ones.
+"""Connect to arm and tapper of a cell, and compare their settings with the required settings.
 
 Nothing moves and nothing is charged. Each difference is printed with its remedy. With --write,
 settings that are safe to store (holding torque, report format) are stored in the controller after
@@ -44,7 +44,7 @@ from tapping_cell.nodes.drivers.output_link import RosOutputLink
 from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
 
 TIMEOUT = 8.0
-"""Timeout in s for opening a port, and again for the response of the device at that port."""
+"""Timeout in s for opening a port, and also for each response of the device at that port."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class _NoMemory:
     """Shot memory that stores nothing, because nothing is fired."""
 
     def recall(self) -> int:
-        """Return 0, because no shot was sent."""
+        """Return 0, which means that no shot has been sent."""
         return 0
 
     def keep(self, shot: int) -> None:
@@ -246,7 +246,7 @@ def _store(
     confirm: Callable[[Finding], bool],
     connection: Connection,
 ) -> bool:
-    """Store the settings that are safe to store and that the user confirms in the controller.
+    """Store settings in the controller, if they are safe to store and the user confirms them.
     Return whether any was stored."""
     wanted = [f for f in findings if not f.met and f.storable and confirm(f)]
     for finding in wanted:

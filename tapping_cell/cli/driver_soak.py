@@ -14,10 +14,11 @@ from tapping_cell.cli.fault_trials import Dialect, TrialCell
 MARKS = 4
 """Number of memory measurements, evenly spaced over the run. The first is the reference."""
 ALLOWED_BLOCKS = 1000
-"""Allowed growth in allocated blocks of Python between first and last measurement (filling
-caches)."""
+"""Maximum increase in the number of memory blocks that Python has allocated, from the first to the
+last measurement. Some increase is normal, because caches fill up."""
 ALLOWED_RESIDENT = 2_000_000
-"""Allowed growth of resident memory in bytes (fragmentation of the allocator's arenas)."""
+"""Maximum increase of the resident memory in bytes. Some increase is normal, because the memory of
+the allocator becomes fragmented."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,8 @@ class Soak:
 
     @property
     def steady(self) -> bool:
-        """Whether nothing grew beyond its limit."""
+        """Whether memory grew within the limits, and threads and file descriptors did not
+        change."""
         return (
             self.blocks[-1] - self.blocks[0] <= ALLOWED_BLOCKS
             and self.resident[-1] - self.resident[0] <= ALLOWED_RESIDENT

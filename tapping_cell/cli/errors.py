@@ -69,14 +69,15 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser whose errors have the same format as all others.
+    """Argument parser whose error messages have the format of all other errors of the verbs.
 
     Numbers must be finite.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        # Replaces Python's float, which accepts "nan" and "inf".
+        # Use these functions instead of Python's float and int, because float accepts "nan" and
+        # "inf".
         self.register("type", float, finite)
         self.register("type", int, whole_number)
 

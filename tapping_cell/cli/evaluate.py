@@ -6,11 +6,11 @@ example:
 
 Lengths are in mm, angles in degrees, shares in percent. With the model "abstract", a tap has the
 intended displacement plus scatter. The model "physics" simulates strike, impact and slide with true
-parameters that the planner does not receive (option --truth; also --truth-object if --object is a
-fitted file). With --table, the trials run on the cell's table, with its edges and keep-outs, within
-the arm's reach. Goals that are out of reach must then be refused before the first tap. A cell with
-fixed tappers is evaluated on its own working area, with one row of results for each of
---start-angles:
+parameters, which the planner does not receive. They are read from --truth, and from --truth-object
+if the true object differs from the planner's. With --table, the trials run on the cell's table,
+with its edges and keep-outs, within the arm's reach. A goal out of reach must then be refused
+before the first tap: a later refusal counts as a failure. A cell with fixed tappers is evaluated on
+its own working area, with one row of results for each of --start-angles:
 
   python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
 
@@ -639,7 +639,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     axes = sweep.read_axes(arguments.sweep)
     points = list(sweep.grid(axes))
     for point in points:
-        # Errors are reported before the first trial.
+        # Check every point now, so that an error is reported before the first trial.
         chosen = sweep.arguments_at(arguments, point)
         make_evaluation(chosen, chosen.planner)
     kept = sweep.KeptPoints(arguments.report, _inputs(arguments))
@@ -680,7 +680,8 @@ def _measure_point(arguments: argparse.Namespace, point: Point) -> dict[str, Any
     from tapping_cell.cli import sweep
 
     chosen = sweep.arguments_at(arguments, point)
-    # The points share the cores, and only the whole sweep has a progress bar.
+    # Use one process, because the points are evaluated in parallel. The option json suppresses the
+    # progress bar of the point, because the whole sweep has one.
     chosen.processes, chosen.json = 1, True
     return measure(chosen, make_evaluation(chosen, chosen.planner))
 
@@ -745,8 +746,8 @@ def _arrange(arguments: argparse.Namespace) -> int:
 
 
 def arrangement_kinds(arguments: argparse.Namespace) -> list[Any]:
-    """Return one ``Kind`` (free space and planner) for each shape of object, with the table and the
-    arm of the cell and the friction of the object file."""
+    """Return one ``Kind``, which contains a free space and a planner, for each shape of object.
+    Table and arm are those of the cell, and the friction is that of the object file."""
     from tapping_cell.configuration.assembly import make_strike_space, make_tap
     from tapping_cell.configuration.cell import load_cell
     from tapping_cell.planning import FreeSpace, PlannerSettings, make_planner

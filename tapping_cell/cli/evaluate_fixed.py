@@ -1,4 +1,4 @@
-"""Part of the verb evaluate for a cell with fixed tappers: tables over start angles."""
+"""Part of the verb evaluate for a cell with fixed tappers: a table with one row per start angle."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class RealClock:
 
     @property
     def limit(self) -> float:
-        """Time of the alarm in s."""
+        """Time, on this clock, at which the alarm ends a call, in s."""
         return self.now + signal.getitimer(signal.ITIMER_REAL)[0]
 
     @limit.setter
@@ -68,8 +68,8 @@ class TerminalCell(TrialCell):
 
     @contextmanager
     def _tapper_held(self) -> Iterator[None]:
-        # The order of the locks is the same as during a shot, when the tapper's thread queries the
-        # arm's position.
+        # A caller that locks both devices locks the tapper first. A shot takes the locks in the
+        # same order, because the tapper's thread then queries the arm's position.
         with self._terminals[1].lock:
             yield
 

@@ -126,7 +126,7 @@ class Clock(Protocol):
     """Clock of the cell."""
 
     limit: float
-    """Time beyond which a call counts as hanging."""
+    """Time, on this clock, after which a call counts as hanging, in s."""
 
     @property
     def now(self) -> float:
@@ -141,7 +141,7 @@ class _Direct:
     transport: Transport
 
     def now(self) -> Now:
-        """Return the serial line's time as the time of both clocks, steady and ROS."""
+        """Return the time of the serial line, used both as steady time and as ROS time."""
         steady = self.transport.now()
         return Now(steady, round(1e9 * steady))
 
@@ -252,15 +252,16 @@ class TrialCell:
         try:
             outcome = self._tap()
         except HardwareFault as fault:
-            # If a fault raises an exception, it occurred before FIRE could be sent.
+            # The drivers raise a fault only before FIRE is sent. A later fault is reported as the
+            # outcome of the shot.
             outcome = FireOutcome.NOT_FIRED
             self.tally.reasons[fault.reason.value] += 1
         self._report(self.shot, outcome)
         try:
             arm_jobs.withdraw(self._arm_context, self._withdrawal, not_before=self.clock.now)
         except HardwareFault:
-            # The next tap recovers the cell. By now, the striker either has been fired or can no
-            # longer be fired.
+            # This fault does not change the outcome, because the shot is over. The next tap begins
+            # with a recovery of the cell.
             return outcome
         return outcome
 
@@ -321,7 +322,7 @@ class TrialCell:
                 self.arm.clear_fault()
         except HardwareFault as fault:
             if fault.reason is FaultReason.NEEDS_PERSON:
-                # Simulate the action that the message requires of an operator.
+                # The error asks an operator to reset the arm's controller. Simulate that.
                 self.tally.board_resets_asked += 1
                 with self._arm_held():
                     self.arm_device.power_cycle(self.clock.now)

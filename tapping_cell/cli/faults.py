@@ -3,9 +3,9 @@
 With --goals, the state machines of the nodes, their drivers and the emulated devices bring an
 object to random goals in simulated time, while processes, messages, clocks, serial lines, boards,
 the camera and people fail at random. Invariants are checked after every event. With --taps (the
-default), only the drivers and the emulated devices make taps over faulty serial lines (bytes lost,
-late, doubled, flipped, split, merged; stalls; ports that vanish and return; boards that restart);
-the drivers' reports are compared with the true actions of the devices.
+default), only the drivers and the emulated devices make taps, over faulty serial lines: bytes are
+lost, delayed, doubled, changed, split or merged, transmission stalls, ports disappear and return,
+and boards restart. The drivers' reports are compared with the true actions of the devices.
 
     python -m tapping_cell faults --goals 1000 --seed 1   # the whole cell in simulated time
     python -m tapping_cell faults --goals 500 --only 'freeze, freeze at a shot'

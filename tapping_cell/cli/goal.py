@@ -85,7 +85,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def result_of(finished: Finished) -> dict[str, object]:
-    """Return the result of a goal for JSON output, in mm and degrees; unknown values are None."""
+    """Return the result of a goal for JSON output, in mm and degrees, with None for unknown
+    values."""
     known = math.isfinite(finished.residual_distance)
     return {
         "reached": finished.error_code == 0,

@@ -40,16 +40,18 @@ LAST_DOMAIN = 232
 """Highest ROS domain for which the middleware has valid port numbers."""
 
 MAX_PARTICIPANTS = 20
-"""Number of participant ports that are checked in a domain; a cell has 8 participants."""
+"""Number of participant ports that are checked in a domain. It is larger than the number of
+participants of a cell, which is 8."""
 OWN_DOMAINS = range(1, 102)
-"""Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is the shared
-default."""
+"""Domains whose ports do not overlap the ephemeral ports of Linux. Domain 0 is excluded, because it
+is the default domain of all ROS programs."""
 
 _PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux' prctl(2)
 
 
 def nodes_of(cell: Cell, *, hardware: bool) -> tuple[str, ...]:
-    """Return the nodes of a cell: the arm's driver only if there is an arm."""
+    """Return the names of a cell's nodes. The arm's driver is left out for a cell without an
+    arm."""
     nodes: tuple[str, ...] = HARDWARE if hardware else SIMULATED
     if cell.file.arm is None:
         nodes = tuple(name for name in nodes if name != "scara_arm")
@@ -87,15 +89,15 @@ class Ended:
 
     @property
     def refused(self) -> bool:
-        """Whether the node rejected its parameters or files; it would reject them again after a
-        restart."""
+        """Whether the node ended because it rejected its parameters or files. A restart would not
+        help."""
         return self.status > 0 and self.output.rpartition(" | ")[2].startswith("error: ")
 
     @property
     def sentence(self) -> str:
         """Description of the end."""
         if self.status == -signal.SIGKILL:
-            # The node could not write the reason, so its last lines do not explain its end.
+            # A killed node cannot log a reason, so its last lines would be misleading.
             return (
                 f"the node {self.name} ended by the signal SIGKILL, sent from outside or by the"
                 " kernel for lack of memory"
@@ -185,7 +187,8 @@ class Graph:
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,
-            # A Ctrl-C at the terminal then reaches only this process, which ends the nodes.
+            # In a session of its own, a node does not receive a Ctrl-C at the terminal. Only this
+            # process receives it, and then ends the nodes.
             start_new_session=True,
             preexec_fn=_die_with_parent,
         )

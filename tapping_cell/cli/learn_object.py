@@ -1,9 +1,10 @@
 """Learn an object's friction, torque factor, smallest tap and scatter by tapping it.
 
 Starts the simulated cell (or the hardware with --hardware, or joins a running cell with --attach)
-with the object file. Then sends goals near the object's position; the first goal begins with a
-probe of tiny taps. When the values are known well enough, or --goals goals have been sent, the
-values are fitted to the taps. `new-object` makes the object file from an image.
+with the object file. Then sends goals near the object's position. The first goal begins with a few
+of the smallest taps, to estimate the friction. When the values are known well enough, or --goals
+goals have been sent, the values are fitted to the taps. `new-object` makes the object file from an
+image.
 
   python -m tapping_cell learn-object --object bracket.yaml --output bracket_learnt.yaml
 
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 Move = tuple[float, float, float]
 Moves = tuple[Move, Move]
-"""Commanded and measured displacement of a tap: m, m, rad."""
+"""Commanded and measured displacement of a tap, each as x, y (m) and rotation (rad)."""
 
 MAX_GOALS = 9
 MIN_TAPS = 15

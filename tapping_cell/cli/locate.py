@@ -163,7 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class Search:
-    """One tracker per object; each takes account of the other objects."""
+    """Trackers of all objects, one for each. Each knows the markers of the other objects."""
 
     def __init__(
         self,
@@ -202,7 +202,8 @@ def read_photograph(path: Path, size: tuple[int, int]) -> NDArray[np.uint8] | st
         turned = cv2.imread(str(path), deep)
         image = image if turned is None or turned.shape != size[::-1] else turned
     if image.dtype == np.uint16:
-        # In 16-bit files of cameras with 10, 12 or 14 bits, the upper bits are zero.
+        # Convert to 8 bits. A camera with 10, 12 or 14 bits leaves the upper bits zero, so the
+        # number of bits is estimated from the largest value.
         bits = max(8, int(image.max()).bit_length())
         return np.asarray(image // 2 ** (bits + bits % 2 - 8), dtype=np.uint8)
     if image.dtype != np.uint8:

@@ -40,8 +40,8 @@ class ProbingStopped(RuntimeError):
 
 
 def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, None, None]:
-    """Send up to ``arguments.goals`` goals; the caller may stop earlier. Yield the folder of each
-    run.
+    """Send up to ``arguments.goals`` goals one by one, and yield the folder of each run. The caller
+    may stop iterating earlier.
 
     Raises:
         ConfigurationError: the cell's files are unusable, or another object is in the cell.
@@ -88,8 +88,8 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
 
 
 def goal_of(middle: Pose, here: Pose, number: int) -> Pose:
-    """Return the goal with this number (from 0) about ``middle``. Its rotation relative to ``here``
-    alternates in sign."""
+    """Return the goal with this number (from 0) on the circle about ``middle``. Its rotation
+    relative to ``here`` alternates in sign."""
     heading = number * BETWEEN
     turn = TURN if number % 2 == 0 else -TURN
     return Pose(

@@ -2,11 +2,12 @@
 
 Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees. Also prints its product
 with an error of the striker's pose, its norm, and the fraction of the reachable taps with a norm
-below one. The columns are the displacements of the striker's ball along i (the contact normal, away
-from the object) and j (the tangent), and the rotation beta of the striker's axis. The rows are the
-displacements of the object along and across the direction of travel, and its rotation, clockwise as
-in the paper. The paper assumes that the direction of travel rotates with the striker; a second
-Jacobian uses the direction of travel from the impact model.
+below one. The columns of the Jacobian belong to errors of the striker: displacements of its ball
+along i (the contact normal, away from the object) and j (the tangent), and the rotation beta of its
+axis. The rows belong to the result: displacements of the object along and across the direction of
+travel, and its rotation, clockwise as in the paper. The paper assumes that the direction of travel
+rotates with the striker. A second Jacobian, with the direction of travel from the impact model, is
+printed for comparison.
 
     python -m tapping_cell sensitivity --distance 10 --rotation 3
     python -m tapping_cell sensitivity --figures docs/images
@@ -114,8 +115,8 @@ def _figures(jacobian: NDArray[np.float64], error: list[float]) -> dict[str, obj
 
 
 def _sweep(tap: Tap, farthest: float) -> dict[str, object]:
-    """Return the norms over the reachable taps, from no rotation to the edge of the friction
-    cone."""
+    """Return statistics of the Jacobian's norm over the reachable taps. Their rotations range from
+    zero to the edge of the friction cone."""
     nearest = tap.smallest_distance
     distances, shares = np.meshgrid(
         np.linspace(nearest, max(farthest, nearest), _SWEEP_DISTANCES),

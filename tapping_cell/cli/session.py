@@ -97,8 +97,10 @@ def require_object(client: GoalClient, cell: Cell) -> None:
 
 
 def wait_for_planner(client: GoalClient, patience: float, console: Console) -> None:
-    """Wait until the planner accepts goals. The planner itself waits for the other conditions and
-    reports them.
+    """Wait until the planner accepts goals.
+
+    Arm, tapper and camera are not checked here: after a goal is sent, the planner waits for them
+    and reports what is missing.
 
     Raises:
         NotReadyInTime: the planner did not accept goals within ``patience`` seconds.
@@ -106,7 +108,8 @@ def wait_for_planner(client: GoalClient, patience: float, console: Console) -> N
     deadline = time.monotonic() + patience
     found = math.inf
     with console.status("waiting for the planner"):
-        # The planner must also have discovered this client, or the response is lost.
+        # Wait until the planner has discovered this client too: before that, its response to a
+        # request would be lost.
         while time.monotonic() < found + MUTUAL_DISCOVERY_S:
             there = client.planner_active and client.accepts_goals()
             found = min(found, time.monotonic()) if there else math.inf
@@ -159,8 +162,8 @@ def follow(
     console: Console,
     person: Person | None = None,
 ) -> Finished:
-    """Show a goal's progress tap by tap until it ends. ``check`` may raise an exception to abort;
-    ``person`` confirms taps if given."""
+    """Show a goal's progress tap by tap until it ends. ``check`` is called at every event and may
+    raise an exception to abort. ``person``, if given, is asked to confirm each tap."""
     # An animated status line would corrupt the operator's input.
     with console.status("goal sent") if person is None else nullcontext() as status:
         for event in client.events():

@@ -82,7 +82,7 @@ RANGES = (
     ("slow-motion", 1.0, 100.0),
     ("exposure", 0.0, 100.0),
 )
-"""Ranges of the options, each in the unit of its option."""
+"""Name, minimum and maximum of each option with a range, in the unit of the option."""
 STEP_OF_SEED = 1000
 """Difference between the seeds of two sessions of one experiment. With the same seed, the simulated
 world would repeat its scatter."""
@@ -264,8 +264,8 @@ def _measure(
     trials: list[Trial],
     console: Console,
 ) -> None:
-    """Make the remaining trials of the design. Each trial is written to disk before the next one
-    starts."""
+    """Make the trials of the design that have not been recorded yet. Each trial is written to disk
+    before the next one starts."""
     sessions = sum(1 for entry in folder.glob("session_*") if entry.is_dir())
     name = f"session_{sessions + 1:02d}"
     seed = design.seed + STEP_OF_SEED * sessions

@@ -25,7 +25,7 @@ PERSONS = (
     ErrorCode.MARKER_AMBIGUOUS,
     ErrorCode.CAMERA_MOVED,
 )
-"""Error codes that only an operator's action clears, although the cell itself has started."""
+"""Error codes of a cell that has started and now needs an action of an operator."""
 STYLES = {
     "ready": "green",
     "warns": "yellow",
@@ -42,7 +42,8 @@ class Line:
 
     node: str
     word: str
-    """starting, waits, ready, warns (works, but reports a warning), fault or ended."""
+    """One of: starting, waits, ready, warns (the node works, but reports a warning), fault,
+    ended."""
     sentence: str = ""
 
     def __str__(self) -> str:

@@ -31,7 +31,8 @@ Point = dict[str, Value]
 
 
 def _both(name: str) -> Callable[[argparse.Namespace, Value], None]:
-    """Return a setter that uses one number for both mm and degrees, or for both percentages."""
+    """Return a function that sets both numbers of an option (such as mm and degrees) to one
+    value."""
     return lambda arguments, value: setattr(arguments, name, (value, value))
 
 
@@ -65,8 +66,8 @@ PARAMETERS: dict[str, Callable[[argparse.Namespace, Value], None]] = {
     "round-angle": _plain("round_angle"),
     "box": _plain("box"),
 }
-"""Parameters of a sweep, in the units of evaluate's options; ``friction`` is the true
-coefficient."""
+"""For each parameter of a sweep, the function that sets it in the options of ``evaluate``. A value
+has the unit of its option. ``friction`` is the true coefficient."""
 
 
 def read_axis(text: str) -> tuple[str, tuple[Value, ...]]:

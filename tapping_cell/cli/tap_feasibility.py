@@ -25,8 +25,8 @@ class TapFeasibility:
         self._view = cell.references.corners().reshape(-1, 2)
 
     def problem(self, striker_speed: float, incidence: float) -> str:
-        """Return why a tap (m/s, rad) is infeasible with the object in the middle; empty if it is
-        feasible."""
+        """Return why a tap with this striker speed (m/s) and incidence (rad) is infeasible with the
+        object in the middle of the table; empty if it is feasible."""
         limits = self._limits
         if not limits.slowest <= striker_speed <= limits.fastest:
             return (

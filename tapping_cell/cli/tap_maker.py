@@ -23,14 +23,16 @@ from tapping_cell.se2 import Pose
 
 READY_TIMEOUT_S = 60.0
 BACK_TOLERANCE = (0.015, math.radians(45.0))
-"""Tolerance in m and rad of a goal that brings the object back; large, to save taps."""
+"""Tolerance, in m and rad, of a goal that brings the object back to the middle of the table. It is
+large, to save taps."""
 NO_CLEARANCE = (
     ErrorCode.TAP_LEAVES_TABLE,
     ErrorCode.TAP_LEAVES_VIEW,
     ErrorCode.NO_TAP_FOUND,
     ErrorCode.NO_CONTACT_FOUND,
 )
-"""Error codes of refusals that may not occur at another position of the object."""
+"""Error codes of taps that may be possible at another position of the object. The object is then
+brought back to the middle of the table."""
 PASSING = (
     ErrorCode.OBJECT_NOT_SEEN,
     ErrorCode.OBJECT_NOT_AT_REST,
@@ -125,9 +127,9 @@ class TapMaker:
 def trial_of(
     client: SingleTapClient, tap: Tap, record: TapRecord, camera_rate: float, problem: str
 ) -> Trial:
-    """Convert a measured tap to a trial; its outcome is ``lost`` if the object was not visible
-    afterwards. ``camera_rate`` is in Hz and may be NaN; ``problem`` is the planner's message on the
-    tap."""
+    """Convert a measured tap to a trial. The trial's outcome is ``lost`` if the object was not
+    visible after the tap. ``camera_rate`` is in Hz and may be NaN. ``problem`` is the planner's
+    message on the tap."""
     start, end = from_message(record.object_pose), from_message(record.measured_pose.pose)
     lost = not math.isfinite(end.x)
     tip = client.tip_of(int(record.tap_id)) or from_message(record.strike_pose)
@@ -141,7 +143,8 @@ def trial_of(
         trial=0,
         outcome="lost" if lost else "ok",
         striker_speed=record.striker_speed,
-        # The speed is NaN without a speed sensor; 0 means that no release was reported.
+        # The record contains NaN if there is no speed sensor, and 0 if no release was reported.
+        # Both become NaN.
         striker_speed_measured=record.measured_speed or math.nan,
         incidence=incidence,
         contact_angle=contact,
@@ -151,9 +154,9 @@ def trial_of(
         end_x=end.x,
         end_y=end.y,
         end_theta=end.theta,
-        # Standard deviation along one axis. The variance of one observation is the mean of the
-        # variances in x and y; a displacement is the difference of two observations and has twice
-        # this variance.
+        # Standard deviation along one axis. The variance of one observation is taken as the mean of
+        # its variances in x and y. A displacement is the difference of two observations, so it has
+        # twice this variance.
         displacement_std=math.nan if lost else math.sqrt(spread[0, 0] + spread[1, 1]),
         rotation_std=math.nan if lost else math.sqrt(2 * spread[2, 2]),
         camera_rate_hz=camera_rate,

@@ -38,8 +38,8 @@ def print_summary(
     *,
     as_json: bool,
 ) -> None:
-    """Print the summary: one row per run, and the reason for the end (``end``: error code and
-    message; 0 and empty if the experiment is complete)."""
+    """Print one row per run, and why the experiment ended. ``end`` is the error code and the
+    message, or 0 and an empty text if the experiment is complete."""
     rows = [_row(design, trials, number) for number in range(len(design.runs))]
     code, sentence = end
     if as_json:

@@ -338,8 +338,8 @@ def add_truth_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def node_parameters(arguments: argparse.Namespace, cell: Cell) -> dict[str, dict[str, object]]:
-    """Return the parameters of each node that the command line sets; nodes use defaults for the
-    rest."""
+    """Return, for each node, the parameters that the command line sets. All others keep their
+    defaults."""
     place: dict[str, object] = {"cell_file": cell.path} if arguments.cell else {}
     files = dict(place)
     if arguments.object:

@@ -17,9 +17,10 @@ from tapping_cell.hardware.transport import Transport
 
 
 def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> ArmDriver:
-    """Create the driver of the cell's arm on an open or closed connection; send nothing.
+    """Create the driver of the cell's arm. Nothing is sent to the controller.
 
-    ``connection`` is a serial line or, for the dialect ``ros2_control``, a link to its controller.
+    ``connection`` is a serial line or, for the dialect ``ros2_control``, a link to the arm's ROS
+    controller. It may be open or closed.
     """
     return ArmDriver(
         connection, make_dialect(arm, connection), arm.geometry(), arm.driver_settings()
@@ -27,8 +28,11 @@ def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> 
 
 
 def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
-    """Return the decelerations of the arm's joints in a braking stop, rad/s^2 or m/s^2: those of
-    the kinematic chain if the cell file has one, otherwise those of the SCARA."""
+    """Return the deceleration of each joint of the arm in a braking stop, in rad/s^2 or m/s^2.
+
+    They are the values of the kinematic chain if the cell file has one, otherwise those of the
+    SCARA.
+    """
     own = arm.ros2_control
     if own is None or own.chain is None:
         return arm.max_acceleration

@@ -429,7 +429,7 @@ class ArmSection:
             raise ValueError(f"arm.ros2_control.chain.urdf {chain.urdf}: {error}") from error
 
     def controller_needs(self) -> ControllerNeeds:
-        """Return the requirements on the controller's own settings.
+        """Return the values that the settings in the arm's controller must have.
 
         Raises:
             ValueError: steps_per_unit has neither four values nor none.
@@ -593,7 +593,8 @@ class TapperSection:
 
 @dataclass(frozen=True, slots=True)
 class FixedTapperSection:
-    """One tapper at a fixed mount; an omitted key has the value of the section `tapper`."""
+    """One tapper at a fixed mount. For an omitted key, the value in the section `tapper` is
+    used."""
 
     name: str = text("name of the tapper, unique in the cell", longest=40)
     position: tuple[float, float] = quantity(
@@ -797,7 +798,8 @@ class Cell:
 
     @property
     def boards(self) -> tuple[Board, ...]:
-        """The tapper controllers in the order of the cell file, with their channels sorted."""
+        """The tapper controllers, in the order of the cell file. The tappers of a board are in the
+        order of their channels."""
         fixed = self.file.fixed_tappers
         channels = {} if fixed is None else {entry.name: entry.channel for entry in fixed.tappers}
         ports: dict[str, dict[str, int]] = {}
@@ -810,7 +812,8 @@ class Cell:
 
     @property
     def tapper_channels(self) -> dict[str, int]:
-        """Channel number of every tapper by name, counted across the boards."""
+        """Channel number of every tapper by name. It is unique in the cell, unlike the channel on a
+        board."""
         return {
             name: cell_channel(index, channel)
             for index, board in enumerate(self.boards)
@@ -956,7 +959,7 @@ def _simulated_ports(cell: Cell) -> dict[str, str]:
 
 
 def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
-    """Load the further objects on a cell's table, after the cell's main object.
+    """Load the objects on a cell's table, except the cell's main object.
 
     The objects of the key ``objects`` come first, followed by those of ``paths``, the
     comma-separated parameter ``other_object_files``.
@@ -994,8 +997,8 @@ def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
 
 
 def cells_of(cell: Cell) -> dict[str, Cell]:
-    """Return one copy of the cell for each of its objects, by name, in which this object is the
-    main object.
+    """For each object of the cell, by name, return a copy of the cell with this object as the main
+    object.
 
     Raises:
         ConfigurationError: an object file is invalid; see ``load_further_objects``.

@@ -1,5 +1,5 @@
-"""Check that an arm that is not a SCARA reaches the strike poses of the SCARA that its cell file
-describes."""
+"""For an arm that is not a SCARA, check that it reaches the strike poses that are in reach of the
+SCARA in the section ``arm`` of its cell file."""
 
 from __future__ import annotations
 
@@ -69,7 +69,8 @@ def _stations(cell: Cell) -> Iterator[Array]:
 
 
 def _first(chain: SerialChain, target: Array) -> Array | None:
-    """Solve the inverse kinematics of a pose from several initial values; None if all fail."""
+    """Solve the inverse kinematics of a pose, trying several initial joint positions. Return None
+    if all fail."""
     draw = np.random.default_rng(0)
     middle = (chain.lower + chain.upper) / 2
     seeds = [middle, *draw.uniform(chain.lower, chain.upper, (FIRST_SEEDS, len(middle)))]
@@ -80,8 +81,8 @@ def _first(chain: SerialChain, target: Array) -> Array | None:
 def _near(chain: SerialChain, target: Array, seed: Array) -> tuple[Array | None, str]:
     """Solve the inverse kinematics of a pose, starting from the joints of a neighbouring pose.
 
-    If this fails, try again with one rotary joint shifted by a full turn. The returned text is the
-    reason for a failure.
+    If this fails, try again with one rotary joint shifted by a full turn. Return the joints and an
+    empty text or, if all attempts fail, None and the reason.
     """
     first = chain.inverse(target, seed)
     if first.success:

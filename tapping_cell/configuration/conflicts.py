@@ -25,7 +25,8 @@ NOISE_MARGIN = 3.0
 
 
 def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
-    """Return errors (a goal would fail) and warnings (a goal may fail, or a port is missing)."""
+    """Return a list of errors and a list of warnings. With an error, a goal would fail. With a
+    warning, a goal may fail, or a port does not exist yet."""
     if cell.file.fixed_tappers is not None:
         errors = [*_markers(cell), *fixed_conflicts(cell), *_further_objects(cell)]
         return errors, [*_lens(cell), *_noise(cell), *_ports(cell)]
@@ -66,7 +67,7 @@ def _further_objects(cell: Cell) -> Iterator[str]:
         yield str(error)
         return
     for file in files:
-        # Check the marker of a further object like that of the cell's main object.
+        # Apply the marker checks of the cell's main object to each further object.
         yield from (
             f"'{file.name}': {sentence}" for sentence in _markers(replace(cell, object=file))
         )

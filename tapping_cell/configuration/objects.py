@@ -221,7 +221,7 @@ class ObjectFile:
         return kind(radius=shape.radius, mass=self.mass, height=self.height)
 
     def tap(self, striker: Striker) -> Tap:
-        """Return the model of a tap on this object by that striker."""
+        """Return the model of taps on this object by the given striker."""
         body = self.body()
         return Tap(
             sliding=Sliding(

@@ -1,4 +1,4 @@
-"""Collect all errors in a document; ``build`` reports only the first one."""
+"""Collect all errors in a document, whereas ``schema.build`` stops at the first one."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from tapping_cell.configuration.schema import ConfigurationError, build
 def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[str]:
     """Return all errors in a document that should be a section of class ``kind``.
 
-    Each key is checked separately; the messages are those of
-    :func:`tapping_cell.configuration.schema.build`.
+    Each key is checked separately by :func:`tapping_cell.configuration.schema.build`, which also
+    words the messages.
     """
     if not isinstance(document, Mapping):
         return _errors(kind, document, source, key)
@@ -43,7 +43,8 @@ def problems_of(kind: type, document: Any, source: str, key: str = "") -> list[s
 
 
 def _errors(kind: type, document: Any, source: str, key: str) -> list[str]:
-    """Return the message of the error that ``build`` raises, if any."""
+    """Return a list with the message of the error that ``build`` raises; empty if it raises
+    none."""
     try:
         build(kind, document, source, key)
     except ConfigurationError as error:
@@ -52,7 +53,8 @@ def _errors(kind: type, document: Any, source: str, key: str) -> list[str]:
 
 
 def _only(kind: type, name: str) -> type:
-    """Create a section class with only one key, without the checks across keys."""
+    """Return a copy of a section class that has only the key ``name``, and no checks across
+    keys."""
     (entry,) = [field for field in dataclasses.fields(kind) if field.name == name]
     hint = typing.get_type_hints(kind)[name]
     fresh = dataclasses.field(default=entry.default, metadata=entry.metadata)
@@ -60,7 +62,8 @@ def _only(kind: type, name: str) -> type:
 
 
 def _sections_in(hint: Any, value: Any) -> list[tuple[type, Any, str]] | None:
-    """Return class, value and index of each section in a key; None for a key of plain values."""
+    """Return the class and the value of each section that a key contains, and its index, such as
+    "[2]", or "" if it is not in a list. Return None if the key contains plain values."""
     if dataclasses.is_dataclass(hint):
         return [(typing.cast(type, hint), value, "")]
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)

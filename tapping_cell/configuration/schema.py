@@ -78,7 +78,8 @@ def choice(description: str, *choices: str, default: Any = MISSING) -> Any:
 
 
 def text(description: str, default: Any = MISSING, longest: int = 4096) -> Any:
-    """Declare a text of at most ``longest`` characters, or a Boolean."""
+    """Declare a field that is not a number: a text of at most ``longest`` characters, or a
+    Boolean."""
     limits = Limits(description, numeric=False, longest=longest)
     return field(default=default, metadata={"limits": limits})
 
@@ -147,7 +148,8 @@ def read_yaml(path: Path) -> Any:
     except RecursionError as error:
         raise ConfigurationError(f"{path}: malformed YAML: nested too deeply") from error
     except (ValueError, OverflowError) as error:
-        # Raised by an invalid date, or by a number with thousands of digits.
+        # The YAML parser raises these errors for an invalid date or a number with thousands of
+        # digits.
         if isinstance(error, ConfigurationError):
             raise
         raise ConfigurationError(f"{path}: malformed YAML: {error}") from error
@@ -164,7 +166,8 @@ def load(kind: type[Section], path: Path | str) -> Section:
 
 
 def build(kind: type[Section], document: Any, source: str, key: str = "") -> Section:
-    """Build a section of class ``kind`` from a document; messages call the document ``source``."""
+    """Build a section of class ``kind`` from a document. ``source`` is the document's name in error
+    messages."""
     if not isinstance(document, Mapping):
         raise ConfigurationError(
             f"{source}: {key or 'the document'} must be a mapping of keys to values, "

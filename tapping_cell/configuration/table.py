@@ -61,9 +61,8 @@ def load_reference_map(path: Path | str) -> ReferenceMap:
 
 
 def _measured(content: TableFile) -> float:
-    """Return the root mean square, in m, of the recorded standard deviations of marker positions.
-
-    It is 0 if none are recorded.
+    """Return the root mean square, in m, of the standard deviations of the marker positions that a
+    calibration has recorded; 0 if there is no record.
     """
     stated = content.calibration.deviations if content.calibration else {}
     places = [value for name, value in stated.items() if name[:1] in ("x", "y")]

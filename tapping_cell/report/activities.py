@@ -20,7 +20,8 @@ TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, FLIES, MEASURES, PLANS, ASKS = (
     "waiting for confirmation",
 )
 LOWERED_M = 0.003
-"""Descent of the tip during a move, in m, above which the arm is lowering the striker."""
+"""A move counts as lowering the striker once the tip is lower by this distance, in m, than its
+highest point in the move."""
 _ARM_MOVING, _ARM_IN_POSITION, _ARM_WITHDRAWING = 4, 5, 6
 _TAPPER_CHARGING, _TAPPER_CHARGED, _TAPPER_FIRING = 2, 3, 4
 _PLAN_CONFIRMING, _PLAN_LOOKING = 10, 2

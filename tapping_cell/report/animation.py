@@ -59,7 +59,8 @@ def animation(run: Run, plan: Plan) -> str:
 
 
 def _frame(at: float, pose: Pose, angle: float, easing: str = "") -> str:
-    """Return a key frame of the object; y points down on the screen."""
+    """Return the CSS key frame at the fraction ``at`` of the animation. ``angle`` is used instead
+    of the angle of ``pose``, because it includes full turns."""
     timing = f";animation-timing-function:{easing}" if easing else ""
     return f"{_percent(at)}{{transform:{_transform(pose, angle)}{timing}}}"
 
@@ -74,7 +75,8 @@ def _percent(share: float) -> str:
 
 
 def _add_object(plan: Plan, outline: Array, resting: Pose) -> None:
-    """Add the object, drawn about its own origin; without animation it is at its resting pose."""
+    """Add the object, which the animation moves. Without animation, as in print, it is at the pose
+    ``resting``."""
     with plan.group(f'id="moving" style="transform:{_transform(resting, resting.theta)}"'):
         middle = Pose(0.0, 0.0, 0.0)
         plan.polygon(1000 * transform_points(middle, outline), f'fill="{REST}" fill-opacity="0.35"')

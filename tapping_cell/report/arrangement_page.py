@@ -143,14 +143,15 @@ def _scenes(run: ArrangementRun, moves: Sequence[ArrangedMove], pictures: Sequen
 
 
 def _nearest(pictures: Sequence[Picture], at: float) -> Picture:
-    """Return the first image after a time (s since the beginning), else the last image."""
+    """Return the first image at or after the time ``at`` (s since the beginning). If there is none,
+    return the last image."""
     return next((each for each in pictures if each.at >= at), pictures[-1])
 
 
 def _plan(run: ArrangementRun, poses: Mapping[str, Pose], moved: str = "") -> Plan:
-    """Create a plan of the table with the objects at these poses, and the goals dashed.
+    """Create a plan of the table with the objects at these poses. Goals are drawn dashed.
 
-    ``moved``: name of the object that is emphasised; if empty, all are drawn alike.
+    ``moved``: name of an object to emphasise; empty for none.
     """
     half = 500 * np.asarray(run.table_size)
     plan = Plan(
@@ -200,7 +201,7 @@ def _objects(run: ArrangementRun) -> str:
 
 
 def _tolerance(one: ArrangedObject) -> str:
-    """Return the tolerance of an object's goal as text; a dash without a goal."""
+    """Return the tolerance of an object's goal as text, or a dash if the object has no goal."""
     if one.tolerance is None:
         return "-"
     return f"{1000 * one.tolerance[0]:g} mm, {math.degrees(one.tolerance[1]):g} deg"

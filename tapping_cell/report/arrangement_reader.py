@@ -17,11 +17,10 @@ from tapping_cell.report.words import OUTCOMES, PROGRESS, word
 from tapping_cell.se2 import Pose
 
 NOT_MOVED = "not moved"
-"""Outcome of an object that was neither tapped nor had a goal."""
+"""Outcome of an object that had no goal and was not tapped."""
 _SAME_TIME_S = 1e-6
 _TRUTH_WITHIN_S = 0.2
-"""Maximum time in s after the end of the arrangement at which a true pose counts as the last true
-pose."""
+"""A pose counts as a final pose up to this time, in s, after the end of the arrangement."""
 
 
 def holds_arrangement(path: Path) -> bool:
@@ -79,9 +78,9 @@ def arranged_tap(
 ) -> ArrangedTap:
     """Return a tap of an arrangement from its ``TapRecord``.
 
-    ``description``: the reasons that the planner published before the tap: first for the choice of
-    the object, then for the choice of the tap. ``began``: ROS time in s at which the arrangement
-    began, if known.
+    ``description``: text that the planner published before the tap. It gives the reason for the
+    choice of the object, followed by the reason for the choice of the tap. ``began``: ROS time in s
+    at which the arrangement began, if known.
     """
     at_rest = seconds_of(record.at_rest_at)
     measured = pose_of(record.measured_pose.pose)
@@ -102,7 +101,8 @@ def arranged_tap(
 
 
 def _taps(bag: Bag, began: float) -> tuple[ArrangedTap, ...]:
-    """Return the finished taps, from the final report or else from the planner's states."""
+    """Return the finished taps. They are read from the planner's report or, if that is missing,
+    from its state messages."""
     since = began - _SAME_TIME_S
     plans = [m for _, m in bag.of("plan_state") if seconds_of(m.header.stamp) >= since]
     reports = [
@@ -158,7 +158,8 @@ def _objects(
 
 
 def _poses(bag: Bag, topic: str, ended: float) -> dict[str, list[Pose]]:
-    """Return the poses of every visible object in order of time, up to the end."""
+    """Return the poses of each object while it was visible, in order of time. Poses up to
+    ``_TRUTH_WITHIN_S`` after the end are included."""
     found: dict[str, list[Pose]] = {}
     for _, message in bag.of(topic):
         if seconds_of(message.header.stamp) > ended + _TRUTH_WITHIN_S:
@@ -170,7 +171,8 @@ def _poses(bag: Bag, topic: str, ended: float) -> dict[str, list[Pose]]:
 
 
 def _contacts(bag: Bag, since: float) -> tuple[tuple[str, str], ...] | None:
-    """Return the objects of every true contact; None if the ground truth is unknown."""
+    """Return the names of the two objects in each contact in the ground truth; None without ground
+    truth."""
     if next(bag.of("true_states"), None) is None:
         return None
     return tuple(

@@ -21,10 +21,10 @@ SUMMARY = "arrangement.json"
 class ArrangedObject:
     """One object of an arrangement. Poses in ``table``, m and rad; None if unknown.
 
-    ``outline``: corners in the object's frame, m. ``goal`` is None for an object that is only moved
-    out of the way. ``end`` is the last measured pose, ``end_true`` the ground truth. ``outcome``:
-    state of the object at the end, in words. ``tolerance`` of the goal in m and rad; None without a
-    goal.
+    ``outline``: corners in the object's frame, m. ``goal`` is None for an object that may only be
+    moved out of the way. ``end`` is the last measured pose, and ``end_true`` the true pose at the
+    end. ``outcome``: state of the object at the end, in words. ``tolerance`` is that of the goal in
+    m and rad, or None without a goal.
     """
 
     name: str
@@ -43,8 +43,9 @@ class ArrangedTap:
     """One tap: poses of its object in ``table`` (m, rad), speed in m/s.
 
     ``measured`` is None if the object was not seen afterwards. ``purpose``: why this object was
-    tapped now; ``reason``: why the tap was not the planner's first choice. Both may be empty.
-    ``at_rest_at``: s since the beginning, when the object was at rest again; None if unknown.
+    tapped now. ``reason``: why the tap was not the planner's first choice. Both may be empty.
+    ``at_rest_at``: time at which the object was at rest again, in s since the start of the
+    arrangement; None if unknown.
     """
 
     number: int
@@ -64,8 +65,8 @@ class ArrangedTap:
 class ArrangementRun:
     """One arrangement from its request to its end.
 
-    ``began``: s since 1970; ``seconds``: duration. ``table_size`` in m. ``contacts``: names of the
-    two objects in each true contact; None if the ground truth is unknown.
+    ``began``: s since 1970. ``seconds``: duration. ``table_size`` in m. ``contacts``: names of the
+    two objects in each contact in the ground truth; None without ground truth.
     """
 
     name: str

@@ -334,7 +334,7 @@ def _records(stream: BinaryIO, file: Path) -> Iterator[tuple[int, memoryview]]:
         elif kind in (_SCHEMA, _CHANNEL, _MESSAGE):
             yield kind, body
         elif kind == _DATA_END:
-            # Skip the summary section, which repeats the data for random access.
+            # Skip the summary section, which repeats earlier records for random access.
             stream.seek(-37, os.SEEK_END)
             tail = stream.read()
             if tail[:1] == bytes([_FOOTER]) and tail.endswith(_MAGIC):
@@ -359,14 +359,15 @@ def _in_chunk(body: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _text(body: memoryview, start: int) -> tuple[str, int]:
-    """Return a text that is preceded by its length, and the index of its end."""
+    """Return the text at ``start``, where its length is stored before it, and the index of its
+    end."""
     (length,) = struct.unpack_from("<I", body, start)
     end = start + 4 + length
     return bytes(body[start + 4 : end]).decode(), end
 
 
 def _store_of(schemas: Mapping[int, tuple[str, str, str]], file: Path) -> Typestore:
-    """Return the message types that the bag defines; they may be older than the installed types."""
+    """Return the message types as the bag defines them. The installed types may be newer."""
     store = get_typestore(Stores.EMPTY)
     for name, form, text in schemas.values():
         try:

@@ -23,7 +23,8 @@ _GRID = 61
 
 
 def write_figures(tap: Tap, folder: Path) -> list[Path]:
-    """Draw the cone of ``tap`` and slides of its body into ``folder``; return the files."""
+    """Draw two figures into ``folder``: the cone of ``tap``, and velocities while its object
+    slides. Return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name, draw in ((CONE, _cone), (VELOCITIES, _velocities)):
@@ -78,7 +79,8 @@ def _cone(figure: Figure, tap: Tap) -> None:
 
 
 def _velocities(figure: Figure, tap: Tap) -> None:
-    """Draw the paper's tap over time (left) and the final ratio of the velocities (right)."""
+    """Draw the velocities in the paper's tap over time (left). Draw the ratio of the velocities
+    over time for different initial values (right)."""
     left, right = figure.subplots(1, 2)
     sliding = tap.sliding
     speed, spin = (float(value) for value in sliding.launch(0.010, math.radians(3.0)))

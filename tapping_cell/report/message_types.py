@@ -24,7 +24,7 @@ class MessageTypes:
     """Message types of ROS 2 Jazzy and, loaded on demand, of any installed package."""
 
     def __init__(self, store: Typestore | None = None) -> None:
-        """Start with the types of ``store``, or with those of ROS 2 Jazzy if None."""
+        """Start with the types of ``store``. If it is None, start with those of ROS 2 Jazzy."""
         self._store = store or get_typestore(Stores.ROS2_JAZZY)
 
     def definition(self, kind: str) -> tuple[str, str]:

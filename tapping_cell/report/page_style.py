@@ -97,7 +97,7 @@ def failure_section(code: int, message: str) -> str:
 
 
 def cards_section(cards: Iterable[tuple[str, str, str]]) -> str:
-    """Return the section of the main figures; each has a name, a value and a note."""
+    """Return the section with the main results. Each card has a name, a value and a note."""
     return (
         '<section class="cards">'
         + "".join(

@@ -32,7 +32,7 @@ LOWERING = "#f0b95a"
 WITHDRAWING = "#b98bd0"
 TABLE = "#faf8f2"
 SERIES = (REST, STRIKE, GOAL, PREDICTED, PLANNING, SLIDING, "#8c5a2b", START)
-"""Colours of the groups of a comparison, in order."""
+"""Colours of curves or objects in one drawing, in the order in which they are assigned."""
 
 DARK = {
     GROUND: "#0e151b",
@@ -53,7 +53,8 @@ DARK = {
     STRIKE: "#ff8078",
     TABLE: "#1d2832",
 }
-"""Colours in dark mode, by the colour in light mode; other colours are the same in both modes."""
+"""Mapping from a colour in light mode to the colour in dark mode. Colours that are not listed are
+the same in both modes."""
 
 STOP = "#c8101e"
 DISABLED_STOP = "#6b737b"

@@ -62,7 +62,7 @@ def method_settings(method: Method, settings: PlannerSettings) -> PlannerSetting
 
 
 def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
-    """Return a Markdown table of figures with one row per method."""
+    """Return a Markdown table of the results, with one row per method."""
     lines = [
         "| method | mean taps (95 % interval) | 99 % within | most | done within 5 | done "
         "| truly inside |",
@@ -111,7 +111,7 @@ def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
 
 
 def draw_success(rows: dict[str, dict[str, Any]], path: Path) -> None:
-    """Draw the fraction of finished runs over the number of taps."""
+    """Draw, for each method, the fraction of runs that are finished after a number of taps."""
     figure, (axis,) = _figure(1, columns=1, size=(7.5, 4.5))
     for label, figures in rows.items():
         share = 100.0 * _within(figures)

@@ -22,9 +22,9 @@ class Learnt:
     """Estimated properties of the object after a tap: expected values and standard deviations.
 
     ``distance`` is the ratio of measured to modelled distance, and ``rotation`` the ratio of
-    measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` and
-    ``offset_y`` are the rotations per distance (rad/m) caused by taps through the middle of the
-    object in its -y and +x directions. NaN if unknown.
+    measured to modelled rotation per distance. ``direction`` is in rad. ``offset_x`` is the
+    rotation per distance (rad/m) that a tap through the middle of the object in its -y direction
+    causes, and ``offset_y`` that of a tap in its +x direction. Unknown values are NaN.
     """
 
     distance: float = math.nan
@@ -41,7 +41,8 @@ class Learnt:
 
 @dataclass(frozen=True, slots=True)
 class TapRow:
-    """One tap of a run. Poses in ``table``; displacements in table axes; m, rad, m/s.
+    """One tap of a run, in m, rad and m/s. Poses are in the frame ``table``, and displacements
+    along its axes.
 
     ``true_pose`` is None if unknown (on hardware). ``commanded_at``, ``fired_at`` and
     ``at_rest_at`` are in s since the start of the run. These times and ``measured_speed`` are NaN
@@ -72,7 +73,7 @@ class TapRow:
     tapper: str = ""
     """Name of the tapper that struck; empty in a cell with one tapper."""
     expected_taps: float = math.nan
-    """Expected number of taps to the goal before this tap, including it; NaN if unknown."""
+    """Expected number of taps to the goal, including this tap; NaN if unknown."""
     expected_seconds: float = math.nan
     """Expected time to the goal from the command of this tap, s; NaN if unknown."""
 
@@ -97,7 +98,7 @@ class ErrorEvent:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Record of one run from start to end. Poses in ``table``; m, rad, s.
+    """Record of one run from start to end, in m, rad and s. Poses are in the frame ``table``.
 
     ``goal`` and ``start`` are None if unknown; ``seed`` is None on hardware. ``began`` is in s
     since 1970. ``files`` contains the text of each configuration file.

@@ -1,4 +1,5 @@
-"""Comparison of several runs: a table, figures of each planner, and a page with plots."""
+"""Comparison of several runs: a table of the runs, mean results of each planner, and a page with
+plots."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from tapping_cell.se2 import Pose
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One run in a comparison. mm, deg, s; NaN if unknown."""
+    """One run in a comparison, in mm, degrees and s. Unknown values are NaN."""
 
     name: str
     outcome: str
@@ -34,7 +35,7 @@ class Row:
 
 
 def row_of(run: Run) -> Row:
-    """Compute the figures of one run."""
+    """Compute the results of one run for the comparison."""
     start, measured, true = (
         _to_go(pose, run.goal) for pose in (run.start, run.final_measured, run.final_true)
     )
@@ -62,7 +63,8 @@ def _to_go(pose: Pose | None, goal: Pose | None) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Runs of one planner with one object; means are over runs that reached their goal."""
+    """Results of the runs with one planner and one object. The means include only the runs that
+    reached their goal."""
 
     planner: str
     object_name: str
@@ -168,7 +170,7 @@ def _table(rows: Sequence[Row], links: Sequence[str]) -> str:
 
 
 def _cell(value: float, text: str) -> str:
-    """Return a cell that sorts by its value."""
+    """Return a table cell that shows ``text`` and is sorted by ``value``."""
     key = repr(value) if math.isfinite(value) else ""
     return f'<td data-key="{key}">{text}</td>'
 
@@ -197,7 +199,8 @@ def _charts(runs: Sequence[Run]) -> str:
     for run in runs:
         goal = run.goal
         if goal is None or run.start is None or not run.taps:
-            # Without a tap there is no curve, and a distant goal would only compress the scale.
+            # A run without taps has no curve. It is left out, because a large distance at its start
+            # would only compress the scale.
             continue
         poses = [run.start, *(tap.measured for tap in run.taps)]
         colour = colours[run.planner]

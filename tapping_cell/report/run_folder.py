@@ -184,8 +184,8 @@ def write_folder(folder: Path, pictures: bool = True) -> Run:
     """
     illustrated = read_illustrated_run(folder / BAG, folder.name)
     if illustrated.run.outcome == UNFINISHED:
-        # The bag does not contain the end of the run. An earlier call of write_failure may have
-        # recorded why the run ended.
+        # The bag does not contain the end of the run. If write_failure has already recorded in the
+        # summary why the run ended, keep that.
         with contextlib.suppress(RunError):
             report = read_run(folder)
             ended = replace(
@@ -285,8 +285,8 @@ def read_run(folder: Path) -> Run:
 
 @contextlib.contextmanager
 def run_errors(path: Path, place: str) -> Iterator[None]:
-    """Convert the exceptions raised while a file of a run is read. ``place``: kind of folder that
-    should contain the file, for the message.
+    """Convert exceptions that occur while the file ``path`` of a run is read to RunError.
+    ``place``: kind of folder in which the file was expected, for the message.
 
     Raises:
         RunError: the file is missing or damaged.

@@ -103,8 +103,8 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     after = [(at, m) for at, m in seen if at <= ended + _TRUTH_WITHIN_S]
     final = after[-1] if after else None
     taps = _taps(records, bag, truths, began)
-    # The stamp of the goal is the stamp of the observation to which the goal refers, the time of
-    # sending, or zero.
+    # A client sets the stamp of a goal to the stamp of the observation to which the goal refers, to
+    # the time of sending, or to zero.
     start = _start(seen, _seconds(last.goal.header.stamp) or began, taps)
     goal = _pose(last.goal.pose) if _is_pose(last.goal.pose) else None
     tolerance = (_finite(last.position_tolerance), _finite(last.angle_tolerance))
@@ -157,7 +157,8 @@ def notes_of(bag: Bag) -> dict[str, Any]:
 
 
 def _own_report(reports: list[Any], notes: dict[str, Any]) -> Any:
-    """Select the report of this run's goal; the latched topic may repeat an earlier report."""
+    """Select the report of this run's goal. A bag may also contain an earlier report, because the
+    topic is latched."""
     began = float(notes.get("began", -math.inf)) - _SAME_TIME_S
     since = [report for report in reports if _seconds(report.header.stamp) >= began]
     if notes.get("refused") is not None:
@@ -170,7 +171,8 @@ def _same_goal(one: Any, other: Any) -> bool:
 
 
 def records_of(plans: list[Any]) -> list[Any]:
-    """Collect the finished taps from the individual states of the planner."""
+    """Collect the finished taps from the planner's state messages, each of which contains the last
+    tap."""
     by_id = {plan.last_tap.tap_id: plan.last_tap for plan in plans if plan.last_tap.tap_id}
     return sorted(by_id.values(), key=lambda record: int(record.number))
 
@@ -231,7 +233,8 @@ def _learnt(record: Any) -> Learnt:
 
 
 def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
-    """Return the last resting pose before a time, or else the first resting pose after it."""
+    """Return the last resting pose up to the time ``asked``. If there is none, return the first
+    resting pose after it, or None."""
     before = [message for at, message in seen if at <= asked + _SAME_TIME_S]
     message = before[-1] if before else (seen[0][1] if seen else None)
     return None if message is None else _pose(message.pose.pose)
@@ -286,7 +289,8 @@ def _phases(plans: list[Any], began: float) -> tuple[Phase, ...]:
 
 
 def _errors(bag: Bag, began: float, ended: float) -> tuple[ErrorEvent, ...]:
-    """Return warnings and errors while the goal was active; a persistent problem counts once."""
+    """Return the warnings and errors that occurred while the goal was active. A problem that
+    persists is listed once."""
     found = []
     for topic in _STATE_TOPICS:
         before = 0
@@ -299,7 +303,8 @@ def _errors(bag: Bag, began: float, ended: float) -> tuple[ErrorEvent, ...]:
 
 
 def _finite(value: float) -> float:
-    """Return a tolerance, or 0 for a rejected request with a tolerance that is not finite."""
+    """Return a tolerance. If it is not finite, which only a rejected request can contain, return
+    0."""
     return float(value) if math.isfinite(value) else 0.0
 
 

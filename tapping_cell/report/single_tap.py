@@ -17,7 +17,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A row of the table of values; ``low`` and ``high`` are NaN if the value was not fitted."""
+    """A row of the table of values. ``low`` and ``high`` are the limits of the 95 % interval, or
+    NaN if the value was not fitted."""
 
     name: str
     old: float
@@ -28,7 +29,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
-    """Displacements (mm, degrees) and initial velocities (mm/s, degrees/s)."""
+    """Displacement (mm, degrees) and initial velocity (mm/s, degrees/s) of every trial."""
 
     distance: Array
     rotation: Array
@@ -40,10 +41,11 @@ class Motions:
 class ProfileView:
     """One trial over time (ms from the impact): measured poses and predicted curves.
 
-    ``seen_time``, ``seen_distance`` and ``seen_rotation`` (n,) are samples of the track.
-    ``seen_speed`` and ``seen_spin`` are finite differences at the midpoints ``rate_time``, without
-    the step that contains the impact. ``curve_*`` (k,) are predicted from the displacement, and
-    ``plain_*`` are the same curves with a torque factor of 1.
+    ``seen_time``, ``seen_distance`` and ``seen_rotation`` (n,) are the poses measured by the
+    camera. ``seen_speed`` and ``seen_spin`` are the velocities between successive poses, at the
+    times ``rate_time``. The interval that contains the impact is left out. ``curve_*`` (k,) are
+    predicted from the trial's displacement with the fitted torque factor, and ``plain_*`` with a
+    torque factor of 1.
     """
 
     title: str
@@ -65,7 +67,12 @@ class ProfileView:
 
 @dataclass(frozen=True, slots=True)
 class RunError:
-    """Errors of a run's means in percent, as (translation, rotation) for four predictions."""
+    """Prediction errors of the means of one run in percent, each as (translation, rotation).
+
+    ``sliding``: displacement from the measured velocity. ``inverse``: velocity from the measured
+    displacement. ``impact``: velocity from the striker's motion. ``tap``: displacement from the
+    striker's motion.
+    """
 
     label: str
     trials: int
@@ -79,10 +86,10 @@ class RunError:
 class SingleTapReport:
     """All data of the page and the figures.
 
-    ``labels`` are the runs of the trials. ``by_sliding`` contains displacements calculated from
-    measured velocities, and velocities calculated from measured displacements. ``by_tapping``
-    contains displacements and velocities calculated from the striker's motion. ``own_friction`` is
-    each trial's friction divided by the friction fitted to all trials.
+    ``labels`` contains the name of each trial's run. ``by_sliding`` contains displacements
+    calculated from measured velocities, and velocities calculated from measured displacements.
+    ``by_tapping`` contains displacements and velocities calculated from the striker's motion.
+    ``own_friction`` is each trial's friction divided by the friction fitted to all trials.
     """
 
     title: str

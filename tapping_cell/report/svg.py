@@ -30,7 +30,8 @@ class Plan:
         self.width = self.high[0] - self.low[0]
         self.height = self.high[1] - self.low[1]
         self.unit = max(self.width, self.height) / 100
-        """A hundredth of the drawing's size, in mm: the unit of line widths and font sizes."""
+        """A hundredth of the drawing's larger side, in mm. Line widths and font sizes are multiples
+        of it."""
 
     def rectangle(self, low: ArrayLike, high: ArrayLike, style: str) -> None:
         """Draw a rectangle between two corners in mm."""
@@ -47,14 +48,14 @@ class Plan:
         self._parts.append(f'<circle cx="{x:.2f}" cy="{-y:.2f}" r="{radius:.3f}" {style}/>')
 
     def text(self, x: float, y: float, content: str, colour: str, size: float = 3.2) -> None:
-        """Draw text centred at a point in mm; ``size`` in hundredths of the drawing."""
+        """Draw text centred at a point in mm. ``size`` is a multiple of ``unit``."""
         self._parts.append(
             f'<text x="{x:.2f}" y="{-y:.2f}" font-size="{size * self.unit:.2f}" fill="{colour}" '
             f'text-anchor="middle" dominant-baseline="central">{escape(content)}</text>'
         )
 
     def arrow(self, tail: ArrayLike, head: ArrayLike, colour: str, width: float = 0.7) -> None:
-        """Draw an arrow between points in mm; ``width`` in hundredths of the drawing."""
+        """Draw an arrow between points in mm. ``width`` is a multiple of ``unit``."""
         start, end = np.asarray(tail, dtype=float), np.asarray(head, dtype=float)
         length = float(np.hypot(*(end - start)))
         if length < 1e-6:
@@ -134,7 +135,7 @@ class Plan:
 
 
 def stroke(colour: str, width: float, dashed: bool = False) -> str:
-    """Return the attributes of a line; ``width`` in the unit of the drawing."""
+    """Return the SVG attributes of a line. ``width`` is in the units of the SVG's coordinates."""
     dash = f' stroke-dasharray="{3 * width:.2f} {2 * width:.2f}"' if dashed else ""
     return (
         f'fill="none" stroke="{colour}" stroke-width="{width:.3f}" stroke-linejoin="round"'
@@ -143,7 +144,8 @@ def stroke(colour: str, width: float, dashed: bool = False) -> str:
 
 
 def window(points: ArrayLike, margin: float, least: float) -> tuple[Array, Array]:
-    """Return the corners of a square of a minimum size around points, with a margin; in mm."""
+    """Return two opposite corners of a square that encloses the points with a margin. Its side is
+    at least ``least``; all lengths are in mm."""
     places = np.asarray(points, dtype=float).reshape(-1, 2)
     if not len(places):
         places = np.zeros((1, 2))
@@ -161,7 +163,8 @@ def chart(
 ) -> str:
     """Draw lines over the number of taps.
 
-    ``values`` are name, values starting at tap 0, and colour of each line.
+    ``values``: for each line its name, its values (the first is that before the first tap) and its
+    colour.
     """
     wide, high, left, bottom, top = 420.0, 200.0, 46.0, 34.0, 14.0
     most = max([limit * 1.5, *(v for _, line, _ in values for v in line if math.isfinite(v))])

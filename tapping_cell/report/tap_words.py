@@ -60,7 +60,8 @@ def _agreement(tap: TapRow) -> str:
 
 
 def _purpose(tap: TapRow, goal: Pose) -> str:
-    """Describe how the tap relates to the goal; empty for other directions of travel."""
+    """Describe whether the tap aims at the goal, past it or away from it; empty for a tap to the
+    side."""
     if tap.reason:
         return f"This tap is not aimed straight at the goal, because {tap.reason}."
     to_goal = np.array([goal.x - tap.before.x, goal.y - tap.before.y])

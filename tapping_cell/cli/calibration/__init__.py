@@ -1,1 +1,2 @@
-"""Sub-verbs of ``calibrate``, with the same module interface as verbs."""
+"""Modules of the sub-verbs of ``calibrate``. Each has ``add_arguments`` and ``run``, as the module
+of a verb has."""

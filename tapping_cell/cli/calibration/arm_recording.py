@@ -27,8 +27,8 @@ HEADER = ("shoulder", "elbow", "tool", "x", "y", "theta")
 SPEED = 0.6
 """Speed of the fastest joint, rad/s."""
 SPARE = 2
-"""Number of candidate postures per required pose. In some postures the marker is outside the
-image."""
+"""Number of candidate postures per required pose. One candidate would not be enough, because in
+some postures the marker is outside the image."""
 BLIND = 6
 """Number of consecutive postures without a visible marker after which the recording is aborted."""
 READY_TIMEOUT_S = 30.0
@@ -36,7 +36,8 @@ _SAME_TIP = 0.001
 """Maximum distance in m between the tip position computed with the given cell file and the tip
 position reported by the running cell."""
 _SAME = 0.03
-"""Maximum difference of each joint, in rad, at which a posture counts as already recorded."""
+"""A posture counts as already recorded if each joint is within this angle, in rad, of a recorded
+posture."""
 
 
 def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
@@ -122,7 +123,8 @@ def _visit(
 
 
 def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
-    """Reject a cell file that is not the running cell's, because it would give wrong postures."""
+    """Check that the tip positions of the cell file and the running cell agree. With the file of
+    another cell, the arm would move to wrong postures."""
     assert client.arm_state is not None
     tip = cell.arm.geometry().forward(here)
     computed = cell.arm_base @ Pose(tip.x, tip.y, tip.yaw)
@@ -136,7 +138,7 @@ def _check_same_arm(cell: Cell, client: ArmPoseClient, here: Joints) -> None:
 
 
 def _recorded(growing: GrowingCsv, path: Path) -> list[tuple[float, ...]]:
-    """Return the joints of the poses that are already recorded."""
+    """Return the positions of shoulder, elbow and tool (rad) for every recorded pose."""
     if not growing.rows:
         return []
     table = read_csv(path, RECORD_COLUMNS)

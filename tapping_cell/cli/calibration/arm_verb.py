@@ -1,17 +1,18 @@
 """Calibrate the pose of the arm's base and the zero offset of its elbow from a CSV record of poses.
 
-Each row is one pose. Columns shoulder, elbow and tool (rad; or shoulder_deg and so on) are the
-joint positions reported by the controller. Columns x, y and theta (m and rad; or x_mm, y_mm,
-theta_deg) are the camera's measurement, in the frame table, of a marker held by the arm. Without
-theta, each row is a point on the table that the tip touched. Record 20 poses over the whole table,
-with the elbow bent to both sides by different angles, and with different tool angles. Writes a copy
-of the cell file with the new values in its section arm.
+Each row is one pose. Columns shoulder, elbow and tool are the joint positions reported by the
+controller, in rad (or in degrees, as shoulder_deg, elbow_deg and tool_deg). Columns x, y and theta
+are the pose of a marker held by the arm, measured by the camera in the frame table, in m and rad
+(or as x_mm, y_mm and theta_deg). Without theta, each row is a point on the table that the tip
+touched. Record 20 poses over the whole table, with the elbow bent to both sides by different
+angles, and with different tool angles. Writes a copy of the cell file with the new values in its
+section arm.
 
 With --record, the verb first records the poses with the running cell. The arm must hold a marker,
-and the cell must have been started with the object file of that marker (the height in the file is
-the height of the marker above the table). The arm moves above the table at its current height, and
-the camera's measurements are recorded pose by pose. Ctrl-C stops the recording; --resume continues
-it.
+and the cell must have been started with an object file that describes this marker. The height in
+that file is the height at which the arm holds the marker above the table. The arm moves above the
+table at its current height, and the camera's measurements are recorded pose by pose. Ctrl-C stops
+the recording; --resume continues it.
 
   python -m tapping_cell calibrate arm poses.csv --cell config/cell.yaml --output cell.yaml
   python -m tapping_cell up --hardware --object held_marker.yaml    # in another terminal, and then
@@ -105,7 +106,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def record_of(table: CsvTable) -> ArmRecord:
-    """Return the poses of the valid rows, with angles only if every row has an angle."""
+    """Return the poses in the valid rows. If a row has no angle, the angles of all rows are
+    ignored."""
     angles = table.values.get("theta")
     if angles is not None and not np.isfinite(angles).all():
         angles = None
@@ -120,16 +122,18 @@ def record_of(table: CsvTable) -> ArmRecord:
 def file_values(
     result: ArmCalibration, cell: Cell, marker: list[float] | None
 ) -> dict[str, float | list[float]]:
-    """Return the changed values of the section arm in the cell file."""
+    """Return the calibrated values by key, for the section arm of the cell file."""
     v, arm = result.values, cell.arm
     offset = list(arm.joint_offset)
-    # The file's shoulder offset is kept, so it is subtracted from the fitted yaw of the base.
+    # The fitted yaw of the base includes the zero offset of the shoulder. The file keeps its own
+    # shoulder offset, so that offset is subtracted.
     base = [v["base_x"], v["base_y"], math.remainder(v["base_yaw"] - offset[0], 2 * math.pi)]
     offset[1] = v["elbow_zero"]
     values: dict[str, float | list[float]] = {"base": base, "joint_offset": offset}
     if "upper_arm" in result.deviations:
         values |= {"upper_arm": v["upper_arm"], "forearm": v["forearm"]}
-    # The fit uses the controller's tool angle, without the tool's zero offset in the file.
+    # The fit uses the tool angle that the controller reports. The zero offset of the tool, which
+    # the file adds to that angle, is subtracted here.
     mount = Pose(v["mount_x"], v["mount_y"], v["mount_angle"])
     into_tool = Pose(0.0, 0.0, -offset[3])
     if marker is not None and result.turns is not None:

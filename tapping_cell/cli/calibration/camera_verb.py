@@ -206,7 +206,8 @@ def one_size(sizes: dict[str, tuple[int, int]]) -> tuple[int, int]:
 def _find(
     paths: list[Path], target: Target, quiet: bool
 ) -> tuple[list[TargetView], tuple[int, int], list[Rejected]]:
-    """Return the views of the target, the image size, and the files without a view."""
+    """Return the detected views of the target, the image size (width, height), and the rejected
+    files with the reasons."""
     images = {}
     unseen: list[Rejected] = []
     for path in paths:

@@ -3,7 +3,7 @@
 The taps are read from run folders, or from a CSV file with one row per tap. The columns are tapper
 (the name in the cell file), speed (m/s; or speed_mm_s) and the object's poses at rest before and
 after the tap: x_before, y_before, theta_before, x_after, y_after, theta_after (m and rad; or with
-the suffixes _mm and _deg). Strike the object at several positions along each tapper's line; twelve
+the suffixes _mm and _deg). Place the object at several positions along each tapper's line. Twelve
 taps per tapper are usually enough. Writes a copy of the cell file with the measured positions and
 directions. A tapper without taps keeps its values.
 

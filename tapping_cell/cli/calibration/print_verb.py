@@ -10,9 +10,10 @@ written as an image; --dpi sets the resolution.
   python -m tapping_cell calibrate print --paper a1 --what table --table config/table.yaml \\
       --output table.pdf
 
-With --table FILE, the page contains the reference markers of that file at their positions, and FILE
-remains the table file. If only small paper is available, --what cut prints the same markers one by
-one. Cut them out, glue them to the table, and measure their positions with calibrate table.
+With --table FILE, the page contains the reference markers of that file at their positions. No other
+table file is written then: use FILE as the table file of the sheet. If only small paper is
+available, --what cut prints the same markers one by one. Cut them out, glue them to the table, and
+measure their positions with calibrate table.
 """
 
 from __future__ import annotations

@@ -3,9 +3,10 @@
 Take at least six images with the calibrated camera, from above and from all sides, each showing
 several markers (move the camera, not the markers). All markers must lie flat on the table. With
 --table OLD, the frame of that file is kept. With --origin and --x-axis, the origin is the first
-marker, and the x axis passes through the second. Without these options, the origin is the centre of
-all markers, and the x axis is along their mean direction. The markers' printed size sets the scale;
-a measured --distance between the centres of two markers is more accurate.
+marker, and the x axis passes through the second. Without --table and --origin, the origin is the
+centre of all markers, and the x axis is along their mean direction. The scale is determined by the
+markers' printed size or, more accurately, by a measured --distance between the centres of two
+markers.
 
   python -m tapping_cell calibrate table views/*.png --camera camera_info.yaml --size 40 \\
       --distance 101 103 660.2 --output table.yaml

@@ -31,7 +31,8 @@ LONGEST = 0.090
 """Maximum travel in m of the largest tap. The object file defines the travel of the smallest
 tap."""
 _STEP = 0.93
-"""Factor by which the largest speed is reduced until the tap has enough clearance on the table."""
+"""The largest speed is multiplied by this factor until the tap has enough clearance on the
+table."""
 _USELESS = 4
 """Number of consecutive unusable taps after which the recording is aborted."""
 READY_TIMEOUT_S = 60.0
@@ -68,8 +69,8 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
 
 
 def energies_of(cell: Cell) -> list[float]:
-    """Return tap energies in J, evenly spaced on a logarithmic scale: from the object's smallest
-    tap to the largest tap with enough clearance.
+    """Return the energies of the taps in J, evenly spaced on a logarithmic scale. The lowest energy
+    is that of the object's smallest tap, the highest that of the largest tap with enough clearance.
 
     Raises:
         CalibrationRefused: there is not enough clearance, or the tapper's range is too narrow.
@@ -91,14 +92,16 @@ def energies_of(cell: Cell) -> list[float]:
         if fastest < 1.5 * slowest:
             raise CalibrationRefused(f"no series of taps fits on the table: {problem}")
     low, high = curve.energy_for(slowest), curve.energy_for(fastest)
-    # Slightly inside the range, so that rounding does not exceed the tapper's speed limits.
+    # The energies are slightly inside the range, so that rounding errors cannot make a speed exceed
+    # the tapper's limits.
     return [float(e) for e in np.geomspace(low * (1 + 1e-9), high * (1 - 1e-9), len(SHARES))]
 
 
 def order(energies: list[float], taps: int, done: list[float]) -> Iterator[float]:
-    """Yield the remaining energies of a series of ``taps`` taps. The ends of the range are used
-    most often. The energies are interleaved, so that drift does not distort the curve and an
-    interrupted record covers the whole range."""
+    """Yield the energies of the taps that are missing from a series of ``taps`` taps. ``done``: the
+    energies of the recorded taps. The lowest and the highest energy are used most often. The
+    energies alternate, so that drift does not distort the curve and an interrupted record covers
+    the whole range."""
     wanted = Counter(
         {e: max(1, round(taps * n / sum(SHARES))) for e, n in zip(energies, SHARES, strict=True)}
     )

@@ -1,12 +1,12 @@
 """Calibrate the striker's speed at each energy, from the travel of the object after each tap.
 
 Each row is one tap: energy (J; or energy_mJ) and the distance travelled by the object (m; or
-distance_mm). Three columns are optional: rotation of the object (rad; or rotation_deg), incidence
-of the striker relative to the contact normal (rad; or incidence_deg; default 0) and distance_std,
-the standard deviation of the measured distance (default 0.1 mm). Record about 30 taps through the
-object's centre, at six or more energies from the smallest tap to the largest. Friction and
-restitution come from the object file. Writes a copy of the cell file with the new curve in its
-section tapper.
+distance_mm). Three columns are optional: rotation of the object (rad; or rotation_deg), incidence,
+which is the angle between the striker's line of travel and the contact normal (rad; or
+incidence_deg; default 0), and distance_std, the standard deviation of the measured distance
+(default 0.1 mm). Record about 30 taps through the object's centre, at six or more energies from the
+smallest tap to the largest. Friction and restitution come from the object file. Writes a copy of
+the cell file with the new curve in its section tapper.
 
 With --record, the verb first makes and records the taps with the running cell. The taps are made
 near the middle of the table. They range from the smallest tap in the object file to the largest tap
@@ -156,7 +156,8 @@ def _provenance(result: TapperCalibration, table: CsvTable, object_path: Path) -
 
 
 def report(result: TapperCalibration, table: CsvTable, path: Path) -> dict[str, Any]:
-    """Return the result for JSON output: SI units, relative numbers."""
+    """Return the result for JSON output: energies, speeds and distances in SI units, deviations and
+    scatter as fractions."""
     return {
         "output": str(path),
         "energies": list(result.energies),

@@ -131,8 +131,8 @@ class Session:
     ) -> Iterator[Graph]:
         """Run the cell's nodes with the files of this session until the end of the block.
 
-        ``truth``: file of other simulation parameters. ``only_world``: start only ``sim_world``.
-        Both arguments apply only to the simulated cell.
+        ``truth``: simulation parameter file to use instead of the default. ``only_world``: start
+        only ``sim_world``. Both arguments apply only to the simulated cell.
         """
         files = {"cell_file": self.cell_file}
         parameters: dict[str, dict[str, object]] = {

@@ -39,15 +39,17 @@ JOINT_STEP = 0.1
 SPEED = 1.0
 """Speed of the fastest joint, rad/s; in set-up mode a quarter of this speed is used."""
 LIMIT_SHARE = 0.9
-"""Fraction of the distance from the park posture to each limit that a joint moves."""
+"""Shoulder and elbow move by this fraction of the distance from the park posture to each limit."""
 ARM_POSES, TAPS = 10, 10
 OBSERVATIONS = 20
 REST_SPREAD = 0.0005
 """Maximum standard deviation of the object's position at rest, m."""
 HELD = (0.012, -0.004, 0.3)
-"""Simulated pose of the object on the striker during the arm calibration: m, m, rad."""
+"""Pose of the object in the frame striker (m, m, rad) while the simulated arm holds it for the arm
+calibration."""
 GOAL = Pose(0.02, 0.0, 0.2)
-"""Displacement from the object's position to the first goal: m, m, rad."""
+"""Displacement from the object's pose to the first goal: x (m, towards the middle of the table) and
+rotation (rad)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,7 @@ class Step:
 
 
 def files(session: Session) -> Proof:
-    """Copy the initial files and check them."""
+    """Copy the package's configuration files into the session's folder, and check them."""
     if not session.config.exists():
         shutil.copytree(shared_folder(), session.config, ignore=shutil.ignore_patterns("security"))
     return _checked(session)
@@ -241,7 +243,8 @@ def _homed(session: Session, **options: Any) -> Iterator[tuple[Graph, ArmPoseCli
 
 
 def joints(session: Session) -> Proof:
-    """In set-up mode, move each joint to show its direction, then to near each limit."""
+    """In set-up mode, move shoulder, elbow and tool a little to check their directions. Then move
+    shoulder and elbow almost to their limits."""
     values: dict[str, float | str] = {}
     arm = session.cell().arm
     lower, upper = Joints(*arm.lower), Joints(*arm.upper)
@@ -366,7 +369,7 @@ def arm(session: Session) -> Proof:
 
 
 def tapper(session: Session) -> Proof:
-    """Measure the striker's speed over its energies."""
+    """Measure the striker's speed at several energies."""
     session.instruct(
         "take the marker off the striker, put the object in the middle of the table and close the "
         "guard"
@@ -412,7 +415,7 @@ def goal(session: Session) -> Proof:
 
 
 def _first_goal(here: Pose) -> Pose:
-    """Return the first goal: the object's pose moved towards the middle and rotated by GOAL."""
+    """Return the first goal: the object's pose, displaced by GOAL."""
     towards = math.copysign(GOAL.x, -here.x)
     return here._replace(x=here.x + towards, theta=here.theta + GOAL.theta)
 
