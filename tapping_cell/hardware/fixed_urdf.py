@@ -37,8 +37,9 @@ class MountedTapper:
 
 
 def mounted_tappers_urdf(tappers: Sequence[MountedTapper], name: str = "positioning_cell") -> str:
-    """Return the URDF text: links ``NAME_mount`` and ``NAME_striker``, prismatic joints ``NAME``.
+    """Return the URDF text.
 
+    Each tapper has the links ``NAME_mount`` and ``NAME_striker`` and the prismatic joint ``NAME``.
     The mounts have no inertia, because they are fixed to the table.
     """
     robot = ElementTree.Element("robot", name=name)

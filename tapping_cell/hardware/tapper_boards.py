@@ -47,10 +47,10 @@ def numbered(port: str, board: int) -> str:
 
 
 class TapperBoards:
-    """The boards of a cell. All calls but ``stop`` block and belong to one thread.
+    """The boards of a cell. All calls except ``stop`` block and must come from one thread.
 
     The calls and their faults are those of :class:`~tapping_cell.hardware.tapper.TapperDriver`. A
-    fault of one board is a fault of all; the message names the board's port.
+    fault of one board is raised as a fault of the whole device; its message names the board's port.
     """
 
     def __init__(self, drivers: Sequence[TapperDriver]) -> None:

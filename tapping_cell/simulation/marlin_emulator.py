@@ -190,7 +190,8 @@ class MarlinEmulator:
         self._relative = False
         self._inches = False
         self._feed = 1500.0
-        # The present motor position becomes zero; logical position = native position + shift.
+        # After a restart, the present motor position is zero. Logical position = native position +
+        # shift.
         self._axes.reference = self._axes.motors(now)
         self._commanded = np.zeros(AXES)
         self._shift: Array = np.zeros(AXES)

@@ -15,7 +15,7 @@ from enum import Enum
 LEAVE_STEPS = 400
 """Maximum number of steps to move off a closed front switch before homing fails."""
 HYSTERESIS_LIMIT = 50
-"""Step count from which the front switch must be open when charging."""
+"""Step count at and above which the front switch must be open when charging."""
 SLACK = 6
 """Maximum difference between the positions at which the switch closes on a return and at homing,
 steps."""
@@ -249,8 +249,8 @@ class SpringDrive:
         return self._closed if self._stuck is None else self._stuck
 
     def _steps_until(self, distance: float) -> float:
-        """Return the motor steps until the switch changes; the carriage must move by ``distance``
-        steps. Inf if it never changes."""
+        """Return the number of motor steps until the switch changes; inf if it never changes.
+        ``distance``: steps that the carriage must move until then."""
         if not self._powered or self._stuck is not None:
             return math.inf
         return self._lose + max(0.0, math.ceil(distance))
