@@ -367,13 +367,13 @@ class ArmDriver:
         goal = path.places[-1]
         for attempt in range(MOVE_ATTEMPTS):
             self.counters.retries += attempt > 0
-            # From here on, the arm may be anywhere on the path.
+            # From here on, the arm may be anywhere on the path, so its position is not confirmed.
             self._confirmed = None
             refusal = self._send(path, deadline)
             if refusal is None:
                 reading = self._arrive(self._transport.now() + self._duration(path), deadline)
             elif len(path.places) > 2:
-                # The move before the rejected line may still be in progress.
+                # The move before the rejected line may still be in progress, so wait for its end.
                 self._arrive(self._transport.now(), deadline)
             if refusal is not None or not self._agrees(goal, reading.joints):
                 # The report may have been garbled, so read again before the move counts as failed.
@@ -406,7 +406,8 @@ class ArmDriver:
             self._dialect.start_moves(moves, deadline)
         except HardwareFault as fault:
             if fault.reason is FaultReason.UNREACHABLE:
-                # The fault was found before anything was sent.
+                # The fault was found before anything was sent, so the arm is still at the start of
+                # the path.
                 self._confirmed = path.places[0]
             if fault.reason is not FaultReason.REJECTED:
                 raise

@@ -34,7 +34,8 @@ LONGEST_DELAY = 1.5
 ``LONGEST_STRETCH`` times its planned duration plus ``LONGEST_DELAY`` s. This is less than the
 driver's deadline, which is 1.5 times the planned duration plus 2 s."""
 SPEED_STEP = 1e-3
-"""Time step of the finite difference that converts joint speeds, s."""
+"""Time step, s, of the finite difference that converts the real arm's joint speeds to those of the
+SCARA."""
 TURNS = 12.6
 """Limit, rad, of the SCARA's rotary joints when they are computed from the real arm's pose: two
 turns in each direction. The limit is wide, because the driver checks the actual joint limits."""

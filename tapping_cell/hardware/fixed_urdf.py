@@ -83,7 +83,7 @@ def _joint(
 
 
 def _rod(link: ElementTree.Element, length: float, radius: float, centre: float) -> None:
-    """Add a cylinder along x to a link; ``centre`` on x, m."""
+    """Add a cylinder along x to a link. ``centre``: x of the cylinder's centre, m."""
     for use in ("visual", "collision"):
         element = ElementTree.SubElement(link, use)
         ElementTree.SubElement(

@@ -227,14 +227,15 @@ class GrblDialect:
         which is also answered with ``ok``. A controller that still executes a move of a terminated
         program rejects ``$H``, so this call waits for the end of the move. The wait is limited,
         because a garbled feed rate can make a move extremely slow. If an axis has no switch, an
-        operator must move it to its mark before homing; homing is then refused while the arm moves.
+        operator must move it to its mark before homing. An arm that still moves cannot be at this
+        mark, so homing is then refused.
         """
         patience = min(deadline, self._transport.now() + REST_TIMEOUT)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
             if self._settings.without_switch:
                 raise HardwareFault(FaultReason.HOMING_FAILED, self._not_at_its_mark())
             self._pump(POLL_PERIODS[1])
-        # The settings may have been changed since the connect.
+        # The settings may have been changed since the connect, so compare them again.
         controller_needs.refuse(self._compared(deadline))
         if self._homed_unknown:
             raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)
@@ -521,8 +522,8 @@ class GrblDialect:
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
         """Identify the controller and count its axes; return its version."""
-        # Answers have no checksum, and without a lost line the controller may appear to be a
-        # different one. Therefore query until two consecutive answers agree.
+        # Answers have no checksum. If a line is lost, the controller may look like a different one,
+        # so query until two consecutive answers agree.
         messages = self._information(deadline)
         for _ in range(IDENTIFICATIONS):
             again = self._information(deadline)

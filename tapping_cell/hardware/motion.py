@@ -148,7 +148,8 @@ def clear_view_path(
 def raise_step(
     geometry: ScaraGeometry, current: Sequence[float], settings: MotionSettings
 ) -> Waypoint:
-    """Return the waypoint from joints ``current`` backwards, then up to travel height.
+    """Return the waypoint that moves the striker backwards from joints ``current``, then up to
+    travel height.
 
     Backing off along the line of travel keeps a striker that is still extended from rubbing along
     the object. The step backwards is left out if the tip is already above travel height, or if the

@@ -41,7 +41,8 @@ striker was then faster than planned."""
 
 
 class ShotMemory(Protocol):
-    """Storage of the greatest shot number that outlives the process."""
+    """Persistent storage of the greatest shot number, which is needed after a restart of the
+    process."""
 
     def recall(self) -> int:
         """Return the greatest shot number that may have been sent, 0 for none.
@@ -88,7 +89,8 @@ class OutputTapperDriver:
         self._ready: tuple[int, float] | None = None
         self._attempted = 0
         self._last_fired = 0
-        # A pulse that an earlier process sent may still be in transmission.
+        # A pulse that an earlier process sent may still be in transmission, so assume the longest
+        # pulse.
         self._release_by = link.now() + self._longest(max(settings.pulses))
         self._stopped = threading.Event()
 

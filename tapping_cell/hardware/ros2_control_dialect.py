@@ -113,8 +113,8 @@ class Ros2ControlDialect:
             remarks.append(
                 "the joint states contain no velocities, so rest is detected from positions alone"
             )
-        # `continued` is False: the arm's driver or its motor drives may have been restarted
-        # meanwhile.
+        # `continued` is False, because the arm's driver or its motor drives may have been restarted
+        # since the last connect.
         firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))
         return firmware, findings
 

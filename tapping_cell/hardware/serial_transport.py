@@ -74,8 +74,8 @@ class SerialTransport:
                     self._path, self._baud, timeout=0, write_timeout=0, exclusive=True
                 )
             except (OSError, ValueError, termios.error) as error:
-                # If a port is unplugged between opening and configuration, pyserial may raise an
-                # exception that is not an OSError. Its SerialException is an OSError.
+                # If a port is unplugged between opening and configuration, pyserial may raise other
+                # exceptions than its SerialException, which is an OSError.
                 if self.now() + REOPEN_PERIOD > deadline:
                     raise self._open_fault(error) from error
                 time.sleep(REOPEN_PERIOD)

@@ -140,7 +140,8 @@ class TapperDriver:
         self._channels = 1
         self._channel = 0
         self._mode = self.settings.mode
-        # A FIRE that an earlier process sent may still be in transmission to the board.
+        # A FIRE that an earlier process sent may still be in transmission to the board, so assume
+        # the longest window.
         self._release_by = self._latest_release(transport.now(), protocol.LONGEST_WINDOW)
         self._stopped = threading.Event()
         self._received = ReceivedBytes()

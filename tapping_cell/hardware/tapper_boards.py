@@ -156,7 +156,8 @@ class TapperBoards:
             raise
 
         def allowed(by: float) -> bool:
-            # If this process was frozen after the queries, the other boards' replies are too old.
+            # If this process was frozen after the queries, the other boards' replies are too old to
+            # allow the shot.
             return driver.now() - asked_at <= OTHERS_ASKED_S and still_allowed(by)
 
         return driver.fire(shot, window, allowed if len(self._drivers) > 1 else still_allowed)

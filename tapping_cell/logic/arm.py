@@ -1,8 +1,8 @@
 """State machine of the arm: it homes the arm before any motion, and keeps it still while a shot may
 be fired.
 
-The arm reports that it is in position only after it has read back its joints. Before the tapper
-fires, it calls ``hold_still``. By granting this request, the arm promises to begin no motion for
+The arm reports that it is in position only after it has read back its joints. The tapper calls
+``hold_still`` before it fires. By granting this request, the arm promises to begin no motion for
 the requested time. docs/safety.md shows why no shot is then fired while the arm moves.
 """
 
@@ -449,7 +449,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return HoldStill.Response(granted=True, duration=request.duration)
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> CodedError | None:
-        """Return why the arm does not promise to stand still, or None if it does."""
+        """Return why the arm refuses to promise to stand still, or None if it does not refuse."""
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
@@ -505,8 +505,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
             return
-        # While the striker is charged, the arm waits, up to the limit. The tapper's reports can
-        # only lengthen this wait.
+        # While the striker is charged, the arm waits, but not longer than LONGEST_WAIT_S. The
+        # tapper's reports can only lengthen this wait.
         if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
         # The job may start shortly before the promise ends: it reads the joints, then waits for the
@@ -615,8 +615,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
         self._longest_hold = permit.longest_hold(event.cell)
-        # Before a restart, this node may have granted a promise to stand still, possibly for a
-        # tapper of another cell file.
+        # Before a restart, this node may have granted a promise to stand still, possibly to a
+        # tapper of another cell file. Assume that the longest possible promise was granted.
         self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
 
     def _closed(self) -> None:

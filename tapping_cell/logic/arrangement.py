@@ -365,7 +365,7 @@ class ArrangementTask(Task):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class AmongOthersTask(ArrangementTask):
-    """Goal of an object other than the cell's own: an arrangement that moves only this object."""
+    """Task of moving one object other than the cell's own, as an arrangement that moves only it."""
 
     resumable: ClassVar[bool] = True
 

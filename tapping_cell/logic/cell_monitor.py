@@ -16,9 +16,9 @@ CodedError = tuple[int, str]
 
 QUICKEST_IMAGE_S = 0.05
 """Assumed maximum time, s, by which the estimated capture time of an image is too late. The
-smallest delay of the camera's messages looks like a difference of the clocks, so the estimate is
-too late by the part of this delay that exceeds the smallest delay of the messages of arm and
-tapper."""
+smallest delay of the camera's messages cannot be distinguished from a difference of the clocks.
+Only the part of it that exceeds the smallest delay of the messages of arm and tapper causes an
+error."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 DOING = {
     ArmState.HOMING: "homing",

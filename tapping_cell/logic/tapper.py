@@ -623,7 +623,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self.patience = patience_after(self.patience, fault)
         if name == "prove" and fault.reason is FaultReason.INTERLOCK:
             return  # the guard was opened; the mounts are checked again when it is closed
-        # A job raises a fault only if it occurred before FIRE was sent.
+        # A job raises only faults that occurred before FIRE was sent, so the tap was not fired.
         if fault.reason in OF_THE_TAP and self.state in (S.CHARGING, S.CHARGED, S.FIRING):
             self._log(LogLevel.ERROR, fault.sentence)
             self._discharge((of_tapper(fault), fault.sentence))

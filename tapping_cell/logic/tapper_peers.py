@@ -182,7 +182,7 @@ class TapperPeers:
     def check_charging(
         self, tap_id: int, planned: Pose, strike: Pose, now: Now
     ) -> CodedError | None:
-        """Return why the tapper must not be charged, or None; see :meth:`check_firing`.
+        """Return why the tapper must not be charged, or None. Arguments as in :meth:`check_firing`.
 
         Charging may begin while the arm lowers the striker. The arm's last read-back must be
         recent, and it must show the tip above the strike pose, so that only a vertical motion

@@ -72,7 +72,8 @@ class Shot:
     """Why a person is asked again although an earlier plan of this tap was confirmed."""
 
     def command(self, now: int, expiry: int, height: float) -> TapCommand:
-        """Return the command of this tap. Times in ns; ``height``: tip above the table, m."""
+        """Return the command of this tap. Times in ns; ``height``: height of the tip above the
+        table, m."""
         plan = self.strike.plan
         command = TapCommand(
             request=TapCommand.TAP,
@@ -93,7 +94,7 @@ class Shot:
         """Return the message that announces this tap.
 
         ``answer_by``: deadline for a person's answer in ns; 0 if no confirmation is needed.
-        ``height``: tip above the table, m.
+        ``height``: height of the tip above the table, m.
         """
         plan = self.strike.plan
         tap = PlannedTap(

@@ -157,7 +157,7 @@ class PseudoTerminal:
                 ) from error
             try:
                 # The previous owner may have removed the lock file after it was opened and before
-                # it was locked here.
+                # it was locked here. The lock is then useless, so try again.
                 current = os.stat(self._guard_path).st_ino == os.fstat(guard).st_ino
             except FileNotFoundError:
                 current = False

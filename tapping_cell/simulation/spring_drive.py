@@ -1,8 +1,7 @@
 """The tapper's spring carriage: its counted steps and its true motion.
 
-The model follows the same rules as ``firmware/tapper/drive.c``, but is computed movement by
-movement instead of step by step. Positions are in steps from the point where the front switch
-closes.
+The model follows the rules of ``firmware/tapper/drive.c``, but computes whole movements instead of
+single steps. Positions are in steps from the point where the front switch closes.
 """
 
 from __future__ import annotations

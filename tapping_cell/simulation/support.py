@@ -56,8 +56,8 @@ def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Ar
 
 
 def balanced(points: Array, shares: Array, centre: Array) -> tuple[Array, Array]:
-    """Return the points that carry weight, and the fraction of the weight at each; the centre of
-    pressure is at ``centre`` (m).
+    """Return the points that carry weight, and the fraction of the weight at each, corrected so
+    that the centre of pressure is at ``centre`` (m).
 
     Raises: ValueError: the points do not surround the centre, so that the object would tip over.
     """
