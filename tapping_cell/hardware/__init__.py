@@ -1,6 +1,6 @@
 """Hardware drivers: SCARA kinematics, serial codecs, transport, and the arm and tapper drivers.
 
-This package does not depend on ROS or on the simulation. Blocking calls belong to one worker
-thread; ``stop()`` may be called from any thread. Times are those of the transport's steady clock,
-in s.
+This package does not depend on ROS or on the simulation. All blocking calls of a driver must come
+from one thread; ``stop()`` may be called from any thread. Times are in s, on the steady clock of
+the transport.
 """

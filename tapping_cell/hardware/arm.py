@@ -1,8 +1,9 @@
-"""Arm driver: safe moves of a SCARA through a controller dialect.
+"""Arm driver: moves a SCARA and verifies every move.
 
-A move succeeds when the controller is idle and the position read back is within tolerance. The arm
-does not move before homing. A stop, a reset or an alarm discards the position and requires a new
-homing.
+A dialect (:class:`~tapping_cell.hardware.dialect.ArmDialect`) translates the driver's calls to the
+language of the controller. A move succeeds when the controller is idle and the position read back
+is within tolerance. The arm does not move before homing. After a stop, a reset or an alarm, the
+position is no longer trusted, and the arm must be homed again.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ from tapping_cell.hardware.scara import Joints, ScaraGeometry
 from tapping_cell.hardware.transport import Connection
 
 MOVE_ATTEMPTS = 3
-"""Maximum number of attempts to send a move. A move is repeated only while the arm has not
-moved."""
+"""Maximum number of attempts to send a move. A move is sent again only if the arm stands at the
+move's start or at an intermediate point."""
 
 FRESHNESS = 0.05
 """Maximum age of a reading that is reused at the start of a move, s."""
@@ -256,7 +257,7 @@ class ArmDriver:
             self._wait(rested + self.settings.settle_time)
             reading = self._arrive(self._transport.now(), self._reply_deadline())
             if goal is not None and not self._agrees(goal, reading.joints):
-                # One garbled report must not count; _read() repeats until two reports agree.
+                # The report may have been garbled, so read again before the move counts as failed.
                 reading = self._read()
                 if reading.moving or not self._agrees(goal, reading.joints):
                     raise self._mismatch(goal, reading.joints)
@@ -265,10 +266,11 @@ class ArmDriver:
         return reading
 
     def stop(self) -> bool:
-        """Stop the arm immediately and latch the stop until ``clear_fault``; from any thread.
+        """Stop the arm immediately and latch the stop until ``clear_fault``. May be called from any
+        thread.
 
-        Returns whether the stop bytes were sent. This is best effort; the emergency stop is wired
-        in hardware.
+        Returns whether the stop bytes were sent. The stop may be lost on its way, so the emergency
+        stop is wired in hardware.
         """
         self._stopped.set()
         self.counters.stops += 1
@@ -365,16 +367,16 @@ class ArmDriver:
         goal = path.places[-1]
         for attempt in range(MOVE_ATTEMPTS):
             self.counters.retries += attempt > 0
-            # From here on, the arm may be anywhere on the path.
+            # From here on, the arm may be anywhere on the path, so its position is not confirmed.
             self._confirmed = None
             refusal = self._send(path, deadline)
             if refusal is None:
                 reading = self._arrive(self._transport.now() + self._duration(path), deadline)
             elif len(path.places) > 2:
-                # The move before the rejected line may still be in progress.
+                # The move before the rejected line may still be in progress, so wait for its end.
                 self._arrive(self._transport.now(), deadline)
             if refusal is not None or not self._agrees(goal, reading.joints):
-                # One garbled report must not count; _read() repeats until two reports agree.
+                # The report may have been garbled, so read again before the move counts as failed.
                 reading = self._read()
             if not reading.moving and self._agrees(goal, reading.joints):
                 return reading, None
@@ -404,7 +406,8 @@ class ArmDriver:
             self._dialect.start_moves(moves, deadline)
         except HardwareFault as fault:
             if fault.reason is FaultReason.UNREACHABLE:
-                # The fault was found before anything was sent.
+                # The fault was found before anything was sent, so the arm is still at the start of
+                # the path.
                 self._confirmed = path.places[0]
             if fault.reason is not FaultReason.REJECTED:
                 raise
@@ -509,14 +512,15 @@ class ArmDriver:
         )
 
     def _begin_call(self) -> None:
-        """Reset the counts of the bytes and lines that a call receives."""
+        """Begin to count the bytes and lines that are received during a call of the driver."""
         counters = self._dialect.counters
         counters.received = ReceivedBytes()
         self._lines_before = counters.lines, counters.bad_lines
 
     def _named(self, fault: HardwareFault) -> HardwareFault:
         """If unreadable replies caused the fault, return a PROTOCOL fault instead. While
-        connecting, unreadable text indicates another firmware, so UNKNOWN_FIRMWARE is returned.
+        connecting, replies that are text but cannot be decoded come from another firmware:
+        UNKNOWN_FIRMWARE is then returned.
         """
         counters = self._dialect.counters
         lines = counters.lines - self._lines_before[0]
@@ -556,10 +560,10 @@ class ArmDriver:
             raise HardwareFault(FaultReason.NOT_HOMED, "the arm is not homed: home it first")
 
     def _noted(self, fault: HardwareFault) -> HardwareFault:
-        """Apply the consequences of a fault and return the fault to raise.
+        """Record a fault in the driver's state and return the fault to raise.
 
-        A latched fault takes precedence, because later faults are often its consequence: an alarm
-        can be followed by a restart, and a stop causes an alarm.
+        If a fault is latched, it is returned instead of a later one, because later faults are often
+        its consequence: an alarm can be followed by a restart, and a stop causes an alarm.
         """
         if self._stopped.is_set() and fault.reason in OF_A_STOP:
             # The alarm or reset that a stop causes in the controller is not a separate fault.

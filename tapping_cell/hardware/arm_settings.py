@@ -26,7 +26,8 @@ class ArmSettings:
     axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
     """Direction of each controller axis relative to its joint: 1 or -1."""
     home_joints: tuple[float, float, float, float] | None = (0.0, 1.5708, 0.0, 0.0)
-    """Joint values at the end of homing or at the marked pose; None uses the firmware's zero."""
+    """Joint values at the end of homing or at the marked pose. If None, the values that the
+    firmware itself sets are used."""
     homing_timeout: float = 60.0
     """Longest duration of homing, s."""
     reply_timeout: float = 2.0
@@ -40,7 +41,8 @@ class ArmSettings:
     tolerance_quill: float = 1e-4
     """Largest difference between a target and the quill position read back, m."""
     settle_time: float = 0.15
-    """Rest after the last waypoint of a path before the arm counts as arrived, s."""
+    """Time for which the arm must rest at the last waypoint of a path before it counts as arrived,
+    s."""
     quill_brake: bool = False
     """True if a brake or a counterweight holds the quill while its motor has no power."""
 

@@ -74,7 +74,7 @@ def _direction(angle: Array) -> Array:
 
 
 def _at(place: Array, height: ArrayLike) -> Array:
-    """Return points (N, 3) from points (N, 2) and their heights: one for all points, or one
-    each."""
+    """Return the points (N, 2) with ``height`` as third coordinate, (N, 3). ``height``: one value
+    for all points, or (N,)."""
     z = np.broadcast_to(np.asarray(height, dtype=float), (len(place),))
     return np.concatenate([place, z[:, None]], axis=1)

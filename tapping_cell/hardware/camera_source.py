@@ -1,8 +1,8 @@
 """Image sources: a camera of the system, a video file, or a folder of images.
 
 Every image has its capture time on the steady clock (``time.monotonic``). For a camera, the capture
-time is the driver's timestamp of the buffer, if there is one. Queueing or a busy machine therefore
-does not make an image appear newer than it is.
+time is the driver's timestamp of the buffer, if there is one. An image that had to wait in a queue
+or on a busy machine therefore does not appear newer than it is.
 """
 
 from __future__ import annotations
@@ -134,8 +134,8 @@ class Playback:
         if picture is None and self._settings.loop:
             self._pictures = self._all()
             picture = self._next(left_out)
-        # If a looping source returns no image, its images were removed, because such a source never
-        # ends.
+        # A looping source starts over at its end. If it still returns no image, none of its files
+        # can be decoded any more.
         if picture is None and (self._delivered == 0 or self._settings.loop):
             raise CameraSourceError(
                 f"{self._name} contains no image that can be decoded; replace it"
@@ -171,7 +171,8 @@ class Playback:
 
 
 def _folder_pictures(folder: Path) -> Iterator[Picture | str]:
-    """Return the images in order of name, or the path of an image that cannot be decoded."""
+    """Return an iterator over the images in order of name. In place of an image that cannot be
+    decoded, it yields the path of the file."""
     try:
         files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
     except OSError as error:

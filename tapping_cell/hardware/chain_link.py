@@ -26,17 +26,19 @@ from tapping_cell.hardware.trajectory_link import JointSample, Progress, Traject
 STEP = 0.02
 """Time between two points of a trajectory, s."""
 MIN_STEP = 0.005
-"""Minimum time between an intermediate point and a corner, s; closer points are left out."""
+"""Minimum time between an intermediate point and a corner, s; intermediate points that are closer
+are left out."""
 LONGEST_STRETCH = 1.4
 LONGEST_DELAY = 1.5
 """Limits on slowing a trajectory down to respect the joint speeds. A trajectory may take at most
-``LONGEST_STRETCH`` times its planned duration plus ``LONGEST_DELAY`` s. The driver's deadline is
-1.5 times the planned duration plus 2 s."""
+``LONGEST_STRETCH`` times its planned duration plus ``LONGEST_DELAY`` s. This is less than the
+driver's deadline, which is 1.5 times the planned duration plus 2 s."""
 SPEED_STEP = 1e-3
-"""Time step of the finite difference that converts joint speeds, s."""
+"""Time step, s, of the finite difference that converts the real arm's joint speeds to those of the
+SCARA."""
 TURNS = 12.6
-"""Rotation limit, rad, of the SCARA joints that are computed from the real arm's pose: two turns.
-The driver checks the actual joint limits."""
+"""Limit, rad, of the SCARA's rotary joints when they are computed from the real arm's pose: two
+turns in each direction. The limit is wide, because the driver checks the actual joint limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,8 @@ class ChainSettings:
     """Park pose, and limits of the striker's pose."""
 
     park: tuple[float, ...]
-    """SCARA joints of the park pose: rad, rad, m, rad. The first solution must be the one nearest
-    to this pose."""
+    """SCARA joints of the park pose: rad, rad, m, rad. If several SCARA poses match the first
+    measured pose of the real arm, the one nearest to the park pose is used."""
     tilt: float = 0.01
     """Largest angle between the striker's z axis and the vertical, rad."""
     travel_height: float = 0.06
@@ -94,7 +96,7 @@ class ChainLink:
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names of the last message that lacked some of the arm's joints."""
+        """Joint names in the last message in which some of the arm's joints were missing."""
         return self._link.other_names
 
     @property
@@ -246,8 +248,8 @@ class ChainLink:
         )
 
     def _expected(self, time: float) -> Array:
-        """Return the SCARA's planned position at ``time``, or its last position if no trajectory
-        was sent."""
+        """Return the SCARA's planned joints at ``time``, or its last joints if no trajectory was
+        sent."""
         if self._course is None:
             return self._near
         began, stretch, course = self._course
@@ -255,8 +257,9 @@ class ChainLink:
         return np.asarray(place[0])
 
     def _converted_place(self, joints: Array, near: Array) -> tuple[Array, str]:
-        """Return the SCARA joints, nearest to ``near``, that put the tip at the real striker, and
-        the reason why they cannot be trusted (empty if they can)."""
+        """Return the SCARA joints that put the SCARA's tip at the real striker, and the reason why
+        they cannot be trusted (empty if they can). Of several solutions, the one nearest to
+        ``near`` is returned."""
         pose = self._chain.forward(joints)
         if not np.all(np.isfinite(pose)):
             return np.full(4, np.nan), ""

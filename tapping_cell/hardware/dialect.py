@@ -105,8 +105,8 @@ class ArmDialect(Protocol):
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
         """Wait until all motion has ended, with few queries before ``expected_end``.
 
-        The result is a single report. A caller that finds a difference from the target must read
-        again to confirm it.
+        The returned reading is a single report, which may be garbled. A caller that finds a
+        difference from the target must read again before it reports a fault.
         """
 
     def idle(self, duration: float) -> None:

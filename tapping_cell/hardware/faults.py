@@ -34,7 +34,8 @@ class FaultReason(Enum):
 
 
 class HardwareFault(RuntimeError):
-    """Failed device call; ``reason`` for code to branch on, ``str()`` for the message.
+    """Failed device call. ``reason`` is for decisions in code; ``str()`` returns the message for
+    people.
 
     The message states the value, the limit and what to do.
     """

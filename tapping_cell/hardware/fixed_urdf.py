@@ -37,8 +37,9 @@ class MountedTapper:
 
 
 def mounted_tappers_urdf(tappers: Sequence[MountedTapper], name: str = "positioning_cell") -> str:
-    """Return the URDF text: links ``NAME_mount`` and ``NAME_striker``, prismatic joints ``NAME``.
+    """Return the URDF text.
 
+    Each tapper has the links ``NAME_mount`` and ``NAME_striker`` and the prismatic joint ``NAME``.
     The mounts have no inertia, because they are fixed to the table.
     """
     robot = ElementTree.Element("robot", name=name)
@@ -82,7 +83,7 @@ def _joint(
 
 
 def _rod(link: ElementTree.Element, length: float, radius: float, centre: float) -> None:
-    """Add a cylinder along x to a link; ``centre`` on x, m."""
+    """Add a cylinder along x to a link. ``centre``: x of the cylinder's centre, m."""
     for use in ("visual", "collision"):
         element = ElementTree.SubElement(link, use)
         ElementTree.SubElement(

@@ -71,11 +71,13 @@ class GrblSettings:
     letters: str = "XYZA"
     """Axis letters of shoulder, elbow, quill, tool."""
     expected: Mapping[int, float] = field(default_factory=lambda: {13: 0.0})
-    """Required settings, number to value; 13 = 0 means reports in mm and degrees."""
+    """Required value of each setting, by its number. The default, 13: 0, requires reports in mm and
+    degrees."""
     needs: ControllerNeeds = field(default_factory=ControllerNeeds)
     """Requirements on ``$100`` to ``$133``."""
     home_place: tuple[float, float, float, float] | None = None
-    """Machine position after homing, in degrees and mm; None uses the firmware's computation."""
+    """Machine position after homing, in degrees and mm. If None, it is computed from the
+    controller's settings."""
     without_switch: tuple[int, ...] = ()
     """Axes, 0 to 3, that homing does not move; a person moves them to their marks beforehand."""
     needs_homing: bool = False
@@ -181,8 +183,8 @@ class GrblDialect:
         except HardwareFault as fault:
             if fault.reason is not FaultReason.TIMEOUT:
                 raise
-            # The move's `ok` is late or lost. Until the controller has processed all earlier lines,
-            # a report "Idle" may come from an arm that has not started to move yet.
+            # The move's `ok` is late or lost. Wait until the controller has processed the line:
+            # before that, a report "Idle" may come from an arm that has not started to move.
             self.counters.retries += 1
             self._resynchronise(deadline)
 
@@ -225,14 +227,15 @@ class GrblDialect:
         which is also answered with ``ok``. A controller that still executes a move of a terminated
         program rejects ``$H``, so this call waits for the end of the move. The wait is limited,
         because a garbled feed rate can make a move extremely slow. If an axis has no switch, an
-        operator must move it to its mark before homing; homing is then refused while the arm moves.
+        operator must move it to its mark before homing. An arm that still moves cannot be at this
+        mark, so homing is then refused.
         """
         patience = min(deadline, self._transport.now() + REST_TIMEOUT)
         while _moving(self._ask_status(deadline)) and self._transport.now() < patience:
             if self._settings.without_switch:
                 raise HardwareFault(FaultReason.HOMING_FAILED, self._not_at_its_mark())
             self._pump(POLL_PERIODS[1])
-        # The settings may have been changed since the connect.
+        # The settings may have been changed since the connect, so compare them again.
         controller_needs.refuse(self._compared(deadline))
         if self._homed_unknown:
             raise HardwareFault(FaultReason.HOMING_FAILED, self._homed_unknown)
@@ -260,15 +263,16 @@ class GrblDialect:
             self.set_position(axes, deadline)
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Send ``G92``, then ``MARK_LINE``. A reset clears the effect of both lines, so a mark that
-        is still set proves that no reset happened."""
+        """Set the position with ``G92``, then the mark with ``MARK_LINE``. A reset clears both, so
+        as long as the mark is set, the position is valid."""
         self._offset, self._frozen = None, False
         self._command(grbl.set_position_line(self._settings.letters, axes), deadline)
         self._command(MARK_LINE, deadline)
         while self._offset is None:
             self._ask_status(deadline)
-        # From here on, reported offsets are ignored, and only the machine position is evaluated. If
-        # a bit error then turns a line into another G92, a position mismatch is detected.
+        # From here on, this offset is kept, and offsets in later reports are ignored. If a bit
+        # error turns a later line into a G92, the following moves end at wrong machine positions,
+        # which the position check detects.
         self._frozen = True
         self._marked = True
 
@@ -399,9 +403,10 @@ class GrblDialect:
     def _resynchronise(self, deadline: float) -> None:
         """Wait until the controller has processed every line sent before.
 
-        Sets an unused marker number as the feed and reads it back with the modes. The ``ok`` after
-        that mode report is the last outstanding one. Raises ALARM if the controller does not accept
-        the feed because of an alarm.
+        Sends a new number as the feed rate and queries the modes, which include the feed rate. A
+        mode report with this number proves that all earlier lines were processed. The ``ok`` that
+        follows this report is the last outstanding one. Raises ALARM if the controller does not
+        accept the feed because of an alarm.
         """
         self._since = self._transport.now()
         while True:
@@ -517,8 +522,8 @@ class GrblDialect:
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
         """Identify the controller and count its axes; return its version."""
-        # Answers have no checksum; if a line is lost, the controller may appear to be a different
-        # one.
+        # Answers have no checksum. If a line is lost, the controller may look like a different one,
+        # so query until two consecutive answers agree.
         messages = self._information(deadline)
         for _ in range(IDENTIFICATIONS):
             again = self._information(deadline)
@@ -700,8 +705,8 @@ class GrblDialect:
     def _learn_homed_place(self, found: Mapping[int, float]) -> None:
         """Compute the machine position after homing from ``$$``.
 
-        This position is $27 away from the end of travel that $23 selects; in some builds it is
-        zero.
+        Homing ends at a distance of $27 (pull-off) from the end of travel that has the switch; $23
+        tells which end this is. In some builds, the position after homing is set to zero.
         """
         self._homed_unknown = ""
         self._homed_place = list(self._settings.home_place or ())

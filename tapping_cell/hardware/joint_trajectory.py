@@ -3,7 +3,8 @@
 A controller that receives positions and velocities interpolates between points with cubics. The
 points of a move are the corners of its trapezoidal velocity profile. Between two corners the
 acceleration is constant and the position a parabola, which a cubic with the same end conditions
-reproduces exactly. So the controller executes the intended move from a few points.
+reproduces exactly. A few points are therefore enough for the controller to execute the intended
+move.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ MIN_TIME = 0.02
 MIN_PIECE = 1e-3
 """Minimum duration of a segment of a move, s; shorter segments are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
-"""Minimum cosine of the angle between two moves for the arm not to stop between them."""
+"""Cosine of the angle between two moves above which the arm does not stop between them."""
 
 COURSE_SAMPLES = 200
 """Number of samples of a trajectory in the search for the point nearest to the arm."""
@@ -146,7 +147,7 @@ class Course:
         self, positions: Sequence[float], duration: float
     ) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
         """Return positions and velocities ``duration`` s after the point nearest to ``positions``;
-        None if these are not on the trajectory."""
+        None if this point is farther than ``COURSE_WIDTH`` away."""
         distances = np.linalg.norm(self._track - np.asarray(positions), axis=1)
         nearest = int(np.argmin(distances))
         if not distances[nearest] <= COURSE_WIDTH:
@@ -158,8 +159,8 @@ class Course:
 def brake_point(
     positions: Sequence[float], velocities: Sequence[float], max_acceleration: Sequence[float]
 ) -> TrajectoryPoint:
-    """Return the point at which all joints come to rest at the same time. The duration is the
-    longest braking time of any joint."""
+    """Return the point at which an arm that brakes now comes to rest. All joints stop at the same
+    time, after the longest braking time of any joint."""
     slowest = max(abs(v) / a for v, a in zip(velocities, max_acceleration, strict=True))
     duration = max(slowest, MIN_TIME)
     return TrajectoryPoint(

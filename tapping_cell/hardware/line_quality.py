@@ -25,5 +25,5 @@ class ReceivedBytes:
 
     @property
     def are_noise(self) -> bool:
-        """Whether the bytes come from a line with a wrong baud rate or a bad cable."""
+        """Whether so many bytes are not text that the baud rate or the cable must be wrong."""
         return self.strange > NOISE_SHARE * self.total

@@ -21,7 +21,8 @@ KILL = b"\nM112\n"
 
 @dataclass(frozen=True, slots=True)
 class Ok:
-    """The line was accepted (``M400``, ``G28``: completed); this does not confirm success."""
+    """The line was accepted; after ``M400`` and ``G28``, it has also ended. Success is not
+    confirmed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,7 +136,8 @@ class MarlinDialect:
         return Firmware("Marlin", name, continued, remarks), findings
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """Raise ValueError: no setting is stored, because motor torque is set at every connect."""
+        """Raise ValueError: a person must correct every finding of this dialect. The torque at
+        standstill is never a finding, because it is set at every connect."""
         raise ValueError(f"{finding.setting} must be set by a person")
 
     def _prepare(self, deadline: float) -> None:
@@ -151,8 +152,8 @@ class MarlinDialect:
             for frame in self._command("M114", deadline):
                 if isinstance(frame, marlin.Position):
                     return self._reading(frame, asked)
-            # Either the answer was garbled, or a stray `ok` was taken for the answer. Drain and
-            # repeat.
+            # Either the answer was garbled, or a stray `ok` was taken for the answer. Discard all
+            # received data and query again.
             self._settle(deadline)
             self.counters.retries += 1
 
@@ -189,9 +190,9 @@ class MarlinDialect:
     def home(self, axes: Axes | None, deadline: float) -> None:
         """Send ``G28`` and ``G92``, and verify that ``G28`` ran.
 
-        The board accepts a line number only directly after the previous number. The position read
-        at the end therefore proves that ``G28`` ran, unless the line numbering was restarted
-        meanwhile.
+        The board accepts a line only if its number follows that of the previous line. If it accepts
+        the position query after ``G28``, it has therefore also accepted ``G28``, unless the line
+        numbering was restarted meanwhile.
         """
         beginnings, began = self._beginnings, self._transport.now()
         try:
@@ -287,8 +288,8 @@ class MarlinDialect:
                     raise self._restarted()
                 strange += 1
                 if strange > 1:
-                    # This is not a transmission error. The board's line number differs from the
-                    # driver's, so the board rejects all lines.
+                    # The board has requested an unknown line twice, so this is not a transmission
+                    # error: its line number differs from the driver's, and it rejects all lines.
                     self._begin_numbers(deadline)
                     self._number += 1
                     number = self._number
@@ -303,8 +304,8 @@ class MarlinDialect:
     def _await(
         self, number: int, patience: float, deadline: float, frames: list[marlin.Frame]
     ) -> int | None:
-        """Await the answer to a line: the line number if the board requested a line, None if it
-        only answered ``ok``, or -1 if it was silent."""
+        """Await the answer to a line. Return the number of the line that the board requests, None
+        if it only answered ``ok``, or -1 if it was silent."""
         wanted: int | None = None
         busy = False
         while True:
@@ -329,11 +330,11 @@ class MarlinDialect:
                     return wanted
 
     def _is_taken(self, number: int, patience: float, deadline: float) -> bool:
-        """Return whether the board has executed a line that it did not answer. The line is resent;
-        if there is no answer again, the next line number is sent as a query.
+        """Return whether the board has executed a line that it did not answer.
 
-        The board ignores a duplicate of an executed line. It answers the next number with ``ok`` if
-        the line was executed, and with ``Resend`` if the line never arrived.
+        The line is resent. If there is again no answer, a query with the next line number is sent.
+        The board ignores a duplicate of an executed line. It answers the query with ``ok`` if the
+        line was executed, and with ``Resend`` if the line never arrived.
         """
         self.counters.timeouts += 1
         self._transport.write(self._sent[number])
@@ -350,8 +351,8 @@ class MarlinDialect:
         outcome = self._await(number + 1, patience, deadline, frames)
         if outcome is None or outcome == number + 2:
             return True
-        # The query may still be in transmission. Its number must not be used again, because the
-        # controller ignores a second line with the same number.
+        # The query may still arrive at the board. Its number is therefore not used again: the board
+        # would ignore a second line with the same number.
         return outcome == number + 1
 
     def _next(self, until: float) -> marlin.Frame | None:
@@ -391,7 +392,8 @@ class MarlinDialect:
     # Connecting.
 
     def _counts_on(self, deadline: float) -> bool:
-        """Return whether the board still has our last line number, so that it was not reset."""
+        """Return whether the board still has the driver's last line number, which proves that it
+        was not reset."""
         known = set(self._sent) | {self._number}
         self._transport.write(marlin.numbered(self._number + 2, "M114"))
         until = min(deadline, self._transport.now() + 1.0)

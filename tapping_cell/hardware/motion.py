@@ -82,7 +82,8 @@ def strike_path(
     fast = settings.travel_speed
     slow_from = goal._replace(quill=goal.quill + settings.near_height)
     brief = slow_from.quill >= above.quill - 1e-9
-    # If the command of the fast step is lost, the whole descent is slow, which is harmless.
+    # The fast step ends at `slow_from`. If its command is lost, the whole descent is slow, which is
+    # harmless.
     lower = Waypoint(goal, near, "lower", None if brief else slow_from, None if brief else fast)
     return _moves(
         Joints(*current),
@@ -147,11 +148,12 @@ def clear_view_path(
 def raise_step(
     geometry: ScaraGeometry, current: Sequence[float], settings: MotionSettings
 ) -> Waypoint:
-    """Return the waypoint from joints ``current`` backwards, then up to travel height.
+    """Return the waypoint that moves the striker backwards from joints ``current``, then up to
+    travel height.
 
-    Backing off along the line of travel keeps an extended rod from rubbing along the object. The
-    step backwards is left out if the tip is already above travel height, or if the pose behind is
-    out of reach.
+    Backing off along the line of travel keeps a striker that is still extended from rubbing along
+    the object. The step backwards is left out if the tip is already above travel height, or if the
+    pose behind is out of reach.
     """
     start = Joints(*current)
     here = geometry.forward(start)
@@ -177,7 +179,8 @@ def move_duration(
     """Return the shortest time in s of a straight joint-space move from rest to rest.
 
     All joints follow one trapezoidal profile. Its speed and acceleration along the line are the
-    largest that keep every joint within its limits; ``speed`` is a fraction of the joint speeds.
+    largest that keep every joint within its limits. ``speed``: fraction of the maximum joint
+    speeds.
     """
     return float(move_durations(geometry, start, goal, speed))
 
@@ -185,11 +188,11 @@ def move_duration(
 def move_durations(
     geometry: ScaraGeometry, start: ArrayLike, goal: ArrayLike, speed: float
 ) -> Array:
-    """Return ``move_duration`` of many moves. ``start`` and ``goal`` (..., 4) are broadcast; NaN
-    remains NaN."""
+    """Return ``move_duration`` of many moves. ``start`` and ``goal`` (..., 4) are broadcast; the
+    duration is NaN where one of them is NaN."""
     distances = np.abs(np.asarray(goal, dtype=float) - np.asarray(start, dtype=float))
     at_speed = np.max(distances / (np.array(geometry.max_speed) * speed), axis=-1)
-    # Reciprocal of the acceleration along the line, in s^2 (the unit of length is the whole line).
+    # Reciprocal of the acceleration along the line, in s^2: lengths are fractions of the line.
     pull = np.max(distances / np.array(geometry.max_acceleration), axis=-1)
     ramp = pull / np.where(at_speed > 0, at_speed, 1.0)
     return np.where(ramp <= at_speed, at_speed + ramp, 2 * np.sqrt(pull))

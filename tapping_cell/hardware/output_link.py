@@ -30,7 +30,7 @@ class InputLevel:
 class OutputLink(Connection, Protocol):
     """Connection to one digital output, with the guard input and an optional read-back.
 
-    ``stop`` ignores its bytes and switches the output off.
+    ``stop`` switches the output off and ignores the bytes that are passed to it.
     """
 
     @property

@@ -41,7 +41,8 @@ striker was then faster than planned."""
 
 
 class ShotMemory(Protocol):
-    """Storage of the greatest shot number that outlives the process."""
+    """Persistent storage of the greatest shot number, which is needed after a restart of the
+    process."""
 
     def recall(self) -> int:
         """Return the greatest shot number that may have been sent, 0 for none.
@@ -67,8 +68,8 @@ class OutputTapperSettings:
     """Longest silence of the guard input and of the read-back, s."""
 
     def pulse_for(self, energy: float) -> float:
-        """Return the pulse length in s, interpolated linearly in the square root of the energy, as
-        the striker's speed is."""
+        """Return the pulse length in s for an energy in J. Like the striker's speed, it is
+        interpolated linearly in the square root of the energy."""
         return float(np.interp(math.sqrt(energy), np.sqrt(self.energies), self.pulses))
 
 
@@ -88,13 +89,15 @@ class OutputTapperDriver:
         self._ready: tuple[int, float] | None = None
         self._attempted = 0
         self._last_fired = 0
-        # A pulse that an earlier process sent may still be in transmission.
+        # A pulse that an earlier process sent may still be in transmission, so assume the longest
+        # pulse.
         self._release_by = link.now() + self._longest(max(settings.pulses))
         self._stopped = threading.Event()
 
     @property
     def connected(self) -> bool:
-        """True if the output is available and, as far as is known, was confirmed to be off."""
+        """True if the output is available, as far as is known, and was confirmed to be off after it
+        was last switched."""
         return self._connected and self._link.is_open
 
     @property
@@ -199,9 +202,9 @@ class OutputTapperDriver:
     def fire(self, shot: int, window: float, still_allowed: Callable[[float], bool]) -> FireResult:
         """Switch the output on once, for the pulse of ``shot``.
 
-        ``window`` applies to boards with their own clock and is ignored. ``still_allowed`` receives
-        the time of the steady clock at which the output is off again if each level takes effect
-        within ``latency``. The call returns UNKNOWN only after this time.
+        ``window`` is ignored; it applies only to boards that have a clock. ``still_allowed``
+        receives the time of the steady clock at which the output is off again if each level takes
+        effect within ``latency``. The call returns UNKNOWN only after this time.
         """
         self._require()
         self._refuse_spent(shot)
@@ -247,8 +250,8 @@ class OutputTapperDriver:
         return self.status()
 
     def stop(self) -> bool:
-        """Latch the stop and switch off, from any thread. This is best effort; the emergency stop
-        is wired in hardware."""
+        """Latch the stop and switch off, from any thread. The stop may be lost on its way, so the
+        emergency stop is wired in hardware."""
         self._stopped.set()
         self.counters.stops += 1
         return self._link.stop(b"")

@@ -1,7 +1,8 @@
 """Dialect for an arm with its own ROS driver.
 
 The dialect sends trajectories to the arm's ``joint_trajectory_controller`` and relies only on the
-joint states. A result from the controller can make a move fail but never make it succeed.
+joint states. If the controller reports a failure, the move fails; if it reports success, the joint
+states must confirm it.
 """
 
 from __future__ import annotations
@@ -21,13 +22,15 @@ REST_WINDOW = 0.05
 """Time for which the joints must be constant before the arm counts as at rest, s: 3 states at 50
 Hz."""
 REST_SPEED = 0.02
-"""Reported speed above which a joint is moving, rad/s or m/s; noise at rest is below it."""
+"""Reported speed above which a joint counts as moving, rad/s or m/s. The noise of a joint at rest
+is below this speed."""
 MIN_RATE = 20.0
 """Minimum rate of the joint states, Hz; a strike pose is verified twenty times a second."""
 RATE_WINDOW = 0.5
 """Time over which the rate is measured, s."""
 CLOCK_LIMIT = 0.1
-"""Maximum time by which a stamp is in the future, s; more means unsynchronised clocks."""
+"""Maximum time by which a stamp may lie in the future, s. Beyond it, the clocks count as not
+synchronised."""
 WAIT = 0.02
 """Longest wait between checks for a sample, s."""
 
@@ -110,8 +113,8 @@ class Ros2ControlDialect:
             remarks.append(
                 "the joint states contain no velocities, so rest is detected from positions alone"
             )
-        # `continued` is False: the arm's driver or its motor drives may have been restarted
-        # meanwhile.
+        # `continued` is False, because the arm's driver or its motor drives may have been restarted
+        # since the last connect.
         firmware = Firmware("ros2_control", self._link.interface, False, tuple(remarks))
         return firmware, findings
 
@@ -136,8 +139,8 @@ class Ros2ControlDialect:
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
         """Wait until the trajectory is over, the joints are at rest, and the goal has ended.
 
-        If no more states are received, the arm is commanded to brake, because the commands may
-        still arrive while the states are lost.
+        If no more states are received, the arm is commanded to brake, because the controller may
+        still receive commands although its states no longer arrive.
         """
         try:
             return self._finished(expected_end, deadline)
@@ -147,8 +150,8 @@ class Ros2ControlDialect:
             raise
 
     def _finished(self, expected_end: float, deadline: float) -> AxisReading:
-        # The computed end of the trajectory is more accurate than `expected_end`, which assumes
-        # more stops.
+        # The computed end of the trajectory is more accurate than `expected_end`, which assumes a
+        # stop after every move.
         while self._link.now() < self._ends:
             self._receive()
             self._check_goal()

@@ -234,8 +234,9 @@ class ScaraGeometry:
     ) -> ManySolutions:
         """Return joints for tip poses (..., 4) = x, y, z, yaw in ``arm_base`` on one elbow side.
 
-        ``near``: joints (..., 4). Of the possible full turns of shoulder and tool, those nearest to
-        ``near`` are chosen; None means zero.
+        ``near``: joints (..., 4). Full turns are added to the angles of shoulder and tool so that
+        these lie within the limits and as near to ``near`` as possible. ``near`` None means zero
+        for all joints.
         """
         p = np.asarray(poses, dtype=float)
         close = np.zeros(4) if near is None else np.asarray(near, dtype=float)

@@ -3,8 +3,8 @@
 Each joint moves about or along an axis of its own frame, whose pose in the frame of the previous
 link is fixed, as in a URDF. The inverse starts at a seed, uses damped least squares, and keeps the
 joints within their limits (Wampler 1986, *Manipulator inverse kinematic solutions based on vector
-formulations and damped least-squares methods*). The solution stays on the elbow and wrist side of
-the seed.
+formulations and damped least-squares methods*). The solution keeps the seed's configuration of
+elbow and wrist.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ITERATIONS = 80
 STUCK = 8
 """Number of consecutive iterations without improvement after which the search fails."""
 POSITION_ERROR = 1e-6
-"""Maximum position error of a solution, m; a hundredth of the arm's own tolerance."""
+"""Maximum position error of a solution, m; a hundredth of the arm's smallest default tolerance."""
 ANGLE_ERROR = 1e-5
 """Maximum angle error of a solution, rad."""
 LONGEST_STEP = 0.3
@@ -140,7 +140,8 @@ class SerialChain:
                 pose = pose @ (fixed + value * sine)
             else:
                 pose = pose @ (fixed + math.sin(value) * sine + (1 - math.cos(value)) * cosine)
-            # Rotating about the axis moves neither the axis nor the frame's origin on it.
+            # A rotation about the axis moves neither the axis nor the frame's origin on it, so both
+            # can be computed after the rotation.
             axes[index] = (pose @ self._axes[index])[:3]
             places[index] = pose[:3, 3]
         return axes, places, pose @ self.tool

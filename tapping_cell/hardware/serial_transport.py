@@ -30,8 +30,8 @@ def known_ports() -> list[str]:
 class SerialTransport:
     """One serial port, opened exclusively by its path or a symlink (``/dev/serial/by-id/...``).
 
-    The path is resolved at each opening, so a device that returns under another number is found.
-    Deadlines are times of the steady clock.
+    A symlink is resolved each time the port is opened, so a device is found again if it returns
+    under another number. Deadlines are times of the steady clock.
     """
 
     def __init__(self, path: str, baud: int = 115200) -> None:
@@ -74,8 +74,8 @@ class SerialTransport:
                     self._path, self._baud, timeout=0, write_timeout=0, exclusive=True
                 )
             except (OSError, ValueError, termios.error) as error:
-                # If a port is unplugged between opening and configuration, pyserial may raise an
-                # exception that is not an OSError. Its SerialException is an OSError.
+                # If a port is unplugged between opening and configuration, pyserial may raise other
+                # exceptions than its SerialException, which is an OSError.
                 if self.now() + REOPEN_PERIOD > deadline:
                     raise self._open_fault(error) from error
                 time.sleep(REOPEN_PERIOD)
@@ -105,8 +105,8 @@ class SerialTransport:
                 readable, _, _ = select.select([port], [], [], wait)
                 if readable:
                     # If the device was unplugged, `in_waiting` raises a plain OSError and `read` a
-                    # SerialException. At end of file, the port is readable although no bytes are
-                    # waiting.
+                    # SerialException. At end of file, the port is readable although `in_waiting` is
+                    # 0, so at least one byte is requested.
                     return bytes(port.read(max(port.in_waiting, 1)))
             except (OSError, ValueError, TypeError) as error:
                 raise self._lost(error) from error
@@ -140,7 +140,8 @@ class SerialTransport:
                 self._wait_writable(port)
 
     def stop(self, data: bytes) -> bool:
-        """Latch the stop and write ``data`` ahead of everything else; from any thread."""
+        """Latch the stop and write ``data`` ahead of everything else. May be called from any
+        thread."""
         with self._lock:
             self._stopped = True
             port = self._port

@@ -6,12 +6,12 @@ clocks need no synchronisation: the driver queries the board's time, then asks i
 the shot is still allowed, and only then sends FIRE. Regardless of any delay by this process, the
 operating system or the line, the board fires before the deadline or not at all.
 
-A shot is never fired twice. The board answers a repeated request, which has the same sequence
-number, from memory. This driver never retries a shot whose FIRE may have been sent. If the reply to
-FIRE is missing, a later request determines the outcome: the board accepts no older sequence number
-after a newer one, and each reply contains the last shot fired. If the reply to the later request is
-missing too, or the boot number has changed, the outcome is UNKNOWN: check with the camera, do not
-fire again.
+A shot is never fired twice. If the board receives a request again with the same sequence number, it
+does not execute the request but repeats its reply. This driver never retries a shot whose FIRE may
+have been sent. If the reply to FIRE is missing, a further request determines the outcome: after
+this request, the board no longer accepts the FIRE, whose sequence number is older, and its reply
+contains the last shot fired. If this reply is missing too, or the boot number has changed, the
+outcome is UNKNOWN: check with the camera, do not fire again.
 """
 
 from __future__ import annotations
@@ -140,7 +140,8 @@ class TapperDriver:
         self._channels = 1
         self._channel = 0
         self._mode = self.settings.mode
-        # A FIRE that an earlier process sent may still be in transmission to the board.
+        # A FIRE that an earlier process sent may still be in transmission to the board, so assume
+        # the longest window.
         self._release_by = self._latest_release(transport.now(), protocol.LONGEST_WINDOW)
         self._stopped = threading.Event()
         self._received = ReceivedBytes()
@@ -187,7 +188,8 @@ class TapperDriver:
         """Time of the host's steady clock, in s, after which no shot sent so far can still be
         fired.
 
-        The time also covers shots of an earlier process. Lost frames do not change it.
+        The time also covers shots that an earlier process sent, and it is valid even if frames were
+        lost.
         """
         return self._release_by
 
@@ -389,16 +391,16 @@ class TapperDriver:
 
         The driver queries the board's time, calls ``still_allowed`` (the last check), and sends
         FIRE with a deadline ``window`` after the board's time. ``still_allowed`` receives the
-        latest time of the host's steady clock, in s, at which the release output can still be on.
-        The striker's flight time is not included. ``still_allowed`` is called again before each
+        latest time of the host's steady clock, in s, at which the release output can still be on;
+        the striker's flight time is not included. ``still_allowed`` is called again before each
         repetition of FIRE, whose deadline stays the same. When ``still_allowed`` returns False, the
         tapper is discharged.
 
         ``window``: at most ``LONGEST_WINDOW``; a line with a USB adapter needs 20 to 40 ms. Before
         UNKNOWN is returned, the call waits until a release is no longer possible. Line errors after
         FIRE was sent are not raised but reported by the outcome. Raises HardwareFault only before
-        FIRE is sent, so this call has then not fired the shot: SHOT_SPENT, OUT_OF_RANGE, STOPPED,
-        TIMEOUT, BOARD_RESET, DISCONNECTED.
+        FIRE is sent, so a raised fault means that this call did not fire the shot: SHOT_SPENT,
+        OUT_OF_RANGE, STOPPED, TIMEOUT, BOARD_RESET, DISCONNECTED.
         """
         self._require_session()
         self._refuse_spent(shot)
@@ -451,9 +453,9 @@ class TapperDriver:
         return self._not_fired(shot, self._refusal(reply))
 
     def _latest_release(self, sampled_at: float, window: float) -> float:
-        """Return the latest time at which the release output can still be on, s. This limit is
-        safe, because the board read its time before its reply was received, and the pulse begins
-        before the deadline."""
+        """Return the latest time at which the release output can still be on, s. This is an upper
+        limit: the deadline is ``window`` after the board read its time, which was before
+        ``sampled_at``, and the pulse begins before the deadline."""
         return sampled_at + (window + protocol.LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
 
     def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply | None:
@@ -503,7 +505,7 @@ class TapperDriver:
     def stop(self) -> bool:
         """Latch the tapper's stop immediately, from any thread; return whether it was sent.
 
-        This is best effort; the emergency stop is wired in hardware.
+        The stop may be lost on its way, so the emergency stop is wired in hardware.
         """
         self._stopped.set()
         self.counters.stops += 1

@@ -47,10 +47,10 @@ def numbered(port: str, board: int) -> str:
 
 
 class TapperBoards:
-    """The boards of a cell. All calls but ``stop`` block and belong to one thread.
+    """The boards of a cell. All calls except ``stop`` block and must come from one thread.
 
     The calls and their faults are those of :class:`~tapping_cell.hardware.tapper.TapperDriver`. A
-    fault of one board is a fault of all; the message names the board's port.
+    fault of one board is raised as a fault of the whole device; its message names the board's port.
     """
 
     def __init__(self, drivers: Sequence[TapperDriver]) -> None:
@@ -156,7 +156,8 @@ class TapperBoards:
             raise
 
         def allowed(by: float) -> bool:
-            # If this process was frozen after the queries, the other boards' replies are too old.
+            # If this process was frozen after the queries, the other boards' replies are too old to
+            # allow the shot.
             return driver.now() - asked_at <= OTHERS_ASKED_S and still_allowed(by)
 
         return driver.fire(shot, window, allowed if len(self._drivers) > 1 else still_allowed)

@@ -2,8 +2,9 @@
 
 A frame is ``@<session>,<seq>,<WORD>[,args]*<CRC>\\n``. The CRC is CRC-16/CCITT-FALSE (polynomial
 0x1021, start 0xFFFF, no reflection) over everything between ``@`` and ``*``, as four upper-case hex
-digits. Requests contain a command word and replies a result word; no word is both, so an echoing
-line is not mistaken for the device. An ``@`` always begins a frame, and a newline ends it.
+digits. The WORD of a request is a command, that of a reply is a result. No word is both, so a
+request that the line echoes is not mistaken for a reply. An ``@`` always begins a frame, and a
+newline ends it.
 
 Arguments of a reply: state, shot, energy in uJ, interlock closed (0/1), stop latched (0/1), the
 last shot fired since boot (0: none), its measured speed in um/s (0: not measured), boot number, the
@@ -57,7 +58,7 @@ class Command(Enum):
 
 class Result(Enum):
     """Result words of the tapper's replies; all but the first three are refusals. A refused request
-    has no effect, except after LATE, which ends the shot and discharges the tapper."""
+    has no effect, with one exception: LATE ends the shot and discharges the tapper."""
 
     WELCOME = "WELCOME"
     OK = "OK"

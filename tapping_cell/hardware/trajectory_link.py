@@ -11,7 +11,8 @@ from tapping_cell.hardware.joint_trajectory import Course, TrajectoryPoint, brak
 from tapping_cell.hardware.transport import Connection
 
 LONGEST_EXTRAPOLATION = 0.1
-"""Maximum extrapolation beyond the newest joint state of an arm without a known trajectory, s."""
+"""Maximum time, s, by which the motion of an arm without a known trajectory is extrapolated beyond
+its newest joint state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +25,7 @@ class JointSample:
     """Time when the sample was received, s."""
     positions: tuple[float, ...]
     velocities: tuple[float, ...] | None = None
-    """None if the arm's driver does not report velocities."""
+    """Joint speeds, rad/s and m/s; None if the arm's driver does not report them."""
     ahead: float = 0.0
     """Time by which the sample's stamp is ahead of this computer's clock, s."""
     problem: str = ""
@@ -39,8 +40,8 @@ def braking_point(
 ) -> TrajectoryPoint | None:
     """Return the point at which an arm that brakes now comes to rest; None without any sample.
 
-    An arm on its ``course`` is assumed to have followed it since its last joint state. Without a
-    course, the last speed is extrapolated for up to ``LONGEST_EXTRAPOLATION``.
+    If the last joint state lies on ``course``, the arm is assumed to have followed it since then.
+    Otherwise the last speed is extrapolated for up to ``LONGEST_EXTRAPOLATION``.
     """
     if not samples:
         return None
@@ -89,7 +90,7 @@ class TrajectoryLink(Connection, Protocol):
     """Connection to a trajectory controller. ``open`` waits until the controller accepts
     trajectories.
 
-    ``stop`` ignores its bytes and brakes the arm.
+    ``stop`` brakes the arm and ignores the bytes that are passed to it.
     """
 
     @property
@@ -102,8 +103,8 @@ class TrajectoryLink(Connection, Protocol):
 
     @property
     def other_names(self) -> Sequence[str]:
-        """Joint names in the last message that lacked some of the arm's joints; empty if there was
-        none."""
+        """Joint names in the last message in which some of the arm's joints were missing; empty if
+        there was no such message."""
 
     @property
     def other_commanders(self) -> Sequence[str]:

@@ -1,4 +1,4 @@
-"""Interface of the line to a device, which is also the drivers' only source of time."""
+"""Interface of the connection to a device. The connection is also the drivers' only clock."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ class Connection(Protocol):
         """Close; never raises."""
 
     def stop(self, data: bytes) -> bool:
-        """Latch the stop and send ``data`` ahead of any waiting data; from any thread.
+        """Latch the stop and send ``data`` ahead of any waiting data. May be called from any
+        thread.
 
         Returns whether the stop was sent. Until ``release``, every call that waits or sends raises
         STOPPED.

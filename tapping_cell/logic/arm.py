@@ -1,8 +1,8 @@
 """State machine of the arm: it homes the arm before any motion, and keeps it still while a shot may
 be fired.
 
-The arm reports that it is in position only after it has read back its joints. Before the tapper
-fires, it calls ``hold_still``. By granting this request, the arm promises to begin no motion for
+The arm reports that it is in position only after it has read back its joints. The tapper calls
+``hold_still`` before it fires. By granting this request, the arm promises to begin no motion for
 the requested time. docs/safety.md shows why no shot is then fired while the arm moves.
 """
 
@@ -59,12 +59,14 @@ READ_PERIOD_S = 0.05
 FRESH_READING_S = 0.25
 """Maximum age of the last read-back for the arm to grant a promise to stand still."""
 SHORT_REST_S = 0.05
-"""Remaining time of a promise at which the arm begins to prepare its next move."""
+"""Time before the end of a promise to stand still at which the arm begins to prepare its next move,
+s."""
 DISCHARGED_S = 0.7
 """Time within which the board discharges automatically after the last report of a charged striker:
 0.5 s without a request, plus the return of the drive."""
 LONGEST_WAIT_S = 3.0
-"""Maximum time that the arm waits, after a tap is over, for the striker to be discharged."""
+"""Maximum time for which the arm waits after the end of a tap until the striker is discharged,
+s."""
 CHARGED = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 SET_UP_SPEED = 0.25
 """Fraction of the ordinary speed in set-up mode."""
@@ -339,8 +341,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         return tap_commands.refusal(command, now, self._last_tap_id)
 
     def _refuse(self, code: int, sentence: str) -> None:
-        """Report why a command is refused; an idle arm repeats the reason until the next
-        command."""
+        """Report why a command is refused. If the arm is idle, its state contains the reason until
+        the next command."""
         if self.state is S.IDLE:
             self._set_error(code, sentence)
         else:
@@ -421,8 +423,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         requester = request.tap_id, request.key
         is_shorter = 0 <= request.duration < self._promised_for
         if request.key and requester == self._promised_to and is_shorter:
-            # Only the tapper knows the key. The tapper ends the promise when its striker was fired
-            # or discharged.
+            # Only the tapper knows the key, and it ends the promise only after its striker was
+            # fired or discharged.
             self._released_tap, self._charged_until = request.tap_id, -math.inf
             stands = end <= self._promise_end
             self._promise_end = min(self._promise_end, end)
@@ -438,7 +440,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             code, sentence = error
             return HoldStill.Response(error_code=code, error_msg=sentence)
         if now.steady < self._promise_end and requester != self._promised_to:
-            # The promise for another request is still valid, so no request may end it early.
+            # The promise to another requester is still valid. No requester is recorded, so that
+            # nobody can end it early.
             requester = NO_REQUESTER
         self._promised_to, self._promised_for = requester, request.duration
         # The promise begins when the request is handled, which is later than when it was sent.
@@ -446,7 +449,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return HoldStill.Response(granted=True, duration=request.duration)
 
     def _unsteady(self, request: HoldStill.Request, now: Now) -> CodedError | None:
-        """Return why the arm does not promise to stand still, or None if it does."""
+        """Return why the arm refuses to promise to stand still, or None if it does not refuse."""
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
@@ -474,7 +477,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _on_tapper_state(self, message: TapperState, now: Now) -> None:
         ours = message.tap_id == self._last_tap_id and message.tap_id != self._released_tap
         if ours and message.state in CHARGED:
-            # Any program can publish that the striker is not charged, so such a report is ignored.
+            # Only reports that the striker is charged are used: any program could publish that it
+            # is not charged.
             self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
         if (
@@ -501,7 +505,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _leave_when_free(self, now: Now) -> None:
         if self.state is not S.LEAVING or self._job is not None:
             return
-        # The arm does not move a charged striker. The tapper's reports can only lengthen the wait.
+        # While the striker is charged, the arm waits, but not longer than LONGEST_WAIT_S. The
+        # tapper's reports can only lengthen this wait.
         if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
         # The job may start shortly before the promise ends: it reads the joints, then waits for the
@@ -550,8 +555,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is S.INACTIVE and fault.reason not in LOST:
             return
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
-            # No motion command was sent, so the arm has not moved. An operator need not clear a
-            # fault.
+            # No motion command was sent, so the arm has not moved and there is no fault to clear.
             self._set_error(of_arm(fault), fault.sentence)
             self._give_up(now)
             return
@@ -574,7 +578,8 @@ class ArmLogic(DeviceLogic[State, Event]):
             self._check_place(result)
 
     def _check_place(self, reading: Reading) -> None:
-        """Check that the arm stays where it was placed; a single garbled report is ignored."""
+        """Check that the arm stays where it was placed. A single deviating reading is ignored,
+        because it may be garbled."""
         arm = self._cell.arm
         angle, quill = 2 * arm.tolerance_angle, 2 * arm.tolerance_quill
         limits = (angle, angle, quill, angle)
@@ -610,8 +615,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._cell = event.cell
         self._geometry = event.cell.arm.geometry()
         self._longest_hold = permit.longest_hold(event.cell)
-        # Before a restart, this node may have granted a promise to stand still, possibly for a
-        # tapper of another cell file.
+        # Before a restart, this node may have granted a promise to stand still, possibly to a
+        # tapper of another cell file. Assume that the longest possible promise was granted.
         self._promise_end = max(self._promise_end, now.steady + permit.LONGEST_HOLD_S)
 
     def _closed(self) -> None:

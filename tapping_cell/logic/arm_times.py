@@ -73,8 +73,8 @@ class ArmTimes:
         return self._tip(self._motion.park)
 
     def tap(self, tip: Array, before: Pose, strike: Strike) -> tuple[float, Array]:
-        """Return the duration of a tap in s and the tip's pose (4,) after it. ``tip``: pose (4,)
-        before it.
+        """Return the duration of a tap in s and the tip's pose (4,) after it. ``tip``: the tip's
+        pose (4,) before the tap.
 
         ``before``: pose of the object for which the tap was planned.
         """

@@ -144,9 +144,9 @@ class ArrangementTask(Task):
     def observed(self, monitor: CellMonitor, after: float, frames: int, now: Now) -> bool:
         """Return whether every object was seen at rest after the steady time ``after``.
 
-        If every object was seen, the monitor then watches the present object, otherwise the first
-        object not yet seen. An object that must not be moved is left out if it is not on the table
-        when the task begins.
+        If every object was seen, the monitor watches the present object after this call; otherwise
+        it watches the first object that was not seen. An object that must not be moved is left out
+        if it is not on the table when the task begins.
         """
         found = {}
         for body in self._bodies():
@@ -365,7 +365,7 @@ class ArrangementTask(Task):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class AmongOthersTask(ArrangementTask):
-    """Goal of an object other than the cell's own: an arrangement that moves only this object."""
+    """Task of moving one object other than the cell's own, as an arrangement that moves only it."""
 
     resumable: ClassVar[bool] = True
 

@@ -15,9 +15,10 @@ CodedError = tuple[int, str]
 """Error code and message."""
 
 QUICKEST_IMAGE_S = 0.05
-"""Maximum time by which the estimated capture time of an image can be too late, s. The minimum
-delay of the camera's messages, beyond that of the messages of arm and tapper, cannot be
-distinguished from a difference of the clocks."""
+"""Assumed maximum time, s, by which the estimated capture time of an image is too late. The
+smallest delay of the camera's messages cannot be distinguished from a difference of the clocks.
+Only the part of it that exceeds the smallest delay of the messages of arm and tapper causes an
+error."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 DOING = {
     ArmState.HOMING: "homing",
@@ -223,8 +224,8 @@ class CellMonitor:
         )
 
     def withdrawn(self, now: Now) -> bool:
-        """Return whether the camera has a free view past the arm, no tapper is charged, and every
-        striker at a fixed mount is retracted."""
+        """Return whether the arm does not restrict the camera's view, no tapper is charged, and
+        every striker at a fixed mount is retracted."""
         arm = self.arm
         free = not self.has_arm or (
             arm is not None and arm.state == ArmState.IDLE and arm.clear_of_camera

@@ -1,8 +1,8 @@
 """Validity of a person's confirmation of a planned tap.
 
 If a confirmed tap is not fired because a message or image came too late, the tap is planned again.
-The confirmation is valid for the new plan if the planned tap is nearly the same. Otherwise, a new
-confirmation is requested, and the request states the differences.
+The confirmation remains valid if the new tap is nearly the same as the confirmed one. Otherwise, a
+new confirmation is requested, and the request states the difference.
 """
 
 from __future__ import annotations

@@ -59,8 +59,8 @@ Event = TypeVar("Event", bound=Enum)
 
 
 def patience_after(patience: float, fault: HardwareFault | None) -> float:
-    """Return the timeout in s of the next ``connect``; the last one had the timeout ``patience``
-    and ended with ``fault``."""
+    """Return the timeout in s of the next ``connect``. ``patience``: timeout of the last
+    ``connect``; ``fault``: its fault, None if it succeeded."""
     if fault is not None and fault.reason in MUTE:
         return min(2 * patience, LONGEST_TIMEOUT_S)
     return FIRST_TIMEOUT_S
@@ -69,9 +69,9 @@ def patience_after(patience: float, fault: HardwareFault | None) -> float:
 class DeviceLogic(ABC, Generic[State, Event]):
     """Common part of the state machines of the devices.
 
-    One job at a time executes a command. A job that reads the device's state may be queued as well;
-    its result is used only if no other job was started since. If a stop, a fault or a new
-    connection occurs during a job, the end of this job does not change the state.
+    One job at a time executes a command. A job that only reads the device's state may be queued as
+    well; its result is discarded if a command's job was started in the meantime. If a stop, a fault
+    or a new connection occurs during a job, the end of this job does not change the state.
     """
 
     stop_error: CodedError

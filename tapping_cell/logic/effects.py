@@ -91,11 +91,11 @@ class Publish:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """Call a service. ``on_answer(token, response)`` follows once, with None after ``timeout``.
+    """Call a service. ``on_answer(token, response)`` is then called once; the response is None
+    after ``timeout``.
 
-    If several nodes offer the service, it is not called, and the answer is SeveralServers.
-    Otherwise each node would handle the request, and the first answer might come from the wrong
-    node.
+    If several nodes offer the service, it is not called, and the answer is SeveralServers: each of
+    these nodes would handle the request, and the first answer might come from the wrong one.
     """
 
     service: str
@@ -116,8 +116,8 @@ class SeveralServers:
 class AskStops:
     """Query the present level of every publisher of ``emergency_stop``.
 
-    ``on_answer(token, StopLevels)`` follows once. The host creates a new subscription for this
-    query, because messages of an existing subscription do not identify their publisher.
+    ``on_answer(token, StopLevels)`` is then called once. The host creates a new subscription for
+    this query, because messages of an existing subscription do not identify their publisher.
     """
 
     token: Token
@@ -132,8 +132,8 @@ class StopLevels:
     publishers: tuple[str, ...]
     """Names of the nodes that publish ``emergency_stop`` at present."""
     gone: tuple[str, ...]
-    """Nodes whose publisher no longer exists but existed when a stop was received after the last
-    ``KeepStop(None)``."""
+    """Nodes whose publisher existed when a stop was received, but no longer exists. Only stops
+    after the last ``KeepStop(None)`` count."""
     silent: tuple[str, ...] = ()
     """If there are several publishers: nodes whose publisher does not resend its level to a new
     subscription."""
@@ -164,7 +164,8 @@ class RunJob:
 
 @dataclass(frozen=True, slots=True)
 class AbandonJob:
-    """Set the flag that the job checks between its steps; a JobEnded event still follows."""
+    """Request that the job ends after its current step (see ``JobContext.abandoned``). A JobEnded
+    event still follows."""
 
     job: int
 

@@ -1,8 +1,9 @@
 """The enabling device of set-up mode: the page's key or the foot switch at the tapper's board.
 
-While one of them is held, the arm may move slowly, and the tapper may charge and fire weakly. Each
-device repeats its message while it is held. When the messages end (key released, page without
-focus, lost connection, hung process), the motion ends (ISO 10218-1, 5.8.3; ISO 12100, 6.2.11.9).
+While one of them is held, the arm may move slowly, and the tapper may charge and fire with little
+energy. Each device repeats its message while it is held. When the messages end (key released, page
+without focus, lost connection, hung process), the motion ends (ISO 10218-1, 5.8.3; ISO 12100,
+6.2.11.9).
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ TOPIC = "enabling"
 SOURCE = "enabling device released"
 """Source in ``stop_state`` of a stop by the enabling device."""
 HEARTBEAT_S = 0.35
-"""Time without a message that a key or switch is held after which the device counts as released."""
+"""Message timeout of the enabling device, s: if no message reports for this time that it is held,
+it counts as released."""
 RELEASED: CodedError = (
     ErrorCode.ENABLING_RELEASED,
     "set-up mode: no enabling device is held; hold the page's key or the foot switch",

@@ -59,8 +59,8 @@ class GoalWatch:
         """Return how the goal has ended if no action result will follow, or None while a result may
         still arrive.
 
-        ``plan``: last report, received at ``received_at``; ``pose``: its goal. ``planners``:
-        present publishers of ``plan_state``.
+        ``plan``: last report, received at ``received_at``; ``pose``: goal in this report.
+        ``planners``: present publishers of ``plan_state``.
         """
         self._received = max(self._received, received_at)
         silent = now - self._received > SILENCE_S

@@ -94,8 +94,9 @@ class OtherObjects:
         return self._searched_at > since
 
     def areas(self, now: Now) -> tuple[KeepOut | None, ...]:
-        """Return the areas that the objects cover: one per object file, in their order, with None
-        for an object that is not on the table; then those of the objects without a file."""
+        """Return the areas that the objects cover. First come the objects with an object file, in
+        the order of the files, with None for an object that is not on the table; then the objects
+        without a file."""
         return (*(self._area(file, now) for file in self._files), *self._unknown)
 
     def moved_since(self, areas: Sequence[KeepOut | None], now: Now) -> bool:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
-"""Share of the promised time for the requests to arm and board, the firing window and the firing
-pulse."""
+"""Part of the promised time that is reserved for the requests to arm and board, the firing window
+and the firing pulse."""
 RELEASE_S = 0.1
 """Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives: for the
 request to the board, the firing window and the firing pulse."""

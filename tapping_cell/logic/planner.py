@@ -80,8 +80,8 @@ WITHDRAWN_BY_ANOTHER = (
 )
 """Error to report if a tap was not fired although the tapper reports no error."""
 HIDDEN_S = 0.7
-"""If the object is not seen for this time after the withdrawal, the arm may be hiding it and
-therefore moves aside."""
+"""If the object is not seen for this time after the withdrawal, s, the arm moves aside, because it
+may hide the object."""
 PARKING_S = 0.5
 """Time within which an arm that was commanded to move aside reports that it moves."""
 REPORT_PERIOD_S = 0.5
@@ -572,7 +572,8 @@ class PlannerLogic:
                 self._fail(*self._monitor.blind(deadline, needed, now, self._view_cleared), now)
             return
         if not task.ready:
-            # Only the goal's time limit can end this wait.
+            # A solver still computes the solution for this goal, so postpone the deadline of the
+            # observation. The goal's time limit still applies.
             self._deadline = now.steady + self._settings.observe_deadline
             return
         # While the arm may hide a part of the table, the camera does not search for unknown
@@ -603,7 +604,7 @@ class PlannerLogic:
 
     def _moved_by_tap(self, now: Now) -> bool:
         """Return whether the object has moved since a fixed tapper struck it and is at rest again.
-        If so, images taken before the striker's return already show the result of the tap."""
+        If so, images show the result of the tap even before the striker has returned."""
         return self._monitor.at_rest_after(self._struck_at, now)
 
     def _wait_for_computation(self, task: Task, now: Now) -> None:
@@ -626,7 +627,8 @@ class PlannerLogic:
             self._keep_observing(now)
             return
         if isinstance(decision, Refusal):
-            # If the observation is too uncertain, every further image improves it.
+            # If only the observation is too uncertain, continue it, because every further image
+            # improves it.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late(now):
                 self._fail(REFUSALS[decision.reason], decision.sentence, now)
             else:

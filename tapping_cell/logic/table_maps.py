@@ -12,7 +12,7 @@ from tapping_cell.planning import FreeSpace, KeepOut, StrikeSpace, cautious
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableMap:
-    """Possible taps among given obstacles, for goals and for single taps (``experiments``)."""
+    """Possible taps among given obstacles: ``space`` for goals, ``experiments`` for single taps."""
 
     space: StrikeSpace
     experiments: StrikeSpace

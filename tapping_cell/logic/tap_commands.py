@@ -16,8 +16,9 @@ CLOCK_TOLERANCE_S = 1.0
 """Maximum time by which a stamp may lie in the future, because the computers' clocks differ
 slightly."""
 LARGEST_JUMP = 2**28
-"""Maximum difference by which a tap id may exceed both the last id and the clock's time in whole
-seconds (8 years). A much greater id would leave no ids for the following taps."""
+"""Maximum difference between a tap id and the greater of two numbers: the last id, and the clock's
+time in whole seconds. It corresponds to 8 years. A much greater id would leave no ids for the
+following taps."""
 
 CodedError = tuple[int, str]
 """Error code and message."""

@@ -162,8 +162,8 @@ def random_key() -> int:
 class TapperOptions:
     """Parameters of the node that the machine needs.
 
-    ``draw_key`` returns a random number above 0. With this number as a key, only this tapper can
-    end the arm's promise to stand still early.
+    ``draw_key`` returns a random number above 0. The tapper sends it to the arm as a key, so that
+    only this tapper can end the arm's promise to stand still early.
     """
 
     state_rate: float = 20.0
@@ -232,8 +232,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._draw_key = options.draw_key
         self._last_tap_id = 0
         self._used = 0
-        """Greatest shot number for which the board has charged, even before this node was
-        started."""
+        """Greatest shot number for which the board has charged, including charges before this node
+        was started."""
         self._fixed = False
         self._reported = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
@@ -390,8 +390,9 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _refuse(self, command: TapCommand, refusal: CodedError, now: Now) -> None:
         code, sentence = refusal
         self._log(LogLevel.ERROR, f"tap {command.tap_id} refused: {sentence}")
-        # While another tap is under way, the published state refers only to that tap. An id above
-        # the largest valid id must not become the last id.
+        # While another tap is under way, the published state refers only to that tap, so the
+        # refused tap is not recorded. An id above the largest valid id is not recorded either,
+        # because it would become the last id.
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
         if new and self.state not in SERVING:
             self._last_tap_id = command.tap_id
@@ -622,7 +623,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self.patience = patience_after(self.patience, fault)
         if name == "prove" and fault.reason is FaultReason.INTERLOCK:
             return  # the guard was opened; the mounts are checked again when it is closed
-        # A job raises a fault only if it occurred before FIRE was sent.
+        # A job raises only faults that occurred before FIRE was sent, so the tap was not fired.
         if fault.reason in OF_THE_TAP and self.state in (S.CHARGING, S.CHARGED, S.FIRING):
             self._log(LogLevel.ERROR, fault.sentence)
             self._discharge((of_tapper(fault), fault.sentence))
@@ -636,8 +637,8 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._tap = None
             self._reported.outcome = TapperState.NOT_FIRED
         if name == "connect" and fault.reason is FaultReason.UNKNOWN_FIRMWARE:
-            # A board that is silent only for a short time causes the same fault, so connecting is
-            # tried again.
+            # Not only another firmware but also a board that is silent for a short time causes this
+            # fault, so connecting is tried again.
             self._fail_to(S.DISCONNECTED)
             self._set_error(of_tapper(fault), fault.sentence)
             return

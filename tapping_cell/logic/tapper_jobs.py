@@ -27,7 +27,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class ChargeEnd:
-    """End of charging: charged, or discharged because of ``refusal``."""
+    """Result of charging: the tapper is charged, or it was discharged because of ``refusal``."""
 
     status: Status
     charged: bool
@@ -36,7 +36,7 @@ class ChargeEnd:
 
 @dataclass(frozen=True, slots=True)
 class FireEnd:
-    """End of a shot, and the board's status afterwards."""
+    """Result of a shot, and the board's status afterwards."""
 
     shot: int
     outcome: FireOutcome

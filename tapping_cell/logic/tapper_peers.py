@@ -64,9 +64,10 @@ class PeerLimits:
 class Mounts:
     """State of the strikers as reported by the boards.
 
-    ``proven``: whether each striker has been detected at its mount since the boards' start. A
-    striker that was released was also detected leaving the mount and returning. ``away``: names of
-    the strikers that are not at their mounts. ``fitted``: whether the mounts have switches.
+    ``proven``: whether each striker has been detected at its mount since the boards' start. If a
+    striker was released, it must also have been detected leaving its mount and returning. ``away``:
+    names of the strikers that are not at their mounts. ``fitted``: whether the mounts have
+    switches.
     """
 
     proven: bool = False
@@ -100,9 +101,9 @@ class TapperPeers:
     """Last messages of arm, planner and camera, with their times on this computer's steady clock.
 
     A planner that has sent no message yet does not count as lost, because a program may command
-    single taps without a planner. For the camera, ``PeerLimits.needs_camera`` decides. A peer whose
-    messages end, for example because its process hangs, counts as lost. The age of a message is
-    determined from its stamp.
+    single taps without a planner. ``PeerLimits.needs_camera`` decides whether a camera that has
+    sent no message yet counts as lost. A peer whose messages end, for example because its process
+    hangs, counts as lost. The age of a message is determined from its stamp.
     """
 
     def __init__(self, limits: PeerLimits) -> None:
@@ -181,7 +182,7 @@ class TapperPeers:
     def check_charging(
         self, tap_id: int, planned: Pose, strike: Pose, now: Now
     ) -> CodedError | None:
-        """Return why the tapper must not be charged, or None; see :meth:`check_firing`.
+        """Return why the tapper must not be charged, or None. Arguments as in :meth:`check_firing`.
 
         Charging may begin while the arm lowers the striker. The arm's last read-back must be
         recent, and it must show the tip above the strike pose, so that only a vertical motion

@@ -46,7 +46,8 @@ from tapping_cell.vision import ReferenceMap
 Array = NDArray[np.float64]
 
 MIN_EFFECT = 0.2
-"""A tap that moves the object by less than this fraction of the wanted distance has no effect."""
+"""A tap that moves the object by less than this fraction of the wanted distance counts as having no
+effect."""
 
 
 @dataclass(slots=True, eq=False)
@@ -71,7 +72,8 @@ class Shot:
     """Why a person is asked again although an earlier plan of this tap was confirmed."""
 
     def command(self, now: int, expiry: int, height: float) -> TapCommand:
-        """Return the command of this tap. Times in ns; ``height``: tip above the table, m."""
+        """Return the command of this tap. Times in ns; ``height``: height of the tip above the
+        table, m."""
         plan = self.strike.plan
         command = TapCommand(
             request=TapCommand.TAP,
@@ -92,7 +94,7 @@ class Shot:
         """Return the message that announces this tap.
 
         ``answer_by``: deadline for a person's answer in ns; 0 if no confirmation is needed.
-        ``height``: tip above the table, m.
+        ``height``: height of the tip above the table, m.
         """
         plan = self.strike.plan
         tap = PlannedTap(
@@ -211,8 +213,8 @@ class Task:
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """Decide on the next action from an observation of the object at rest.
 
-        ``frames``: length of a normal observation in frames, or 0 if no time is left for a long
-        observation, which takes ``LONG_OBSERVATION`` times as many.
+        ``frames``: number of frames of a normal observation; a long observation takes
+        ``LONG_OBSERVATION`` times as many. 0 if no time is left for a long observation.
         """
         assert isinstance(self.session, GoalSession)
         self.session.arm = self.arm
@@ -312,8 +314,8 @@ class SingleTapTask(Task):
         )
 
     def decide(self, seen: ObjectState, frames: int) -> Decision:
-        """Return the prescribed tap, limited to the area between the visible reference markers;
-        after this tap, return Done."""
+        """Return the prescribed tap; after this tap, return Done. The tap must keep the object
+        in the area between the visible reference markers."""
         used = set(seen.references_used)
         known = [marker.id in used for marker in self.references.markers]
         decision = self.session.decide(

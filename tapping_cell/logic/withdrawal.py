@@ -38,8 +38,8 @@ OVERSHOOT = 1.3
 PLACES = 6
 """Number of places along the object's path that must be visible."""
 MARKERS_HIDDEN = 3
-"""Maximum number of reference markers that the arm may hide; at least half of the markers stay
-visible."""
+"""Maximum number of reference markers that the arm may hide. If there are few markers, it may hide
+at most half of them."""
 STEPS = np.linspace(-1.0, 1.0, 13)
 """Candidate changes of the shoulder and elbow joints, rad."""
 TURNS = (-1.2, 0.0, 1.2)
@@ -95,9 +95,9 @@ def uncovering(
 ) -> tuple[Waypoint, ...]:
     """Return waypoints to the pose that hides the least of the area that the arm hides now.
 
-    Several poses may hide equally little; the arm then selects the quickest. The park pose is used
-    if no other hides less, if the lens position ``camera`` in ``table`` is not known, or if the arm
-    is not a SCARA.
+    If several poses hide the same amount, the one that the arm reaches first is used. The park pose
+    is used if no other pose hides less than the park pose, if the lens position ``camera`` in
+    ``table`` is not known, or if the arm is not a SCARA.
     """
 
     def choose(geometry: ScaraGeometry, raised: Joints) -> Array | None:

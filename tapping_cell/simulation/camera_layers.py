@@ -104,10 +104,11 @@ def convex_coverage(
     within = (y >= p[0, 1]) & (y <= p[turn, 1])
     left = np.where(within, np.minimum(*ends), 0.0)
     right = np.where(within, np.maximum(*ends), 0.0)
-    # Coverage of a row = area to the left of the right end minus area to the left of the left end.
-    # The area to the left of an end covers all cells before the end and a part of the cell that
-    # contains the end. Each row of `change` contains the changes from cell to cell, summed over the
-    # samples.
+    # In a sample row, the polygon covers the interval from its left end to its right end. Its
+    # coverage is the area left of the right end minus the area left of the left end. The area left
+    # of an end covers all cells before the end and a part of the cell that contains the end.
+    # `change` contains the differences of the coverage between adjacent cells, so that a cumulative
+    # sum yields the coverage.
     change = np.zeros((rows, columns + 2))
     row = np.arange(rows * rows_each) // rows_each
     for end, sign in ((right, 1.0), (left, -1.0)):

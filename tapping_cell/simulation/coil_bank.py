@@ -1,8 +1,8 @@
 """Coils at fixed mounts: the strikers of a board with several channels, and their switches.
 
-The module follows the same rules as ``firmware/tapper/strikers.c``, but is computed from event to
-event. The switch at a mount is closed while its striker is retracted. The caller sets the flight
-time of a striker.
+The model follows the rules of ``firmware/tapper/strikers.c``, but jumps from event to event. The
+switch at a mount is closed while its striker is retracted. The caller sets the flight time of a
+striker.
 """
 
 from __future__ import annotations

@@ -156,8 +156,8 @@ def _nearest_points(p: Array, q: Array) -> tuple[Array, Array]:
 
 
 def _to_edges(points: Array, polygon: Array) -> tuple[Array, Array, float]:
-    """Return the point that is nearest to the polygon's edges, the edge point nearest to it, and
-    their distance."""
+    """Return the one of ``points`` that is nearest to an edge of ``polygon``, the nearest point on
+    this edge, and the distance between the two."""
     edges = np.roll(polygon, -1, axis=0) - polygon
     lengths = np.maximum((edges**2).sum(axis=-1), 1e-18)
     offsets = points[:, None, :] - polygon[None, :, :]

@@ -1,11 +1,11 @@
 """Contact between the striker's ball and the object, integrated in time.
 
-Along the normal, ball and object are connected by a spring. Loading follows F = k d; unloading
-follows the steeper F = (k / e^2) (d - d0). The spring therefore returns the fraction e^2 of the
-work, and e is the restitution at any speed and for any masses (Walton and Braun, Journal of
-Rheology 30, 1986). Along the tangent, the contact sticks or slides according to Coulomb's law; a
-sticking contact may also be compliant (Maw, Barber and Fawcett, Wear 38, 1976). The planner's
-impulse model is not used here.
+Along the normal, ball and object act on each other like a spring with the indentation d. Loading
+follows F = k d; unloading follows the steeper F = (k / e^2) (d - d0), where d0 is the indentation
+that remains. The spring therefore returns the fraction e^2 of the work, and e is the restitution at
+any speed and for any masses (Walton and Braun, Journal of Rheology 30, 1986). Along the tangent,
+the contact sticks or slides according to Coulomb's law; a sticking contact may also be compliant
+(Maw, Barber and Fawcett, Wear 38, 1976). The planner's impulse model is not used here.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ TOUCH_M = 1e-8
 SMALLEST_RESTITUTION = 0.05
 """Lower limit of the restitution; below it the unloading spring would need very short steps."""
 _STEPS = 100
-"""Steps per contact time for an impact, which determines the object's launch."""
+"""Number of time steps per contact time (``ContactLaw.contact_time``) in an impact. It is high,
+because the impact determines the object's launch."""
 _COARSE_STEPS = 10
-"""Steps per contact time if ball and object approach more slowly than ``_SLOW``, as in a push."""
+"""Number of time steps per contact time if ball and object approach more slowly than ``_SLOW``
+(m/s), as in a push."""
 _SLOW = 0.005
 _FRICTION_EVERY = 8
 """Number of steps between updates of the table's friction, which is far weaker than the contact
@@ -56,8 +58,8 @@ class ContactLaw:
 @dataclass(slots=True)
 class Flight:
     """A released striker: centre and velocity of its ball in ``table`` (m, m/s), its axis, and the
-    remaining travel of its stroke (m). ``dent``: residual indentation of the last contact, in m,
-    which the ball has not left yet."""
+    remaining travel of its stroke (m). ``dent``: residual indentation of the last contact, m; 0 as
+    soon as the ball has left it."""
 
     x: float
     y: float
@@ -73,7 +75,8 @@ class Flight:
         return self.vx * self.axis[0] + self.vy * self.axis[1]
 
     def fly(self, time: float) -> None:
-        """Move without contact for ``time`` s, along the axis of the bearing."""
+        """Move without contact for ``time`` s. The bearing guides the striker along its axis, so a
+        sideways velocity is set to zero."""
         speed = self.speed
         self.vx, self.vy = speed * self.axis[0], speed * self.axis[1]
         self.x += time * self.vx

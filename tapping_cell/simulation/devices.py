@@ -77,7 +77,7 @@ class SimulatedDevices:
         """Handle a release: the striker starts at the true pose of the tip."""
         tip, height = self.tip(now)
         # The carriage stops at whole motor steps, so the energy may lie slightly outside the energy
-        # curve.
+        # curve and is limited to it.
         least, most = self._curve.table[0][0], self._curve.table[-1][0]
         speed = self._curve.speed_for(min(max(energy, least), most))
         return self._on_strike(tip, height, speed, now)

@@ -2,7 +2,7 @@
 
 It follows Grbl's documentation and has its own line parser, independent of the driver's codec.
 Real-time bytes take effect immediately, and lines wait for space in the planner. Each move has a
-trapezoidal velocity profile within the rates and accelerations of the axes, and every block ends at
+trapezoidal velocity profile within the rates and accelerations of the axes, and every move ends at
 rest. Unsupported commands are rejected with Grbl's error number, never silently accepted.
 """
 
@@ -100,7 +100,7 @@ class GrblEmulator:
         self._axes.push(joints, now)
 
     def hit_limit(self, now: float) -> None:
-        """Close a limit switch: alarm 1."""
+        """Close a limit switch, which causes alarm 1."""
         self.advance(now)
         self._alarm(1, now)
 
@@ -334,7 +334,7 @@ class GrblEmulator:
         idle = self._shown_state(now) in ("Idle", "Alarm", "Check")
         send = self._output.put
         if text in ("$$", "$I", "$#") and not idle:
-            # While it moves, real firmware answers only status queries and $G.
+            # While the axes move, real firmware answers only status queries and $G.
             raise Refused(8)
         if text == "$$":
             for number, value in sorted(self._listed().items()):
@@ -617,4 +617,5 @@ class GrblEmulator:
 
 
 def _nothing(now: float) -> None:
-    """Placeholder for the action of a waiting line whose end is handled elsewhere."""
+    """Do nothing. A dwell and homing set this as the waiting action, so that later lines wait; they
+    end the wait themselves."""

@@ -45,7 +45,7 @@ class GrblMachine:
     start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
     """Position of the arm at power-on."""
     home_joints: tuple[float, float, float, float] = (0.0, 1.5708, 0.0, 0.0)
-    """Nominal position at the end of homing; ``errors`` determines the true position."""
+    """Nominal position at the end of homing. The true position differs from it by ``errors``."""
     errors: AxisErrors = field(default_factory=AxisErrors)
     settings: dict[int, float] = field(default_factory=default_settings)
     variant: GrblVariant = GRBL

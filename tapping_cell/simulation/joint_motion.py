@@ -104,7 +104,7 @@ class Piece:
     """Unit vector; zeros at rest."""
     profile: Profile
     play: Array
-    """Joint values at the start, after the backlash but without random errors."""
+    """Joint values at the start, with the effect of the backlash but without random errors."""
     noise_before: Array
     noise_after: Array
     length: float
@@ -123,8 +123,8 @@ class Piece:
         return self.drive(motors, backlash) + noise
 
     def drive(self, motors: Array, backlash: Array) -> Array:
-        """Apply the play operator (backlash). The result is exact because no axis reverses within a
-        piece."""
+        """Return the joint values that follow from the motor values with backlash (play operator).
+        The result is exact, because no axis reverses within a piece."""
         return np.asarray(np.clip(self.play, motors - backlash / 2, motors + backlash / 2))
 
 

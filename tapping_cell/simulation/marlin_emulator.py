@@ -190,7 +190,8 @@ class MarlinEmulator:
         self._relative = False
         self._inches = False
         self._feed = 1500.0
-        # The present motor position becomes zero; logical position = native position + shift.
+        # After a restart, the present motor position is zero. Logical position = native position +
+        # shift.
         self._axes.reference = self._axes.motors(now)
         self._commanded = np.zeros(AXES)
         self._shift: Array = np.zeros(AXES)
@@ -340,7 +341,8 @@ class MarlinEmulator:
             self._last_number = int(words.get("N", self._last_number))
         elif code == "M114":
             logical = self._commanded + self._shift
-            # G92 changes Marlin's step counts, because it also sets the stepper position.
+            # The counts include the shift by G92, because Marlin's G92 also sets the stepper
+            # position.
             counts = np.round((self._axes.counted(now) + self._shift) * self._steps).tolist()
             place = " ".join(f"{a}:{v:.2f}" for a, v in zip(letters, logical, strict=True))
             count = " ".join(f"{a}:{int(n)}" for a, n in zip(letters, counts, strict=True))

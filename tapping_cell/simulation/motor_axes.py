@@ -100,8 +100,8 @@ class MotorAxes:
         self._track.freeze(time)
 
     def stop_abruptly(self, time: float) -> bool:
-        """Stop the motors immediately. If they were moving, they coast a little, which the
-        controller does not count, and the function returns True."""
+        """Stop the motors immediately and return whether they were moving. Moving motors coast a
+        little, which the controller does not count."""
         if not self._track.moving(time):
             return False
         self._track.freeze(time)

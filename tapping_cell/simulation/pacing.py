@@ -3,8 +3,8 @@
 A real camera takes images at equal intervals, regardless of the computer's load. While the object
 slides, the time of the simulated world (world time) therefore advances by one camera period per
 image, even if rendering is late. The slide is then played in slow motion, but the images' stamps,
-in world time, are correct. Some time after the slide, the world time catches up with the machine's
-time.
+in world time, are correct. ``STEADY_S`` after the slide, the world time catches up with the
+machine's time.
 """
 
 from __future__ import annotations

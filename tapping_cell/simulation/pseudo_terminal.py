@@ -30,9 +30,9 @@ class PseudoTerminal:
 
     The driver may close and open the path repeatedly. A lock file beside the path shows whether its
     owner is still running. A link left by a crashed process is replaced; the link of a running
-    process never is. The link points to a file descriptor of this process, so it is dangling after
-    a crash. A link to the terminal's own path could instead soon lead to another terminal with the
-    same number. Use it as a context manager, or call ``open`` and ``close``.
+    process never is. The link points to a file descriptor of this process in ``/proc``, so it is
+    dangling after a crash. A link to the path of the terminal would soon lead to another terminal
+    that was given the same number. Use it as a context manager, or call ``open`` and ``close``.
 
     ``clock`` returns the emulator's time in s and runs ``time_scale`` times as fast as real time.
     ``reset_on_open``: opening the port restarts the board, as the DTR line does on many boards.
@@ -157,7 +157,7 @@ class PseudoTerminal:
                 ) from error
             try:
                 # The previous owner may have removed the lock file after it was opened and before
-                # it was locked here.
+                # it was locked here. The lock is then useless, so try again.
                 current = os.stat(self._guard_path).st_ino == os.fstat(guard).st_ino
             except FileNotFoundError:
                 current = False

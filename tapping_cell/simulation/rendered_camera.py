@@ -135,8 +135,8 @@ class SceneRenderer:
         grain, field, state = _random_fields(seed, camera.height, camera.width)
         self._random = np.random.default_rng()
         self._random.bit_generator.state = state
-        # The pixel coverage already averages over the area of a pixel, so this area is removed from
-        # the point spread.
+        # The given blur includes the averaging over a pixel, with a variance of 1/12. The pixel
+        # coverage already contains this averaging, so its variance is subtracted.
         self._point_spread = max(0.1, np.sqrt(max(0.0, self.settings.blur**2 - 1.0 / 12.0)))
         distance = float(pose.position[2])
         pixel = distance / camera.fx
@@ -192,8 +192,8 @@ class SceneRenderer:
                 cv2.fillPoly(clean, [corners], (level,), shift=4)
         if light != 1.0:
             clean = np.asarray(clean * light, dtype=np.int16)
-        # The sum is written to an existing array: allocating one of this size would take as long as
-        # the sum itself.
+        # The sum is written to an existing array, because the allocation of a new one would take as
+        # long as the sum itself.
         noisy = cv2.add(clean, self._noise_field(), dst=self._noisy)
         cv2.threshold(noisy, 0.0, 0.0, cv2.THRESH_TOZERO, dst=noisy)
         return np.asarray(cv2.convertScaleAbs(noisy, alpha=1.0 / _FRACTION), dtype=np.uint8)

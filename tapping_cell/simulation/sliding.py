@@ -26,11 +26,12 @@ LONGEST_STEP_S = 0.005
 PATCH_STEP_M = 0.001
 """Maximum distance per step on a table whose friction depends on the position, m."""
 STOP_SPEED = 0.0002
-"""Speed of the body's rim, m/s, below which the body is stopped; it would slide less than 0.1 um
-further."""
+"""Speed of the body's rim, m/s, below which the body is set to rest, because it would slide less
+than 0.1 um further."""
 _LONGEST_SLIDE_S = 60.0
 _STILL = 1e-9
-"""Speed below which the direction of friction at a point is undefined, m/s."""
+"""Speed of a point, m/s, below which its friction decreases to zero, because its direction is
+undefined."""
 
 
 class Motion(NamedTuple):
@@ -191,7 +192,7 @@ class Slide:
         return motion, elapsed
 
     def _grip_at(self, motion: Motion) -> Array:
-        """Return the grip of every support point, including the friction of the table's patch at
+        """Return the grip of every support point, including the factors of the table's patches at
         the point."""
         if not self._friction.patches:
             return self._grip

@@ -1,8 +1,7 @@
 """The tapper's spring carriage: its counted steps and its true motion.
 
-The model follows the same rules as ``firmware/tapper/drive.c``, but is computed movement by
-movement instead of step by step. Positions are in steps from the point where the front switch
-closes.
+The model follows the rules of ``firmware/tapper/drive.c``, but computes whole movements instead of
+single steps. Positions are in steps from the point where the front switch closes.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from enum import Enum
 LEAVE_STEPS = 400
 """Maximum number of steps to move off a closed front switch before homing fails."""
 HYSTERESIS_LIMIT = 50
-"""Step count from which the front switch must be open when charging."""
+"""Step count at and above which the front switch must be open when charging."""
 SLACK = 6
 """Maximum difference between the positions at which the switch closes on a return and at homing,
 steps."""
@@ -249,8 +248,8 @@ class SpringDrive:
         return self._closed if self._stuck is None else self._stuck
 
     def _steps_until(self, distance: float) -> float:
-        """Return the motor steps until the switch changes; the carriage must move by ``distance``
-        steps. Inf if it never changes."""
+        """Return the number of motor steps until the switch changes; inf if it never changes.
+        ``distance``: steps that the carriage must move until then."""
         if not self._powered or self._stuck is not None:
             return math.inf
         return self._lose + max(0.0, math.ceil(distance))

@@ -19,8 +19,8 @@ from tapping_cell.simulation.truth import SupportTruth
 Array = NDArray[np.float64]
 
 _RINGS, _SPOKES = 8, 32
-"""Numbers of rings and spokes that sample a disk. With these 256 points, a slide is within 0.5 % of
-the exact slide."""
+"""Numbers of rings and spokes that sample a disk. With these 256 points, the computed slide differs
+from the exact one by at most 0.5 %."""
 _RIM_POINTS = 180
 _GRID = 20
 """Number of sample points along the longer side of a polygon."""
@@ -56,8 +56,8 @@ def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Ar
 
 
 def balanced(points: Array, shares: Array, centre: Array) -> tuple[Array, Array]:
-    """Return the points that carry weight, and the fraction of the weight at each; the centre of
-    pressure is at ``centre`` (m).
+    """Return the points that carry weight, and the fraction of the weight at each, corrected so
+    that the centre of pressure is at ``centre`` (m).
 
     Raises: ValueError: the points do not surround the centre, so that the object would tip over.
     """
@@ -97,8 +97,8 @@ def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
 
 
 def _rim(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
-    """Return points along the outline; each one's fraction of the weight is proportional to the
-    length that it represents."""
+    """Return points along the outline, and for each point its fraction of the weight, which is
+    proportional to the length of the outline that the point represents."""
     if isinstance(body, Polygon):
         lengths = body.edge_lengths
         points, shares = [], []

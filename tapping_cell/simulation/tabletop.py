@@ -110,7 +110,8 @@ class Tabletop:
         }
         name = min(travels, key=lambda each: travels[each])
         if math.isinf(travels[name]):
-            # The striker hits no object at rest, but a sliding object may still enter its path.
+            # The striker hits no object at its current pose, but a sliding object may still enter
+            # its path.
             moving = [each for each, world in self.worlds.items() if not world.at_rest]
             name = moving[0] if moving else name
         self._tapped = name

@@ -325,8 +325,8 @@ class World:
         )
 
     def _end(self, tap: _Tap, time: float) -> None:
-        """Retract the striker if it has reached the end of its stroke, if its time is over, or if
-        it can no longer meet the object."""
+        """Retract the striker if it has reached the end of its stroke, if the time ``tap.ends`` has
+        come, or if it can no longer meet the object."""
         flight = tap.flight
         over = flight.left <= 0 or flight.speed <= 0 or time >= tap.ends
         if over or (self._after.at_rest and not self._meets(replace(flight))):
