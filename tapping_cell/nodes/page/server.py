@@ -78,8 +78,8 @@ REPORT_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; sandbox"
 )
-"""Content security policy of a report: it is shown unchanged, but its content cannot run scripts
-and has no origin."""
+"""Content security policy of a report. The report is shown unchanged, but it cannot run scripts,
+and browsers treat it as a page of another web site than the operator's page."""
 HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
