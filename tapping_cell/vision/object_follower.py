@@ -71,8 +71,8 @@ class Search:
     first: bool
     """True for the first frame, which may also be the only frame."""
     slow: bool
-    """True if this search may be slow, because there is time to diagnose why the object was not
-    found."""
+    """True if this search may take the time of several frames, so that the follower can also
+    diagnose why the object was not found."""
     expected_ids: Mapping[str, frozenset[int]]
     """Ids of the reference markers, by dictionary."""
 

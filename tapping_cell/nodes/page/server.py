@@ -168,7 +168,8 @@ class PageServer:
         """Send a response in the server's thread. May be called from any thread."""
         self._call(give, answer)
 
-    # Executed in the server's thread; ``_call`` schedules work there from any thread
+    # The methods below run in the server's thread, except ``_call``. Other threads use ``_call`` to
+    # run a function in the server's thread.
 
     def _call(self, function: Callable[..., object], *arguments: object) -> None:
         loop = self._loop

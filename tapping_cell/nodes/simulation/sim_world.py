@@ -141,8 +141,8 @@ class SimWorld(CellNode[Parameters]):
             SceneObject(one.outline, file.seen()) for one, file in zip(others, further, strict=True)
         ]
         renderer = make_renderer(cell, truth.camera, own.outline, settings.seed, shown)
-        # The first image is rendered before the devices exist, because it takes longest and would
-        # delay the emulated boards.
+        # The first image takes much longer to render than the others. It is rendered before the
+        # devices exist, because it would delay the emulated boards.
         renderer.render(list(world.poses.values()))
         self._claim = claim(f"world/{key_of(self)}")
         if self._claim is None:

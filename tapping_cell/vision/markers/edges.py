@@ -73,7 +73,8 @@ class MarkerEdges:
 
 
 def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> MarkerEdges:
-    """Measure the edges of markers near ``quads`` (M, 4, 2), corners accurate to about 3 pixels.
+    """Measure the edges of markers near ``quads`` (M, 4, 2), whose corners must be accurate to
+    about 3 pixels.
 
     ``modules`` (one for all, or (M,)) is the number of modules along a side of the black square.
     The search range is at most one module.
@@ -94,8 +95,8 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
 
 
 def narrowest(quads: Array) -> Array:
-    """Length (M,) of the sides of markers in pixels; in an oblique view, the distance between
-    opposite sides."""
+    """Return the length (M,) of the sides of markers or, in an oblique view, the distance between
+    opposite sides, in pixels."""
     along = quads[:, [1, 2, 3, 0]] - quads
     side = np.sqrt((along**2).sum(axis=2))
     (ax, ay), (bx, by) = (quads[:, 2] - quads[:, 0]).T, (quads[:, 3] - quads[:, 1]).T

@@ -37,7 +37,8 @@ _POSE = slice(11, 14)
 _LAGS = 4
 """Maximum lag, in pixels, of the noise autocorrelation."""
 _MIN_POWER = 0.1
-"""Minimum power of the noise at every spatial frequency, relative to white noise."""
+"""Lower limit of the estimated power of the noise at every spatial frequency, relative to white
+noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. At this distance, the second-order
 error is at most a thousandth of a pixel. The noise of a frame is a fifth of this distance and

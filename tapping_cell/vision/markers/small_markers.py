@@ -20,8 +20,8 @@ from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 
 _QUIET = 0.6
-"""Width of the part of the white margin that is used, in modules. A printed margin may be as narrow
-as one module."""
+"""Width, in modules, of the part of the white margin that is used. It is less than one module,
+because a printed margin may be as narrow as one module."""
 _BLUR, _MIN_BLUR, _MAX_BLUR = 0.7, 0.35, 2.5
 """Sigma of the blur in pixels: initial value and bounds."""
 _ROUNDS = 15
@@ -70,7 +70,8 @@ class PatternFit:
 
 
 def fit_pattern(image: Image, quad: Array, pattern: NDArray[np.bool_]) -> PatternFit | None:
-    """Fit the marker with this pattern near corners ``quad`` (4, 2), accurate to half a module.
+    """Fit the marker with this pattern near the corners ``quad`` (4, 2), which must be accurate to
+    half a module.
 
     Returns None if the pattern does not explain the pixels everywhere, for example because of
     another marker, partial occlusion or motion blur.

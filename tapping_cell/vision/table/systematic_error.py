@@ -45,9 +45,9 @@ _PRINT = np.geomspace(2e-7, 6e-4, 20)
 of the amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if
 the true value is between two of them."""
 _TURNS = (0.1, 0.3, 1.0)
-"""Assumed ratios of two displacements of a marker's corners: that due to the marker's rotation error
-and that due to its position error. The lowest ratio is typical of markers printed on one sheet, the
-highest of markers glued individually."""
+"""Assumed ratios of two displacements of a marker's corners: the one due to its rotation error,
+divided by the one due to its position error. The lowest ratio is typical of markers printed on one
+sheet, the highest of markers glued individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
 """Prior distributions of the amplitude of the lens errors and of that of a marker's misplacement:
 typical value, and standard deviation of its logarithm. They matter if there are only two or three
