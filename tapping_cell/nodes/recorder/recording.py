@@ -167,8 +167,8 @@ class Recording:
         types: MessageTypes,
         arrangement: bool = False,
     ) -> None:
-        """Open a bag for these topics, given by resolved name. ``arrangement``: it is a run of
-        several objects.
+        """Open a bag for these topics, given by resolved name. ``arrangement``: whether the run is
+        an arrangement of objects instead of a single goal.
 
         Raises:
             CannotRecord: the bag cannot be created.

@@ -233,8 +233,8 @@ class SimWorld(CellNode[Parameters]):
             )
             contacts = self._world.take_contacts()
         if taken == now:
-            # The offset is not updated during a slide: a task switch between reading the two clocks
-            # would shift the stamps of the images.
+            # The offset between the two clocks is not updated during a slide, because a task switch
+            # between reading the clocks would shift the stamps of the images.
             self._world_began = Time(nanoseconds=clock - round(1e9 * now))
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)

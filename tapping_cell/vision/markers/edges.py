@@ -325,8 +325,8 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
     slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
     length = samples.half_width + 0.5
-    # ``slope`` is the slope along q, not along the outward direction, whose sign would enter twice
-    # and cancel.
+    # ``slope`` refers to the direction of q, not to the outward direction: the sign of the outward
+    # direction would enter twice and cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 

@@ -54,8 +54,8 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
     grey = cv2.remap(
         image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     ).reshape(4, _ALONG, _ACROSS)
-    # Height of the step at each position: sum of an eighth of the samples, just outside, minus the
-    # sum of as many samples just inside.
+    # The height of the step at a position is the sum of the samples just outside it (an eighth of
+    # all samples) minus the sum of as many samples just inside it.
     sums = np.pad(np.cumsum(grey.astype(float), axis=2), ((0, 0), (0, 0), (1, 0)))
     half, low, high = _ACROSS // 8, _ACROSS // 4, _ACROSS - _ACROSS // 4
     at = np.arange(low, high)

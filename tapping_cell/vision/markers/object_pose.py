@@ -118,8 +118,8 @@ def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
     Each of the four sides has a position and a rotation: eight degrees of freedom. A square
-    determines four of them; the other four reveal glare, sharpening, compression and bent paper. As
-    four values are a small sample, a prior for their usual value is included.
+    determines four of them. The residuals in the other four reveal glare, sharpening, compression
+    and bent paper. As four values are a small sample, a prior for their usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total

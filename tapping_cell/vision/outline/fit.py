@@ -49,7 +49,7 @@ USUAL_BLUR = 0.75
 MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between top and surroundings, and between dot and top."""
 SIZE_SPREAD = 0.004
-"""Standard deviation of an object's size relative to its file."""
+"""Standard deviation of an object's size, relative to the size in its file."""
 _EVEN = 0.02
 """Usual deviation of the position of a single sector from that of the whole rim, in pixels, for an
 object with a sharp, regular rim."""

@@ -54,8 +54,8 @@ _FORM = 0.12
 """Maximum relative deviation (rms) of a blob's shape, which may be due to walls or occlusion."""
 _CANDIDATES = 6
 _NEAR = 30
-"""Maximum error of the best angle due to a wall, in steps of :func:`turn_differences`: 15
-degrees."""
+"""Maximum error of the angle found without considering the wall, in steps of
+:func:`turn_differences`. It corresponds to 15 degrees."""
 _DOUBTFUL = 0.006
 """Relative difference between the fitted size and the size in the file, above which the fit is
 repeated with the size fixed."""
@@ -335,7 +335,7 @@ def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
 
 def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]:
     """Match a rim (N, 2), projected to the plane of the top, with the outline of the top alone, and
-    with the outline of top and wall together."""
+    with the outline of top and wall together. Yield a candidate for each of the two."""
     middle, radii = _middle(rim), _radii(rim)
     model = outline.radii()
     size = float(radii.mean() / model.mean())

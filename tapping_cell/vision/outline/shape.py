@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from tapping_cell.vision.camera import Array
 
 _SAME = 0.03
-"""Difference (rms, relative to the mean radius) below which a rotated outline counts as the same.
-The manufacturing tolerance is a tenth of this value; the remainder allows for hidden parts of the
-rim."""
+"""Difference (rms, relative to the mean radius) between an outline and the rotated outline, below
+which the outline counts as symmetric under this rotation. The manufacturing tolerance is a tenth of
+this value. The remainder allows for hidden parts of the rim."""
 ANGLES = 720
 """Number of angles at which radii of a rim are compared."""
 _MIN_DOT = 0.002

@@ -418,7 +418,7 @@ def _corners(rim: Array, radius: float) -> Array | None:
         if len(side) < 5:
             return None
         middle = side.mean(axis=0)
-        # The normal of a side is the direction of its smallest spread.
+        # The normal of a side is the direction in which its points scatter least.
         _, _, directions = np.linalg.svd(side - middle, full_matrices=False)
         middles.append(middle)
         normals.append(directions[1])
