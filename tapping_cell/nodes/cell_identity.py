@@ -1,8 +1,8 @@
 """Identity of a cell on this machine: its ROS domain and its namespace.
 
 Some resources of a cell are outside ROS: the ports of simulated devices, the stored goal and learnt
-gains. Their names contain the domain and the namespace, and they are in the home folder of the
-user.
+gains. These resources are in the home folder of the user, and their names contain the domain and
+the namespace.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def claim(name: str) -> socket.socket | None:
     process ends. Return None if another process holds the name.
 
     The name is a Linux abstract socket address. It leaves no file behind. It is valid within one
-    network namespace, like the loopback interface through which the nodes of two cells could
-    disturb each other.
+    network namespace of Linux. So is the loopback interface, through which the nodes of two cells
+    could disturb each other.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:

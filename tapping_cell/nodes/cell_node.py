@@ -315,8 +315,8 @@ def choose_transport(pictures: bool) -> None:
 
     Without a shared-memory segment that holds several frames, nearly every image is lost. However,
     the shared-memory files of a killed process remain and disturb the process that replaces it, so
-    only nodes that transport images use shared memory. Fast DDS reads the variable when the first
-    node is created.
+    only nodes that transport images use shared memory. Fast DDS reads the environment variable
+    when the first node is created.
     """
     chosen = os.environ.get(PROFILE_VARIABLE, "")
     if not chosen or Path(chosen).name in PROFILES.values():
@@ -327,8 +327,8 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
     """Run one node until Ctrl-C, a termination signal or a fatal error. Return the exit code."""
     pictures = getattr(make_node, "carries_pictures", True)
     choose_transport(pictures)
-    # The default discovery range of ROS is the local network. A goal from another machine must not
-    # move this arm.
+    # The default discovery range of ROS is the local network, but a goal from another machine must
+    # not move this arm.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if pictures:
         keep_memory()
@@ -352,9 +352,9 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         if refused := security.explain(error):
             print(f"error: {refused}", file=sys.stderr)
             return 1
-        # A signal during a call may invalidate the context, or raise an exception that the called
-        # library reports as its own error. The thread of the signal handler then shuts the context
-        # down.
+        # The error may be due to a signal that arrived during a call: the signal invalidates the
+        # context, or the called library reports the exception raised by it as an error of its own.
+        # The thread of the signal handler then shuts the context down soon, so wait for this.
         deadline = time.monotonic() + SIGNAL_S
         while rclpy.ok():
             if time.monotonic() > deadline:
@@ -363,7 +363,7 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
         return 0
     finally:
         # After Ctrl-C, the terminal and the launcher both send a signal. The first one is
-        # sufficient for an orderly shutdown.
+        # sufficient for an orderly shutdown, so further signals are ignored.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
         if node is not None:

@@ -14,7 +14,8 @@ Respond = Callable[[Any], None]
 
 
 class _Sends(Protocol):
-    """Service whose ``send_response`` receives the callback's result from rclpy's executor."""
+    """Service for which rclpy's executor calls ``send_response`` with the value that the callback
+    has returned."""
 
     send_response: Callable[[Any, Any], None]
 

@@ -23,7 +23,7 @@ class FrameBroadcaster:
     """Publisher of the frames that one node is responsible for."""
 
     def __init__(self, node: Node, *, moving: bool = True) -> None:
-        """``moving``: some frames move, so a publisher on ``/tf`` is created as well."""
+        """``moving``: whether some of the frames move. If not, ``/tf`` gets no publisher."""
         self._node = node
         self._moving = self._fixed = None
         self._fixed_frames: dict[str, TransformStamped] = {}

@@ -143,8 +143,8 @@ class LogicHost(Generic[Machine]):
         self._dispatch(lambda now: self._logic.on_request("cancel", None, token, now))
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """Evaluate a query without side effects on the state machine, never during one of its
-        handlers."""
+        """Evaluate a query on the state machine, never at the same time as one of its handlers. The
+        query must have no side effects."""
         with self._lock:
             return query(self.now())
 
@@ -172,8 +172,8 @@ class LogicHost(Generic[Machine]):
 
     def _perform(self, effect: fx.Effect) -> None:
         if isinstance(effect, fx.Publish):
-            # At shutdown the state machine still publishes its last state, although the context may
-            # be invalid.
+            # At shutdown the state machine still publishes its last state. This is not possible if
+            # the context is already invalid.
             if self._node.context.ok():
                 self._publishers[effect.topic].publish(to_ros(effect.message))
                 if effect.topic in self._observers:
@@ -196,8 +196,8 @@ class LogicHost(Generic[Machine]):
             self._feedback[effect.token](effect.message)
         elif isinstance(effect, fx.Log):
             log = self._node.get_logger()
-            # One call per level is needed: rclpy does not allow the level of a logging call to
-            # change.
+            # Each level needs a logging call of its own, because rclpy raises an exception if the
+            # same call is executed with another level.
             if effect.level is fx.LogLevel.ERROR:
                 log.error(effect.sentence)
             elif effect.level is fx.LogLevel.WARNING:

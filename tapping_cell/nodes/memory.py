@@ -8,14 +8,14 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Parameters of mallopt(3): M_TRIM_THRESHOLD and M_MMAP_THRESHOLD from glibc's malloc.h."""
 _KEPT = 64 * 1024 * 1024
 _LARGEST = 32 * 1024 * 1024
-"""Trim threshold (free memory to keep) and mmap threshold (the maximum that glibc accepts), in
-bytes."""
+"""``_KEPT`` is the trim threshold (free memory to keep) and ``_LARGEST`` the mmap threshold (the
+maximum that glibc accepts), both in bytes."""
 
 
 def keep_memory() -> None:
     """Keep up to 64 MB of freed memory in the process. Call once at the start of the process.
 
-    Otherwise, glibc returns an image's memory to the kernel as soon as it is freed. Each new image
+    By default, glibc returns an image's memory to the kernel as soon as it is freed. Each new image
     then needs about a thousand newly zeroed pages, which is half the cost of receiving it. The
     function does nothing with another C library.
     """

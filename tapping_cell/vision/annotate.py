@@ -62,8 +62,8 @@ def annotate(
 
 
 def _state(observation: Observation) -> tuple[str, Colour]:
-    """Label and colour of the object's state. A single frame does not show whether the object
-    moves."""
+    """Return label and colour of the object's state. The label is FOUND after a single frame, which
+    does not show whether the object moves."""
     if observation.at_rest:
         return f"AT REST   {observation.frames_fused} frames", GREEN
     if observation.velocity is not None and not observation.velocity.any():

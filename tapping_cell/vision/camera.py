@@ -170,7 +170,8 @@ class CameraModel:
         return found.reshape(p.shape)
 
     def _missed(self, rays: Array, pixels: Array) -> NDArray[np.bool_]:
-        """Return which rays (N, 2) do not project to their pixels (N, 2)."""
+        """Return for each of the rays (N, 2) whether its projection differs from its pixel
+        (N, 2)."""
         homogeneous = np.column_stack([rays, np.ones(len(rays))])
         with np.errstate(invalid="ignore", over="ignore"):
             error = np.abs(self.project(homogeneous) - pixels).max(axis=1)
@@ -180,8 +181,9 @@ class CameraModel:
         """Solve for rays (N, 2) by Newton's method from the undistorted pixels; NaN if it fails.
 
         With barrel distortion, the image radius grows less than linearly, so every step stops short
-        of the solution and the next step continues from there. If a step passes the fold of the
-        lens model, the iteration cannot return.
+        of the solution and the next step continues from there. Beyond a certain radius, the lens
+        model folds back: the image radius decreases again. A ray that a step moves beyond this
+        radius becomes NaN, because the iteration cannot return from there.
         """
         rays = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
         zero = np.zeros(3)
@@ -298,12 +300,13 @@ class View:
         return self.camera.project(self.pose.apply(p))
 
     def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> Array:
-        """Intersect the rays of pixels (..., 2) with the plane at ``height`` (m); points (...,
-        2)."""
+        """Return the points (..., 2), in m, at which the rays of pixels (..., 2) intersect the
+        plane at ``height`` (m)."""
         return self.rays_on_plane(self.camera.rays(pixels), height)
 
     def rays_on_plane(self, rays: ArrayLike, height: float = 0.0) -> Array:
-        """Intersect directions (..., 2) with the plane at ``height`` (m): points (..., 2) in m."""
+        """Return the points (..., 2), in m, at which rays with the directions (..., 2) intersect
+        the plane at ``height`` (m)."""
         r = np.asarray(rays, dtype=float)
         inverse = np.linalg.inv(self.pose.plane(height))
         # Component by component: numpy multiplies large stacks of tiny matrices slowly.

@@ -12,7 +12,8 @@ from tapping_cell.vision.camera import CameraModel, Image
 from tapping_cell.vision.observation import Problem
 
 _REPEATED = 4
-"""Number of recent frames that an image must differ from; cameras usually have as many buffers."""
+"""Number of recent frames from which an image must differ. A camera that repeats frames usually has
+this many buffers."""
 _GLOW = 12.0
 """Maximum excess over ``dark``, in grey levels, that noise and the camera's lamps cause in the
 dark."""

@@ -62,8 +62,8 @@ def shadows(
 def _projected(lens: Array, places: Array, height: Array) -> tuple[Array, Array]:
     """Project places (N, 3) from the lens to the planes at the heights (M,).
 
-    Returns points (N, M, 2) and magnification (N, M). A place above the lens hides nothing below
-    it. A place at the height of the lens hides everything.
+    Returns points (N, M, 2) and magnification (N, M). A place that is less than 1 mm below the
+    lens, or above it, is projected as if it were 1 mm below the lens.
     """
     below = np.maximum(lens[2] - places[:, None, 2], 1e-3)
     scale = (lens[2] - height[None, :]) / below

@@ -9,11 +9,13 @@ from tapping_cell.se2 import wrap_angle
 from tapping_cell.vision.camera import Array
 
 _HUBER = 3.0
-"""Mahalanobis distance beyond which a frame gets less weight (3 dof: 2.9 % of inlier frames)."""
+"""Mahalanobis distance beyond which a frame gets less weight. With 3 degrees of freedom, 2.9 % of
+the inlier frames exceed it."""
 
 
 def fuse(poses: ArrayLike, covariances: ArrayLike) -> tuple[Array, Array]:
-    """Robust mean (3,) of poses (N, 3) in m, m, rad with covariances (N, 3, 3), and its covariance.
+    """Return the robust mean (3,) of poses (N, 3; m, m, rad) with covariances (N, 3, 3), and the
+    covariance (3, 3) of this mean.
 
     Uses Huber's weights on the Mahalanobis distance, starting from the median. The errors of the
     poses are assumed to be independent.

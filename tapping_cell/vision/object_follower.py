@@ -71,8 +71,8 @@ class Search:
     first: bool
     """True for the first frame, which may also be the only frame."""
     slow: bool
-    """True if this search may be slow, because there is time to diagnose why the object was not
-    found."""
+    """True if this search may take the time of several frames, so that the follower can also
+    diagnose why the object was not found."""
     expected_ids: Mapping[str, frozenset[int]]
     """Ids of the reference markers, by dictionary."""
 
@@ -184,8 +184,11 @@ class ObjectFollower(ABC):
         self._last = None
 
     def stop(self, stamp: float, pose: Array | None = None) -> None:
-        """Set the velocity to zero; the object is expected at ``pose`` or, if None, at its last
-        pose."""
+        """Set the velocity to zero and expect the object at ``pose``.
+
+        If ``pose`` is None, the object is expected at its last pose, but the velocity is kept until
+        ``_UNSEEN`` s after the last measurement.
+        """
         if pose is not None:
             self._last = (stamp, pose, np.zeros(3))
         elif self._last is not None and stamp - self._last[0] > _UNSEEN:
@@ -231,8 +234,8 @@ class ObjectFollower(ABC):
         return moved
 
     def _calibration(self, table: TableTracker, pose: Array, again: float) -> tuple[Array, Array]:
-        """Expected error (3,) common to all frames, due to table and lens, and its covariance (3,
-        3)."""
+        """Return the expected error (3,) that is common to all frames and due to table and lens,
+        and the covariance (3, 3) of this error."""
         key = table.field_number
         known = self._judged
         if known is None or known[0] != key or np.abs(known[1] - pose)[:2].max() > again:

@@ -44,7 +44,7 @@ class RoundRobin:
         chosen = set(always)
         if self._measured_at:
             number = min(range(len(self._measured_at)), key=lambda each: self._measured_at[each])
-            # Also measure if the stamp goes backwards, because the tracker reports such a frame.
+            # Also measure if the stamp goes backwards, so that the tracker reports the reason.
             if not 0.0 <= stamp - self._measured_at[number] < PERIOD:
                 chosen.add(number)
         for number in chosen:

@@ -17,12 +17,12 @@ from tapping_cell.vision.camera import Array
 from tapping_cell.vision.fusion import fuse_information
 
 _BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
-"""Standard deviation of the first pose after a rest, as a fraction of the displacement from the
-rest pose. The second value is the displacement (m) beyond which the standard deviation no longer
-grows.
+"""Error of the first pose after a rest.
 
 If the motion begins within the exposure, the blurred image does not correspond to the middle of the
-exposure. The resulting error is at most the whole displacement.
+exposure. The resulting error is at most the whole displacement from the rest pose. ``_BEGINNING``
+is the standard deviation of this error, as a fraction of the displacement. It no longer grows if
+the displacement exceeds ``_LARGEST_BEGINNING`` (m).
 """
 
 

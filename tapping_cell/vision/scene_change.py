@@ -53,7 +53,8 @@ class SceneChange:
         self._keep(image)
 
     def learn(self, image: Image) -> None:
-        """Add a measured frame of the same scene; its difference from the last one is noise."""
+        """Add a measured frame of the same scene. Its difference from the last frame is used to
+        estimate the noise."""
         for values, difference in zip(self._noise, self._differences(image), strict=True):
             values.append(difference)
         self._limits = [

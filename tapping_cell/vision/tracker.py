@@ -40,7 +40,7 @@ class TrackerSettings:
     marker's apparent and configured side. ``dark`` and ``bright`` are grey levels. ``other_ids``
     are the markers of other objects that use the object's dictionary. Once ``settled_frames`` are
     fused, an unchanged frame is measured only every ``settled_period`` (s) and otherwise gets the
-    last pose; if the period is 0, every frame is measured. Any other object that was found is
+    last pose. If the period is 0, every frame is measured. Any other object that was found is
     measured at least every ``others_period`` (s), and in every frame until ``settled_frames`` are
     fused. ``others_period`` plus the time between frames must be less than ``rest.gap``.
     """
@@ -122,9 +122,9 @@ class PoseTracker:
         """Process one frame as :meth:`update` does, and measure some of the other objects in it.
 
         ``others`` are the indices of these objects, from 0. The result also includes any object
-        that was lost and is found again in this frame, and objects that are due because of the
-        settings. ``every_frame``: measure the frame even if it is unchanged, because a longer
-        observation was requested.
+        that was lost and is found again in this frame, and the objects that must be measured now
+        according to ``others_period``. ``every_frame``: measure the frame even if it is unchanged,
+        because a longer observation was requested.
         """
         refusal = self._gate.refuse(image, stamp)
         if refusal is not None:
@@ -148,8 +148,8 @@ class PoseTracker:
         return [n for n, seen in self._seen.items() if seen.visible and seen.frames_fused < enough]
 
     def _overdue(self, number: int, stamp: float) -> bool:
-        """Return whether it is time to measure another object again; an object that was not found
-        is not due."""
+        """Return whether another object was found and has not been measured for at least
+        ``others_period``."""
         age = stamp - self._others_measured_at.get(number, -math.inf)
         return self._others[number].found and age >= self.settings.others_period
 
@@ -246,8 +246,8 @@ class PoseTracker:
 
     def _search_due(self, stamp: float, others: Collection[int]) -> bool:
         lost = not self._object.found or self.view is None or self._wants_search
-        # Search immediately for an object that disappeared; for an object that was never found, the
-        # next regular search is sufficient.
+        # Search soon for an object that disappeared. For an object that was never found, the next
+        # regular search is sufficient.
         lost |= any(self._others[n].found and self._others[n].wants_search for n in others)
         period = self.settings.lost_period if lost else self.settings.audit_period
         return stamp - self._last_search >= period

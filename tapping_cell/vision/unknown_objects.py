@@ -35,28 +35,31 @@ Mask = NDArray[np.uint8]
 CELL = 0.002
 """Size of a cell of the rectified image in m."""
 _EVERY = 8
-"""Spacing of the cells that are projected; the cells between them are interpolated."""
+"""Spacing, in cells, of the grid nodes that are projected into the camera image. Between nodes, the
+position in the camera image is interpolated."""
 _MIN_WIDTH = 0.010
-"""Width in m of a differing area below which it is a printed line or dirt. The rectified image
-widens areas by up to a cell on both sides."""
+"""An area that differs from the table counts as a printed line or dirt if it is narrower than this
+width in m. In the rectified image, areas appear wider by up to a cell on both sides."""
 _MIN_RADIUS = 0.0075
 """The minimum area of an object is that of a disk with this radius in m."""
 _MIN_CONTRAST = 5.0
 _RELATIVE_CONTRAST = 0.1
 _NOISE_DEVIATIONS = 6.0
-"""Minimum difference from the table's brightness: in grey levels, relative to the table, and in
-standard deviations of the table's texture."""
+"""The difference of a cell's brightness from the table's must exceed three limits: in grey levels,
+relative to the table's brightness, and in standard deviations of the table's texture."""
 _FREE_RIM = 1.45
-"""Size of the area of a reference marker including its white border, in sides of the marker."""
+"""Side of the square that a reference marker and its white border cover, relative to the side of
+the marker."""
 _BESIDE_KNOWN = 0.005
 """Distance in m from a measured object within which an area belongs to it."""
 _BESIDE_ARM = 0.012
 """Distance in m from the arm's modelled shadow within which an area belongs to the arm."""
 _OF_ARM = 0.3
-"""Fraction of an area within the arm's shadow above which the whole area is part of the arm."""
+"""If more than this fraction of an area lies within the arm's shadow, the whole area counts as part
+of the arm."""
 _SHADOW_EXTRA = 0.004
-"""An area beside a measured object is its shadow if it is wider than the object's height by at most
-this distance in m."""
+"""An area beside a measured object counts as a shadow if its width is at most the height of the
+highest measured object plus this distance in m."""
 _SAME = 0.004
 """Maximum change of an area, as a distance in m, for which its outline is kept."""
 _MARGIN = 0.004
@@ -89,7 +92,8 @@ class ArmBars:
 
 @dataclass(slots=True, eq=False)
 class _Tracked:
-    """An unknown object: its outline (N, 2), the cells it covers, and the searches without it."""
+    """An unknown object: its outline (N, 2), the cells it covers, and the number of searches in
+    which its place was visible without it."""
 
     outline: Array
     cells: Mask
@@ -123,7 +127,8 @@ class UnknownObjects:
         standing: Sequence[Standing],
         arm: ArmBars | None = None,
     ) -> None:
-        """Search an image for objects; ``standing`` are the measured objects, at rest."""
+        """Search an image for unknown objects. ``standing`` are the measured objects, which must be
+        at rest."""
         seen = self._rectified(image, view)
         visible = np.isfinite(seen)
         known = self._known(view, standing)
@@ -194,14 +199,14 @@ class UnknownObjects:
             _RELATIVE_CONTRAST * table, max(_MIN_CONTRAST, _NOISE_DEVIATIONS * noise)
         )
         other = (free & (np.abs(np.nan_to_num(seen) - table) > least)).astype(np.uint8)
-        # Between a dark and a bright part of an object, there is a thin line with the table's
-        # brightness.
+        # Closing fills the thin line between a dark and a bright part of an object, which has the
+        # table's brightness.
         return np.asarray(cv2.morphologyEx(other, cv2.MORPH_CLOSE, _kernel(CELL)), dtype=np.uint8)
 
     # -- masks
 
     def _known(self, view: View, standing: Sequence[Standing]) -> Mask:
-        """Return the silhouettes of the measured objects, with a margin."""
+        """Return a mask of the silhouettes of the measured objects, with a margin."""
         silhouettes = [
             np.concatenate([one.outline, view.on_plane(view.project(one.outline, one.height))])
             for one in standing
@@ -244,7 +249,8 @@ class UnknownObjects:
         known: Mask,
         standing: Sequence[Standing],
     ) -> list[Mask]:
-        """Return the cells of each object; add those of arms and hands to ``hidden``."""
+        """Return a mask of the cells of each object. The cells of arms and hands are added to
+        ``hidden`` instead."""
         wide = cv2.morphologyEx(other, cv2.MORPH_OPEN, _kernel(0.5 * _MIN_WIDTH))
         # Opening removes thin lines but also the corners of wide areas. Only the corners are added
         # again.

@@ -1,10 +1,10 @@
 """Pose measurement node: receives images and publishes the object's pose with its covariance.
 
-Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are measured in
-turn; the object that ``plan_state`` names, and every object that moved recently, is measured in
-every image. While the planner waits for observations, all objects are measured in every image. Each
-measurement is published on ``other_objects``, and the latest states of all objects on
-``object_states``, with the outlines of the objects that no object file describes.
+Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are usually
+measured in turn. However, the object that ``plan_state`` names and every object that moved recently
+are measured in every image. While the planner waits for observations, all objects are measured in
+every image. Each measurement is published on ``other_objects``. The latest states of all objects
+are published on ``object_states``, with the outlines of the objects that no object file describes.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ TABLE_SEEN = (ErrorCode.NONE, ErrorCode.OBJECT_NOT_SEEN, ErrorCode.MARKER_AMBIGU
 WATCH_PERIOD_S = 0.05
 """Period of the check for missing images."""
 MISSED_LOG_PERIOD = 5
-"""Number of failed checks between two reports of a silent camera."""
+"""Number of checks without a new image between two reports of a silent camera."""
 CAMERA_PERIOD_S = 1.0
 """Period at which the camera pose is published."""
 STAMP_AHEAD_S = 1.0
@@ -249,7 +249,7 @@ class CameraPose(CellNode[Parameters]):
             self._tracker = self._camera = None
             return
         if camera == self._cell.camera:
-            camera = self._cell.camera  # the file also has standard deviations
+            camera = self._cell.camera  # with the standard deviations, which camera_info lacks
         self._camera_problem = ""
         self._camera = camera
         self._make_trackers(camera, self._cell)
@@ -413,7 +413,7 @@ class CameraPose(CellNode[Parameters]):
         if not self._annotated.is_due(time.monotonic()):
             return
         assert self._cell is not None and self._tracker is not None
-        # The outline and the caption are those of the cell's own object.
+        # The annotated object is the cell's own one, so the goal of another object is not drawn.
         own = self._tapped in ("", self._cell.object.name)
         picture = annotate(
             grey,
@@ -433,8 +433,8 @@ class CameraPose(CellNode[Parameters]):
         if not self.active or silent <= self.settings.silence_limit:
             self._missed = 0
             return
-        # If this process itself was delayed, an image is already queued and is processed before the
-        # next check.
+        # The first check without a new image is not reported: if this process itself was delayed,
+        # an image is already queued and is processed before the next check.
         self._missed += 1
         if self._missed % MISSED_LOG_PERIOD == 2:
             empty = Image()

@@ -5,7 +5,8 @@ from __future__ import annotations
 LONGEST_WAIT_S = 0.15
 """An image that waited longer is dropped if a newer image is queued, so that the node catches up
 immediately after a long delay. After shorter delays, every queued image is processed, so that the
-track has no gaps, unless images always arrive faster than they can be processed."""
+track has no gaps. If images always arrive faster than they can be processed, ``SHORTEST_WAIT_S``
+applies instead."""
 SHORTEST_WAIT_S = 0.005
 _SHARE = 0.2
 """Weight of the newest sample in the moving averages of arrival interval and processing time."""
@@ -32,8 +33,8 @@ class Backlog:
     def answered(self, now: float) -> None:
         """Record that the last image has been processed."""
         last, arrived = self._answered, self._arrived
-        # The processing time is known only if the image was already queued and was processed
-        # immediately.
+        # If the image arrived before the last one was finished, its processing began at that time,
+        # so its duration is known.
         if last is not None and arrived is not None and arrived < last:
             self._each = _mean(self._each, now - last)
         self._answered = now

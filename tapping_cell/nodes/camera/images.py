@@ -17,8 +17,8 @@ from tapping_cell.vision import CameraError, CameraModel
 PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
-"""Sensor data with a queue of half a second, so that a short delay of this process loses no
-image."""
+"""Best effort, as usual for sensor data. The queue holds the images of half a second, so that no
+image is lost if this process is delayed for a short time."""
 COMPRESSED_PICTURES = QoSProfile(
     depth=15, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
 )

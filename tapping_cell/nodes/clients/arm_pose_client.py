@@ -137,8 +137,8 @@ class ArmPoseClient(GoalClient):
         )
 
     def _observe(self, sent: Time, arrived: Time, check: Callable[[], None]) -> ObjectState | None:
-        """Return the first observation at rest that began after the command and ended after the
-        arrival."""
+        """Return the first observation in which the marker is at rest since a time after ``sent``
+        and whose last image was taken after ``arrived``; None after a timeout."""
         begun = shown = time.monotonic()
         while (now := time.monotonic()) < min(
             begun + OBSERVATION_TIMEOUT_S, shown + UNSEEN_TIMEOUT_S

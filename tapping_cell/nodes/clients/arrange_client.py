@@ -79,7 +79,7 @@ class ArrangeClient(ActionFollower[Event]):
         self.true_poses: dict[str, Pose] = {}
         """True poses of the objects in the simulated world."""
         self.contacts: list[tuple[str, str]] = []
-        """Names of the objects in each true contact in the simulated world."""
+        """Names of the two objects of each contact that occurred in the simulated world."""
         self.planner_active = False
         self._arm: ArmState | None = None
         self._tapper: TapperState | None = None

@@ -84,7 +84,7 @@ class CellClient(ClientNode):
         return self.in_executor(self._view.mode)
 
     def state(self) -> dict[str, Any]:
-        """Return the state that the page shows, and the nodes."""
+        """Return the state that the page shows, with the rows of its list of nodes as ``nodes``."""
 
         def gather() -> dict[str, Any]:
             self._view.simulated = self._watch.runs("sim_world")
@@ -151,7 +151,8 @@ class CellClient(ClientNode):
             )
 
     def _actors(self) -> tuple[str, ...]:
-        """Return the actors of this cell. A cell with fixed tappers has no arm."""
+        """Return the roles of the nodes that move hardware in this cell: without the arm if the
+        cell has fixed tappers."""
         has_arm = self.in_executor(lambda: self._view.has_arm)
         return tuple(actor for actor in ACTORS if has_arm or actor != ARM)
 

@@ -158,7 +158,8 @@ class GoalClient(ActionFollower[Event]):
         """Send a goal in ``table``. A tolerance (m, rad) of 0 selects the cell's default.
         ``probe``: start with a few of the smallest taps. ``ask``: every tap waits for confirmation.
 
-        ``observed``: observation to which the goal is relative; the goal receives its stamp.
+        ``observed``: observation from which the goal was computed. The goal gets the stamp of this
+        observation.
         """
         message = PositionObject.Goal()
         message.goal_pose.header.frame_id = "table"
@@ -242,7 +243,8 @@ class GoalClient(ActionFollower[Event]):
         self.planner_active = True
         self._plan = message, time.monotonic()
         if self._watch is not None and self._watch.gone:
-            self._follow(message)  # a planner that has resumed the goal sends no feedback
+            # A planner that has resumed the goal sends no feedback, so follow its state instead.
+            self._follow(message)
 
     def _on_last_run(self, message: String) -> None:
         self.last_run = message.data

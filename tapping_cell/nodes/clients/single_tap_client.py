@@ -43,8 +43,8 @@ object has come to rest."""
 KEPT_POSES = 4000
 LONGEST_TAP_S = 120.0
 LONGEST_AWAY_S = 3.0
-"""Time (s) after which an action server that is no longer discovered is considered dead. Shorter
-gaps occur in discovery while the server is running."""
+"""Time (s) after which an action server that is no longer discovered is considered dead. Discovery
+may also lose a running server, but for a shorter time."""
 LATCHED_QUALITY = Quality(1, latched=True)
 RECORDED: tuple[tuple[type, str, Any, Quality], ...] = (
     (PoseWithCovarianceStamped, "object_pose", 50, Quality()),
@@ -213,7 +213,7 @@ class SingleTapClient(GoalClient):
 
 
 def rate_of(stamps: list[float]) -> float:
-    """Return the frame rate in Hz from the frame times in s. It is based on the shorter intervals,
-    so that lost frames have no effect."""
+    """Return the frame rate in Hz from the frame times in s. It is computed from the 20 % quantile
+    of the intervals, so that the long intervals due to lost frames have no effect."""
     steps = [after - before for before, after in pairwise(stamps) if after > before]
     return 1.0 / float(np.quantile(steps, 0.2)) if steps else math.nan

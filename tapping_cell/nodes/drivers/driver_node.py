@@ -74,7 +74,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
 
         Raises:
             NotReady: a stop could not be stored, the device is absent or its response is not
-                understood; the life cycle then tries again.
+                understood. The node then tries to configure itself again.
         """
         try:
             self.host.stop_file.require_writable()
@@ -89,7 +89,8 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         except HardwareFault as fault:
             driver.close()
             if fault.reason is FaultReason.PORT_MISSING and not port.startswith("/dev/"):
-                # A port outside /dev belongs to a simulated device that has not been started yet.
+                # A port outside /dev belongs to a simulated device. If the port is missing, the
+                # device has not been started yet.
                 waits = f"the simulated device has not opened {port} yet; start sim_world"
                 self.host.lifecycle(Unreachable(HardwareFault(fault.reason, waits)))
                 raise NotReady(waits, expected=True) from fault

@@ -70,8 +70,8 @@ class RosTrajectoryLink(RosLink):
         self._progress = Progress(GoalState.UNREPORTED)
         self._topic = f"{section.controller}/joint_trajectory"
         self._publisher = self._node.create_publisher(JointTrajectory, self._topic, COMMAND)
-        # Best effort also matches reliable publishers; a lost state is replaced by the next
-        # message.
+        # A best-effort subscription also matches reliable publishers. A lost state does no harm,
+        # because the next message replaces it.
         self._node.create_subscription(
             JointState, section.joint_states, self._receive, qos_profile_sensor_data
         )
@@ -147,7 +147,7 @@ class RosTrajectoryLink(RosLink):
         if speeds is not None and not all(map(math.isfinite, speeds)):
             speeds = None
         stamp = Time.from_msg(message.header.stamp).nanoseconds
-        # A state without a stamp counts as new on arrival; joint_state_broadcaster should stamp it.
+        # A state without a stamp counts as measured on arrival. (joint_state_broadcaster sets one.)
         age = 1e-9 * (self._node.get_clock().now().nanoseconds - stamp) if stamp else 0.0
         sample = JointSample(
             received - max(age, 0.0),

@@ -329,7 +329,7 @@ class CellView:
 
     @property
     def planned(self) -> PlannedTap | None:
-        """Current planned tap, if its end has not been reported yet."""
+        """Tap that is planned or in progress; None if there is none."""
         tap = self._plan.planned_tap if self._plan is not None else None
         return tap if tap is not None and tap.tap_id else None
 
@@ -355,8 +355,8 @@ class CellView:
 
 
 def planned_row(plan: PlanState) -> dict[str, object] | None:
-    """Return the planned tap in mm and degrees, and whether it waits for confirmation; None without
-    one."""
+    """Return the planned tap in mm and degrees, and whether it waits for confirmation; None if no
+    tap is planned."""
     tap = plan.planned_tap
     if not tap.tap_id:
         return None

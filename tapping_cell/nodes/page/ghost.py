@@ -22,8 +22,8 @@ from tapping_cell.vision import View
 HANDLE_BEYOND = 0.03
 """Distance in m from the farthest point of the outline to the handle that rotates the ghost."""
 ARROW, ARROW_AHEAD = 0.06, 0.012
-"""Lengths in m of the line that represents the striker: behind and in front of the position of its
-tip at rest."""
+"""Lengths in m of the two parts of the line that represents the striker: ``ARROW`` behind the
+position of its tip at rest, and ``ARROW_AHEAD`` in front of this position."""
 ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
 """Radius of the ellipse that contains 95 % of a bivariate normal distribution, in standard
 deviations."""
@@ -131,7 +131,8 @@ class Ghost:
         """Return the direction on the table that points most to the right in the image: 0, 90, 180
         or -90 degrees.
 
-        The arrow keys move the ghost along the table's axes as they appear in the image.
+        The page uses this direction so that every arrow key moves the ghost along an axis of the
+        table, but approximately in the direction of the key in the image.
         """
         ends = [[x, y], [x + SIDE, y], [x, y + SIDE]]
         here, along_x, along_y = self.view.project(ends, self.height)

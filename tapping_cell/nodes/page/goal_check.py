@@ -15,13 +15,14 @@ from tapping_cell.se2 import Pose
 
 
 class GoalCheck:
-    """Finds out whether the planner would refuse a goal of one object. In ``cell``, this object is
-    the cell's own object."""
+    """Finds out whether the planner would refuse a goal of one object. ``cell`` is a configuration
+    in which this object is the cell's own object."""
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
         self.ready = False
-        """Whether ``prepare`` has been called; before, a check takes seconds for a polygon."""
+        """Whether ``prepare`` has been called. Without it, the first check of a polygon takes
+        seconds."""
 
     @cached_property
     def free(self) -> FreeSpace:

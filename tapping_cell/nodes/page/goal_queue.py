@@ -1,8 +1,9 @@
 """Queue of goals, and named goals. This module has no side effects: the page's node sends the
 goals.
 
-The queue starts only when a person runs it. It sends the next goal after the current goal was
-reached, and pauses after any other result, because the cause may also affect the next goal.
+The queue starts only when a person runs it. Then the next goal is sent whenever the current goal
+was reached. The queue pauses after any other result, because the cause may also affect the next
+goal.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class RequestedGoal:
 
 
 class QueueFull(ValueError):
-    """The queue or list is full. The message states the limit."""
+    """The queue or the list of named goals is full. The message states the limit."""
 
 
 class GoalQueue:

@@ -53,7 +53,10 @@ class _Peer:
 
 
 class NodeWatch:
-    """Monitor the nodes of its own namespace. Create, use and close it in the executor's thread."""
+    """Monitor the nodes in the namespace of ``node``.
+
+    Create, use and close it in the executor's thread.
+    """
 
     def __init__(self, node: Node) -> None:
         self._node = node

@@ -560,8 +560,8 @@ class OperatorPage(CellNode[Parameters]):
         return self.create_client(SetParameters, f"{node}/set_parameters")
 
     def _follow_planner(self, name: str) -> None:
-        """Use the parameter service of the planner's node ``name``; the service's name begins with
-        it."""
+        """Create a new client of the planner's parameter service if the planner's node now has
+        another name. The name of the service begins with ``name``, the name of the node."""
         if self._set_client.srv_name != f"{name}/set_parameters":
             self.destroy_client(self._set_client)
             self._set_client = self._parameter_client(name)

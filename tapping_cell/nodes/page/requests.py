@@ -156,7 +156,8 @@ class Command:
 
 
 Frequent = Hello | Seen | Move | Turn | Place
-"""Messages that a page sends during a drag. Only the newest one is processed."""
+"""Messages that a page sends automatically or during a drag. They do not count as commands, whose
+rate is limited. During a drag, only the newest message is processed."""
 Request = (
     Frequent
     | SendGoal

@@ -178,7 +178,8 @@ def _arrangement(content: dict[str, Any]) -> dict[str, object]:
 
 
 def _turn(angle: float, signed: bool = False) -> float:
-    """Return an angle in degrees, -180 to 180, or its absolute value."""
+    """Convert an angle from rad to degrees: -180 to 180 if ``signed``, otherwise the absolute
+    value."""
     turn = math.degrees(math.remainder(angle, 2 * math.pi))
     return round(turn if signed else abs(turn), 3)
 

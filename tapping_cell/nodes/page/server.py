@@ -78,8 +78,8 @@ REPORT_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'; sandbox"
 )
-"""Content security policy of a report: it is shown unchanged, but its content cannot run scripts
-and has no origin."""
+"""Content security policy of a report. The report is shown unchanged, but it cannot run scripts,
+and browsers treat it as a page of another web site than the operator's page."""
 HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -168,7 +168,8 @@ class PageServer:
         """Send a response in the server's thread. May be called from any thread."""
         self._call(give, answer)
 
-    # Executed in the server's thread; ``_call`` schedules work there from any thread
+    # The methods below run in the server's thread, except ``_call``. Other threads use ``_call`` to
+    # run a function in the server's thread.
 
     def _call(self, function: Callable[..., object], *arguments: object) -> None:
         loop = self._loop

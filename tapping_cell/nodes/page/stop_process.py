@@ -59,7 +59,7 @@ async def _serve(configuration: dict[str, Any], publish: Any) -> None:
     output = sys.stdout.fileno()
 
     def report(held: bool, who: str) -> None:
-        # A parent process that does not read must not block the stop; it may miss this change.
+        # A parent process that does not read may miss this change, but must not block the stop.
         try:
             os.write(output, json.dumps({"held": held, "who": who}).encode() + b"\n")
         except BlockingIOError:

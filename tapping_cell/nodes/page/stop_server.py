@@ -26,7 +26,8 @@ from tapping_cell.nodes.page.guard import Guard
 LONGEST_BODY = 1024
 MAX_CONNECTIONS = 256
 REPEAT_PERIOD_S = 0.02
-"""Several stops within this time (s) after a published stop are published together, once."""
+"""If several stops arrive within this time (s) after a published stop, a single one is published
+for them at the end of this time."""
 SLOW_ANSWER_S = 0.1
 
 
@@ -148,8 +149,8 @@ class StopServer(HTTPServer):
 
     @classmethod
     def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
-        """Return a server for ``level`` that accepts pages that are served at ``page_port`` and
-        that ``guard`` admits."""
+        """Return a server for ``level``. It accepts requests of pages that are served at
+        ``page_port``, if they meet the requirements of ``guard``."""
         requirements = {"level": level, "guard": guard, "page_port": page_port}
         application = Application(log_function=lambda _: None)
         made = cls(

@@ -1,4 +1,4 @@
-"""Action servers whose goals are processed by a timer and finished when the result is known."""
+"""Action servers that finish a goal when its result is known, long after its callback returned."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from rclpy.node import Node
 
 
 class DeferredActionServer:
-    """Action servers of one node. Every goal is accepted, so that a rejection has a result with a
-    code."""
+    """Action servers of one node. They accept every goal, because only an accepted goal has a
+    result, which tells the client the error code if the planner refuses the goal."""
 
     def __init__(
         self,

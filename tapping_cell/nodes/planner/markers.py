@@ -135,7 +135,7 @@ def _sector(radius: float, half_angle: float) -> Points:
 
 
 def _points(name: str, kind: int, points: Points, size: float, colour: ColorRGBA) -> Marker:
-    """Return one marker of this kind from points (n, 2) in ``table``."""
+    """Return a marker of type ``kind`` that consists of points (n, 2) in ``table``."""
     marker = Marker(ns=name, type=kind, action=Marker.ADD, color=colour)
     marker.pose.orientation.w = 1.0
     marker.scale.x = marker.scale.y = size

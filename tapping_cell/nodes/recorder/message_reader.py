@@ -1,6 +1,7 @@
 """Deserialisation of messages that a node of another version of the cell may have published.
 
-The middleware matches publishers and subscriptions by the name of their message type only.
+The middleware matches publishers and subscriptions only by the name of their message type, so a
+received message may have another definition than the one in this version.
 """
 
 from __future__ import annotations

@@ -53,9 +53,10 @@ def new_folder(
 ) -> Path:
     """Create a new folder for a run. ``least_free`` is in bytes.
 
-    ``prepared``: a folder of this name that does not contain a run yet was created for this run and
-    is used. The verb demo creates it in advance for the nodes' logs. Otherwise, an existing folder
-    belongs to another cell whose run started in the same second.
+    ``prepared``: if a folder of this name exists and contains no run yet, use it instead of a new
+    one. The verb demo creates such a folder in advance for the nodes' logs. If not ``prepared``, an
+    existing folder belongs to another cell whose run started in the same second, so a number is
+    appended to the name.
 
     Raises:
         CannotRecord: there are too many runs, the free disk space is too small, or the folder
@@ -131,7 +132,8 @@ def _joined(began: float, namespace: str, words: str) -> str:
 
 
 def cell_notes(cell: Cell | None, seed: int) -> dict[str, Any]:
-    """Return the notes of a run on its configuration."""
+    """Return the configuration of a run, which is stored in its bag: versions, random seed and, if
+    ``cell`` is known, the objects, tolerance, table and contents of the configuration files."""
     notes: dict[str, Any] = {"versions": versions(), "seed": seed if seed >= 0 else None}
     if cell is not None:
         table = cell.file.table
@@ -165,8 +167,8 @@ class Recording:
         types: MessageTypes,
         arrangement: bool = False,
     ) -> None:
-        """Open a bag for these topics, given by resolved name. ``arrangement``: it is a run of
-        several objects.
+        """Open a bag for these topics, given by resolved name. ``arrangement``: whether the run is
+        an arrangement of objects instead of a single goal.
 
         Raises:
             CannotRecord: the bag cannot be created.

@@ -81,9 +81,9 @@ POLL_PERIOD_S = 0.1
 REPEATED_WITHIN_S = 10.0
 """No folder is created for a refusal that repeats an earlier one within this time."""
 RATE_SHARE = 0.8
-"""Minimum interval between recorded images, as a fraction of the period of the requested rate. With
-a minimum of a full period, every second image would be lost if images arrive at that rate, because
-their intervals vary slightly."""
+"""Minimum interval between recorded images, as a fraction of the period of the requested rate. If
+images arrive at the requested rate, their intervals are sometimes slightly shorter than the period.
+With a minimum of a full period, such images would not be recorded."""
 LONGEST_PATH = 1024
 DEPTH = 200
 """Queue depth of a topic: the oldest messages are lost if more than this number arrive between two
@@ -105,8 +105,9 @@ STATES: dict[str, type] = {
     "tapper_state": TapperState,
     "arrangement_state": ArrangementState,
 }
-"""Latched topics. arrangement_state is read last. The planner publishes it before the corresponding
-plan_state, so it has already arrived when that plan_state is read."""
+"""Latched topics, in the order in which they are read. arrangement_state must be the last: the
+planner publishes it before the corresponding plan_state, so once that plan_state has been read, the
+arrangement_state has arrived too."""
 STREAMS: dict[str, type] = {
     "/diagnostics": DiagnosticArray,
     "emergency_stop": Bool,
@@ -249,8 +250,8 @@ class RunRecorder(CellNode[Parameters]):
         self.create_timer(POLL_PERIOD_S, self._tick)
 
     def _recorded_name(self, name: str) -> str:
-        """Return a topic's name in the bag: in this namespace, but not remapped, so that a report
-        can be made from every bag."""
+        """Return a topic's name in the bag: with this namespace, but without remappings, so that
+        the report finds the topic in every bag."""
         return self.resolve_topic_name(name, only_expand=True)
 
     def _register(self, name: str, kind: type, quality: Quality) -> None:
@@ -332,13 +333,15 @@ class RunRecorder(CellNode[Parameters]):
         return int(self.get_clock().now().nanoseconds)
 
     def _receive(self, names: Iterable[str]) -> None:
-        """Process the waiting messages, in the order of their reception."""
+        """Process the waiting messages: arrangement_state first, then the others in the order of
+        their reception."""
         now, clock = self._now(), time.time_ns()
         waiting = [
             (now - max(0, clock - received) if received else now, name, data)
             for name, data, received in self._polled.take(names)
         ]
-        # At the beginning of an arrangement, process arrangement_state before plan_state.
+        # At the beginning of an arrangement, plan_state can only be assigned to the arrangement if
+        # arrangement_state is processed before it.
         arrangements = [entry for entry in waiting if entry[1] == "arrangement_state"]
         others = [entry for entry in waiting if entry[1] != "arrangement_state"]
         for stamp, name, data in (*arrangements, *sorted(others, key=lambda entry: entry[0])):

@@ -141,8 +141,8 @@ class SimWorld(CellNode[Parameters]):
             SceneObject(one.outline, file.seen()) for one, file in zip(others, further, strict=True)
         ]
         renderer = make_renderer(cell, truth.camera, own.outline, settings.seed, shown)
-        # The first image is rendered before the devices exist, because it takes longest and would
-        # delay the emulated boards.
+        # The first image takes much longer to render than the others. It is rendered before the
+        # devices exist, because it would delay the emulated boards.
         renderer.render(list(world.poses.values()))
         self._claim = claim(f"world/{key_of(self)}")
         if self._claim is None:
@@ -233,8 +233,8 @@ class SimWorld(CellNode[Parameters]):
             )
             contacts = self._world.take_contacts()
         if taken == now:
-            # The offset is not updated during a slide: a task switch between reading the two clocks
-            # would shift the stamps of the images.
+            # The offset between the two clocks is not updated during a slide, because a task switch
+            # between reading the clocks would shift the stamps of the images.
             self._world_began = Time(nanoseconds=clock - round(1e9 * now))
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)

@@ -38,7 +38,7 @@ _OBLIQUE = 0.8
 """Ratio of the distance between opposite sides to the mean length of the sides. Below this ratio
 (an oblique view), the distance instead of the length determines the width of the window."""
 _ROWS_ALIKE = 3
-"""Maximum lag, in rows, of the error correlation."""
+"""Maximum lag, in rows, at which the correlation of the errors is estimated."""
 _MAX_OBSERVATIONS = 8
 _MAX_PULL = 0.9
 _MIN_SHARE = 0.7
@@ -53,11 +53,13 @@ class MarkerEdges:
     they average, and ``corners`` (M, 4, 2) are the intersections of the sides, in pixels.
     ``spread`` (M,) is the standard deviation of the edge position measured in one row,
     perpendicular to the side, in pixels. For the whole side, divide it by the square root of the
-    number of rows. ``black`` and ``white`` (M,) are grey levels. ``pull`` (M,) states how far the
-    measured side moves if its window moves by one unit, for the worst side: ideally 0; 1 means that
-    the measurement contains no information. It is caused by blur or objects at the ends of the
-    window, where the grey levels of black and white are measured. ``good`` (M,) marks markers with
+    number of rows. ``black`` and ``white`` (M,) are grey levels. ``good`` (M,) marks markers with
     four complete sides whose blur is not excessive.
+
+    ``pull`` (M,) states, for the worst side of each marker, how far the measured side moves if its
+    window moves by one pixel. It is 0 for an ideal edge. If it is 1, the measurement contains no
+    information. The pull is above 0 if blur or objects reach the ends of the window, where the grey
+    levels of black and white are measured.
     """
 
     points: Array
@@ -71,7 +73,8 @@ class MarkerEdges:
 
 
 def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> MarkerEdges:
-    """Measure the edges of markers near ``quads`` (M, 4, 2), corners accurate to about 3 pixels.
+    """Measure the edges of markers near ``quads`` (M, 4, 2), whose corners must be accurate to
+    about 3 pixels.
 
     ``modules`` (one for all, or (M,)) is the number of modules along a side of the black square.
     The search range is at most one module.
@@ -92,8 +95,8 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
 
 
 def narrowest(quads: Array) -> Array:
-    """Length (M,) of the sides of markers in pixels; in an oblique view, the distance between
-    opposite sides."""
+    """Return the length (M,) of the sides of markers or, in an oblique view, the distance between
+    opposite sides, in pixels."""
     along = quads[:, [1, 2, 3, 0]] - quads
     side = np.sqrt((along**2).sum(axis=2))
     (ax, ay), (bx, by) = (quads[:, 2] - quads[:, 0]).T, (quads[:, 3] - quads[:, 1]).T
@@ -252,8 +255,8 @@ def _edges(samples: _EdgeSamples) -> MarkerEdges:
     count = len(samples.good)
     squares = (samples.kept * samples.residual**2).sum(axis=1)
     squares /= np.maximum(samples.kept.sum(axis=1) - 2.0, 1.0) * (1.0 + samples.slope**2)
-    # Noise correlated between neighbouring rows is also correlated between the pixels of a window,
-    # so only the larger of the two factors is applied.
+    # The two factors are not multiplied: _level_noise is valid for independent pixels, but noise
+    # that is correlated between rows is also correlated between the pixels of a window.
     squares *= max(_level_noise(2 * samples.half_width + 1), _together(samples))
     spread = np.sqrt(squares.reshape(count, 4).mean(axis=1))
     number = np.maximum(samples.mask.sum(axis=1), 1.0)
@@ -271,7 +274,8 @@ def _edges(samples: _EdgeSamples) -> MarkerEdges:
         spread=spread,
         black=black.reshape(count, 4).mean(axis=1),
         white=white.reshape(count, 4).mean(axis=1),
-        # A ramp over the whole window has the slope 1 / (2 half_width - 1) per pixel.
+        # The pull is 1 for a ramp over the whole window: its slope is 1 / (2 half_width - 1) per
+        # pixel.
         pull=samples.soft * (2 * samples.half_width - 1),
         good=samples.good & (spread < 0.6),
     )
@@ -282,8 +286,8 @@ def _together(samples: _EdgeSamples) -> float:
 
     The errors are correlated in images that are smoothed, demosaiced or compressed, and also if
     grey levels without noise are rounded. The factor is estimated from the residuals of all sides.
-    Fitting a line to n rows reduces the mean product of residuals by 2 / n of their variance; this
-    bias is corrected.
+    Fitting a line to n rows reduces the mean product of two residuals by 2 / n of their variance.
+    The factor is corrected for this bias.
     """
     kept = samples.kept
     residual = kept * samples.residual
@@ -321,8 +325,8 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
     slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
     length = samples.half_width + 0.5
-    # ``slope`` is the slope along q, not along the outward direction, whose sign would enter twice
-    # and cancel.
+    # ``slope`` refers to the direction of q, not to the outward direction: the sign of the outward
+    # direction would enter twice and cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 
@@ -367,7 +371,8 @@ def _line(p: Array, q: Array, weight: Array) -> tuple[Array, Array, Array]:
 def _condense(
     p: Array, q: Array, weight: Array, low: Array, high: Array, steep: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """Average each of BINS sections of every side, in (x, y); return the number of rows as well."""
+    """Divide every side into BINS sections. Return the mean position (x, y) of the edge in each
+    section, and the number of its rows."""
     sides = p.shape[0]
     share = (p - low[:, None]) / np.maximum(high - low, 1.0)[:, None]
     which = np.clip((share * BINS).astype(int), 0, BINS - 1) + BINS * np.arange(sides)[:, None]
@@ -382,7 +387,8 @@ def _condense(
 
 
 def _corners(offset: Array, slope: Array, along: NDArray[np.intp]) -> Array:
-    """Corners (M, 4, 2) of lines (4 M) q = offset + slope p; ``along`` is the index of p."""
+    """Return the corners (M, 4, 2) at which the lines q = offset + slope p (4 M) intersect. The
+    coordinate p of a line is x if its ``along`` is 0, and y if it is 1."""
     each = np.arange(len(slope))
     normal = np.empty((len(slope), 2))
     normal[each, 1 - along] = 1.0
@@ -391,7 +397,8 @@ def _corners(offset: Array, slope: Array, along: NDArray[np.intp]) -> Array:
 
 
 def _meet(normal: Array, value: Array) -> Array:
-    """Corners (M, 4, 2): corner k is the intersection of side k - 1 and side k."""
+    """Return the corners (M, 4, 2): corner k is the intersection of side k - 1 and side k. The
+    points on a side are those whose product with ``normal`` (M, 4, 2) is ``value`` (M, 4)."""
     n0, n1 = normal[:, [3, 0, 1, 2]], normal
     v0, v1 = value[:, [3, 0, 1, 2]], value
     determinant = n0[..., 0] * n1[..., 1] - n0[..., 1] * n1[..., 0]

@@ -42,7 +42,8 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
         return quad
     # Corners are clockwise in the image, where y points down, so outwards is to the left.
     outward = np.stack([along[:, 1], -along[:, 0]], axis=-1) / length[:, None]
-    # In an oblique view, a module is narrower across two of the sides than along them.
+    # The search range across a side follows the distance to the opposite side, because in an
+    # oblique view, a module is narrower across two of the sides than along them.
     depth = np.abs((outward * (quad[[2, 3, 0, 1]] - quad)).sum(axis=1))
     reach = np.clip(_REACH * depth / modules, 1.5, _FURTHEST)
     share = np.asarray(np.linspace(0.1, 0.9, _ALONG), dtype=float)
@@ -53,8 +54,8 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
     grey = cv2.remap(
         image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     ).reshape(4, _ALONG, _ACROSS)
-    # Height of the step at each position: sum of an eighth of the samples, just outside, minus the
-    # sum of as many samples just inside.
+    # The height of the step at a position is the sum of the samples just outside it (an eighth of
+    # all samples) minus the sum of as many samples just inside it.
     sums = np.pad(np.cumsum(grey.astype(float), axis=2), ((0, 0), (0, 0), (1, 0)))
     half, low, high = _ACROSS // 8, _ACROSS // 4, _ACROSS - _ACROSS // 4
     at = np.arange(low, high)
@@ -70,7 +71,7 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
 
 
 def _robust_line(share: Array, offset: Array, weight: Array) -> tuple[float, float]:
-    """Robust fit of a line: its offsets at the beginning and the end of a side."""
+    """Fit a line robustly. Return its offsets at the beginning and at the end of the side."""
     columns = np.stack([1.0 - share, share], axis=-1)
     weights = weight / max(float(weight.max()), 1e-9)
     answer = np.full(2, np.median(offset))

@@ -35,9 +35,10 @@ _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
 """Allowed difference of length and width, in pixels and as a fraction of the side. A larger
 difference means that an object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MAX_OBLONG = 4.0, 0.03
-"""A larger difference is allowed up to this multiple of the root mean square difference of nearby
-reference markers, because a poor lens, bent paper or a sharpened image affects all markers. The
-second value limits the difference that is allowed in this way, as a fraction of the side."""
+"""A larger difference is allowed up to ``_MORE_OBLONG`` times the root mean square difference of
+the reference markers, because a poor lens, bent paper or a sharpened image affects all markers.
+The difference that is allowed in this way is at most ``_MAX_OBLONG``, as a fraction of the
+side."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:
@@ -95,9 +96,9 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
 
 
 def _usually_oblong(view: View, edges: MarkerEdges, row: int) -> float:
-    """Allowed difference of length and width of the object's marker, as a fraction of the side. It
-    is a multiple of the same difference of the reference markers in the other rows; it is 0 if
-    there are fewer than three."""
+    """Return the allowed difference of length and width of the object's marker, as a fraction of
+    the side. It is a multiple of the difference of length and width of the reference markers (the
+    other rows), and 0 if there are fewer than three of them."""
     references = np.delete(edges.corners, row, axis=0)
     if len(references) < 3:
         return 0.0
@@ -117,8 +118,8 @@ def _misfit(left: Array, weights: Array, noise: float) -> float:
     """Ratio, at least 1, by which the residuals of the four sides exceed their noise.
 
     Each of the four sides has a position and a rotation: eight degrees of freedom. A square
-    determines four of them; the other four reveal glare, sharpening, compression and bent paper. As
-    four values are a small sample, a prior for their usual value is included.
+    determines four of them. The residuals in the other four reveal glare, sharpening, compression
+    and bent paper. As four values are a small sample, a prior for their usual value is included.
     """
     total = np.maximum(weights.sum(axis=1), 1e-9)
     place = (weights * left).sum(axis=1) / total

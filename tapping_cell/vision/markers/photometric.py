@@ -37,7 +37,8 @@ _POSE = slice(11, 14)
 _LAGS = 4
 """Maximum lag, in pixels, of the noise autocorrelation."""
 _MIN_POWER = 0.1
-"""Minimum power of the noise at every spatial frequency, relative to white noise."""
+"""Lower limit of the estimated power of the noise at every spatial frequency, relative to white
+noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. At this distance, the second-order
 error is at most a thousandth of a pixel. The noise of a frame is a fifth of this distance and
@@ -177,7 +178,8 @@ def align_again(
     residual = grey - columns @ np.linalg.solve(linearisation.normal, product)
     spread = 1.4826 * float(np.median(np.abs(residual)))
     weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
-    # Nearly all pixels have full weight, so only the contribution of the others is subtracted.
+    # Nearly all pixels have full weight. The normal matrix for full weights is known, so only the
+    # weight that the other pixels lack is subtracted from it.
     less = np.flatnonzero(weight < 1.0)
     excluded = columns[less]
     lost = excluded.T * (1.0 - weight[less])
@@ -228,13 +230,14 @@ def _judged(
 def _together(
     chosen: NDArray[np.intp], width: int, influence: Array, residual: Array
 ) -> NDArray[np.float64]:
-    """Covariance (3, 3) of the pose parameters, which are whitened as if the noise of the pixels
-    were independent; the identity if it is.
+    """Return the covariance (3, 3) of the whitened pose parameters. It is the identity if the noise
+    of the pixels is independent, because the whitening assumes this.
 
-    ``influence`` (N, 3) are the derivatives of the parameters with respect to the pixels ``chosen``
-    (flat indices, rows of ``width``). The correlation of the noise is estimated from the
-    autocorrelation of ``residual`` (N,) and filtered through the influence. This is the sandwich
-    estimator of Huber 1967 and White 1980, for noise that is stationary over the marker.
+    ``influence`` (N, 3) are the derivatives of the whitened parameters with respect to the pixels
+    ``chosen`` (flat indices, rows of ``width``). The correlation of the noise is estimated from the
+    autocorrelation of ``residual`` (N,) and propagated to the parameters by the influence. This is
+    the sandwich estimator of Huber 1967 and White 1980, for noise that is stationary over the
+    marker.
     """
     rows, columns = np.divmod(chosen, width)
     rows, columns = rows - rows.min(), columns - columns.min()
@@ -258,8 +261,8 @@ def _together(
 def _pixels(
     image: Image, view: View, marker: ObjectMarker, start: Array
 ) -> tuple[Array, Array, NDArray[np.intp]] | None:
-    """Projections of the marker's pixels to its plane (x, y in m, table), and their flat
-    indices."""
+    """Return the projections of the marker's pixels to its plane (x and y, m in table), and the
+    flat indices of these pixels; None if the marker is partly outside the image or too small."""
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     reach = marker.size * (0.5 + _MARGIN / modules)
     cos, sin = math.cos(start[2]), math.sin(start[2])
@@ -276,7 +279,8 @@ def _pixels(
     dx, dy = x - start[0], y - start[1]
     inside = np.maximum(np.abs(cos * dx + sin * dy), np.abs(cos * dy - sin * dx)) < reach
     chosen = np.flatnonzero(inside)
-    # The textures are sampled in rows of 64, so the last few pixels are omitted.
+    # The textures are sampled in rows of 64 pixels, so the pixels that do not fill a row are
+    # omitted.
     chosen = chosen[: len(chosen) // 64 * 64]
     if len(chosen) < 256:
         return None
@@ -324,8 +328,9 @@ def _columns(
 def window_rays(camera: CameraModel, x0: int, y0: int, x1: int, y1: int) -> Array:
     """Directions (y1 - y0, x1 - x0, 2) of the pixels of an image window.
 
-    The directions are exact at 8 x 8 Chebyshev nodes and interpolated by a polynomial, because a
-    lens is smooth (error below 1e-6 pixel for windows of a few hundred pixels).
+    The directions are exact at 8 x 8 Chebyshev nodes and are interpolated by a polynomial between
+    them. The error is below 1e-6 pixel for windows of a few hundred pixels, because the distortion
+    of a lens varies smoothly.
     """
     degree = 7
     nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))

@@ -54,7 +54,7 @@ def efforts(first: bool, slow: bool) -> tuple[Effort, ...]:
     """Return the detection levels at which to search a frame, in order, until everything is found.
 
     The first frame may be the only one, so it is searched at all levels. Any other frame is
-    searched once, at the higher level if ``slow``.
+    searched once, at the level THOROUGH if ``slow``, otherwise at the level QUICK.
     """
     if first:
         return tuple(Effort)
@@ -104,8 +104,8 @@ def patterns_agree(
 
 @lru_cache(maxsize=8)
 def _centres(modules: int) -> tuple[Array, Array]:
-    """Relative positions of the modules' centres in their marker, row by row: right and down, (N,)
-    each."""
+    """Return the positions of the modules' centres to the right (N,) and down (N,), row by row, as
+    fractions of the side of the marker."""
     centres = (np.arange(modules) + 0.5) / modules
     u, v = np.meshgrid(centres, centres)
     return u.ravel(), v.ravel()

@@ -98,8 +98,8 @@ def shape_deviation(
 
 
 class ShapeWarnings:
-    """Creates warnings about the shape. The values in a warning change only if the shape changes
-    noticeably."""
+    """Creates warnings about the shape. A warning is repeated with the same values until the shape
+    changes noticeably."""
 
     def __init__(self, marker: ObjectMarker) -> None:
         self._marker = marker
@@ -152,7 +152,8 @@ def _covariance(
 ) -> Array:
     """Covariance (3, 3) of the object's pose for these errors of the marker's shape."""
     away = stretch * (pose[:2] - view.pose.position[:2])
-    # A tilted object touches the table at its rim, about one marker side from its centre.
+    # A tilted object touches the table at its rim, about one marker side from its centre, so its
+    # centre is lifted and appears displaced.
     lifted = 2.0 * strain * marker.size
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = np.outer(away, away) + lifted**2 * np.eye(2)

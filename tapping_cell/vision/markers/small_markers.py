@@ -20,8 +20,8 @@ from tapping_cell.vision.camera import Array, Image
 from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 
 _QUIET = 0.6
-"""Width of the part of the white margin that is used, in modules. A printed margin may be as narrow
-as one module."""
+"""Width, in modules, of the part of the white margin that is used. It is less than one module,
+because a printed margin may be as narrow as one module."""
 _BLUR, _MIN_BLUR, _MAX_BLUR = 0.7, 0.35, 2.5
 """Sigma of the blur in pixels: initial value and bounds."""
 _ROUNDS = 15
@@ -36,8 +36,8 @@ _MAX_UNEXPLAINED = 0.18
 photographs)."""
 _VAGUE, _MIN_MODULE = 0.15, 1.2
 """Maximum standard deviation of a side, in modules, and minimum width of a module, in pixels. On
-the same photographs, the standard deviation was at most 0.10 for correct patterns and at least 0.2
-for wrong patterns."""
+the photographs mentioned above, the standard deviation was at most 0.10 for correct patterns and at
+least 0.2 for wrong patterns."""
 _MODULE_OFF = 0.4
 """Maximum deviation of a module's mean from the pattern, relative to the contrast."""
 _MODULES_WRONG = 0.04
@@ -70,7 +70,8 @@ class PatternFit:
 
 
 def fit_pattern(image: Image, quad: Array, pattern: NDArray[np.bool_]) -> PatternFit | None:
-    """Fit the marker with this pattern near corners ``quad`` (4, 2), accurate to half a module.
+    """Fit the marker with this pattern near the corners ``quad`` (4, 2), which must be accurate to
+    half a module.
 
     Returns None if the pattern does not explain the pixels everywhere, for example because of
     another marker, partial occlusion or motion blur.
@@ -207,8 +208,9 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
 
 
 def _fields(places: Array) -> tuple[Array, Array]:
-    """Derivatives in u and in v, (N, 8) each, of marker points (N, 2) with respect to the eight
-    parameters of a small homography. Its matrix is 1 + (a b c; d e f; g h 0)."""
+    """Return the derivatives (N, 8) of the coordinate u of points (N, 2) on the marker, and those
+    of v, with respect to the eight parameters of a small homography. The matrix of this homography
+    is 1 + (a b c; d e f; g h 0)."""
     u, v = places.T
     one, none = np.ones_like(u), np.zeros_like(u)
     return (
@@ -242,8 +244,8 @@ def _stepped(matrix: Array, answer: Array, corners: Array) -> tuple[Array, Array
 def _whole(places: Array, residual: Array, modules: int) -> bool:
     """Return whether all modules but a few agree with the pattern and the whole margin is white.
 
-    ``places`` (N, 2) are in modules from the top left corner; ``residual`` (N,) is relative to the
-    contrast.
+    ``places`` (N, 2) are the positions of the pixels, in modules from the top left corner, and
+    ``residual`` (N,) are their residuals relative to the contrast.
     """
     cells = np.clip(np.floor(places).astype(int), -1, modules) + 1
     size = modules + 2
@@ -284,8 +286,9 @@ def _alike(pixels: Array, residual: Array) -> float:
 
 
 def _side_deviation(corners: Array, covariance: Array) -> float:
-    """Standard deviation, in pixels, of four independent lines equivalent to corners (4, 2) with
-    this covariance (8, 8): they determine the marker's position and angle equally well."""
+    """Return the standard deviation, in pixels, at which four independent lines along the sides
+    determine neither the position nor the angle of the marker more accurately than corners (4, 2)
+    with this covariance (8, 8)."""
     to_middle = np.tile(np.eye(2), 4) / 4.0
     place = float(np.linalg.eigvalsh(to_middle @ covariance @ to_middle.T).max())
     arm = corners - corners.mean(axis=0)

@@ -49,7 +49,7 @@ USUAL_BLUR = 0.75
 MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between top and surroundings, and between dot and top."""
 SIZE_SPREAD = 0.004
-"""Standard deviation of an object's size relative to its file."""
+"""Standard deviation of an object's size, relative to the size in its file."""
 _EVEN = 0.02
 """Usual deviation of the position of a single sector from that of the whole rim, in pixels, for an
 object with a sharp, regular rim."""
@@ -68,7 +68,8 @@ _BRIGHTEST = 2.5
 """The noise of a sector is assumed to increase with its brightness relative to typical sectors, up
 to this ratio."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
-"""Maximum number of iterations, and the change (pixels) below which they stop."""
+"""Maximum number of iterations in :func:`fit_again`, and the change (pixels) below which they
+stop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,9 +79,9 @@ class OutlineFit:
     ``pose`` (3,) is the object's pose in table (m, m, rad) and ``covariance`` (3, 3) is due to
     pixel noise. ``size`` is the apparent size (1: as configured). ``seen`` is the fraction of the
     rim that agrees with the model, and ``least_side`` the lowest such fraction among a polygon's
-    long sides. ``contrast`` and ``dot_contrast`` are those of rim and dot (positive if they have
-    the configured sign) and ``noise`` is that of the pixels, all in grey levels. ``blur`` is a
-    sigma in pixels.
+    long sides. ``contrast`` and ``dot_contrast`` are the contrasts of the rim and of the dot, in
+    grey levels; they are positive if they have the configured sign. ``noise`` is the noise of the
+    pixels in grey levels, and ``blur`` a sigma in pixels.
     """
 
     pose: Array
@@ -120,7 +121,8 @@ class _Design:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearisation:
-    """A fit before its last step, used to measure a stationary object."""
+    """State and linearised model of a fit before its last step. They are used again to measure a
+    stationary object."""
 
     scene: _Scene
     state: _State
@@ -413,12 +415,13 @@ class _State:
         counts = band.counts
         squares = np.square(np.minimum(off, 60.0)) * band.real
         spread = np.sqrt(squares.sum(axis=1) / np.maximum(counts, 1))
-        # In a coarse fit, the whole rim fits badly at first.
+        # The limits are wider in a coarse fit, because at first the whole rim fits badly.
         share, factor, margin = (0.3, 1.3, 0.3) if scene.measures else (0.5, 2.5, 1.0)
         ordered = np.sort(spread[counts > 0])
         usual = float(ordered[round(share * (len(ordered) - 1))])
         assert self.levels is not None
-        # Noise increases with brightness, and half of the rim may be in a shadow.
+        # The limit for a sector increases with its brightness, because noise increases with
+        # brightness, and half of the rim may be in a shadow.
         light = np.maximum(self.levels[:, 0], self.levels[:, 2])
         level = float(np.median(light[spread <= usual])) if (spread <= usual).any() else 1.0
         brighter = np.sqrt(np.clip(light / max(level, 1.0), 1.0, _BRIGHTEST))
@@ -434,7 +437,8 @@ class _State:
     # -- priors
 
     def _prior(self, scene: _Scene) -> Array:
-        """Precisions (7,) of the priors of the globals; very low for the pose."""
+        """Return the precisions (GLOBALS,) of the priors of the parameters that are common to all
+        sectors. They are very low for the pose."""
         blur = 4.0 if scene.measures else 1e8
         moving = float(np.hypot(*scene.step)) > _SMEARED and scene.measures
         place = 1.0 / (5.0 * scene.pixel) ** 2
@@ -446,7 +450,8 @@ class _State:
         return np.array([0.0, 0.0, 0.0, 1.0 - self.size, 0.0, -self.smear, 1.0 - self.dot_size])
 
     def _level_prior(self, sectors: int) -> Array:
-        """Precisions (S, 4, 4) of the levels' priors; very low for top and surroundings."""
+        """Return the precisions (S, LEVELS, LEVELS) of the priors of the levels. They are very low
+        for top and surroundings."""
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
         prior = np.zeros((sectors, LEVELS, LEVELS))
         prior[:, 0, 0] = prior[:, 2, 2] = 1e-6
@@ -455,7 +460,8 @@ class _State:
         return prior
 
     def _level_pull(self, sectors: int) -> Array:
-        """Prior of the levels: the wall usually has half the brightness of the top."""
+        """Return the usual levels multiplied by their precisions, (S, LEVELS). The usual brightness
+        of the wall is half that of the top."""
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
         pull = np.zeros((sectors, LEVELS))
         pull[:, 1] = 0.5 * top / (0.5 * top + 10.0) ** 2

@@ -26,11 +26,11 @@ SIZE, BLUR, SMEAR, DOT_SIZE = 3, 4, 5, 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Band:
-    """The rim's pixels, (S, K), by sector; ``real`` is False for the duplicates that pad the rows.
+    """The rim's pixels, (S, K), with one row for each sector.
 
     ``top`` and ``floor`` (2, S, K) are their projections to the plane of the top and to the table,
-    in m; ``pixels`` are flat indices in the image; ``counts`` (S,) are the numbers of real pixels
-    in each sector.
+    in m. ``pixels`` are flat indices in the image. ``counts`` (S,) are the numbers of pixels in
+    each sector. Shorter rows are padded with duplicates, for which ``real`` is False.
     """
 
     top: Array
@@ -76,7 +76,7 @@ class Shape:
 def rim_model(
     outline: ObjectOutline, shape: Shape, band: Band, levels: Array | None, width: float
 ) -> Array:
-    """Derivatives (LEVELS + GLOBALS + 1, S, K) of the grey values.
+    """Return the derivatives (LEVELS + GLOBALS + 1, S, K) of the grey values.
 
     They are taken with respect to the levels of the pixel's sector, to the parameters common to all
     sectors (``GLOBALS``), and to a displacement of the rim outwards by a pixel. ``levels`` (S,
@@ -111,8 +111,9 @@ def rim_model(
 
 
 def dot_model(dot: Dot, shape: Shape, around: Pixels, levels: Array | None) -> Array:
-    """Derivatives (4 + GLOBALS, N) for the dot, with respect to the levels of dot and top, two
-    slopes, and the globals."""
+    """Return the derivatives (4 + GLOBALS, N) of the grey values in and around the dot with respect
+    to the levels of dot and top, to two slopes of the illumination, and to the parameters of the
+    whole outline (``GLOBALS``)."""
     cos, sin = math.cos(shape.pose[2]), math.sin(shape.pose[2])
     x, y = _within(shape.pose, cos, sin, around.top.T)
     x, y = x - dot.offset[0], y - dot.offset[1]
@@ -130,7 +131,7 @@ def dot_model(dot: Dot, shape: Shape, around: Pixels, levels: Array | None) -> A
         return model
     model[4:] = columns[:GLOBALS] * (levels[0] - levels[1])
     model[4 + SIZE] = 0.0
-    # Displacing the rim outwards by the radius doubles the size of the dot.
+    # A displacement of the dot's rim outwards by the dot's radius doubles the size of the dot.
     model[4 + DOT_SIZE] = columns[-1] * ((levels[0] - levels[1]) * dot.radius / shape.pixel)
     return model
 
@@ -151,12 +152,13 @@ def _edge(
     nx: Array,
     ny: Array,
 ) -> tuple[Array, Array]:
-    """Fraction of each blurred pixel that lies inside the outline scaled by ``shape.size``, and its
-    derivatives.
+    """Return the fraction of each blurred pixel that lies inside the outline scaled by
+    ``shape.size``, and the derivatives of this fraction.
 
-    The derivatives (GLOBALS + 1, ...) are taken with respect to the globals, except the dot's size,
-    and to a displacement of the edge outwards by a pixel. ``x``, ``y`` are the points, and
-    ``distance`` their distance from the edge, with the gradient ``nx``, ``ny``.
+    The derivatives (GLOBALS + 1, ...) are taken with respect to the parameters of the whole outline
+    (``GLOBALS``; 0 for the dot's size) and to a displacement of the edge outwards by a pixel.
+    ``x``, ``y`` are the points, and ``distance`` their distance from the edge, with the gradient
+    ``nx``, ``ny``.
     """
     pixel = shape.pixel
     table_nx, table_ny = cos * nx - sin * ny, sin * nx + cos * ny

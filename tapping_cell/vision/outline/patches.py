@@ -1,4 +1,4 @@
-"""Find objects across which the edge of a shadow runs, as evenly lit patches or pairs of patches.
+"""Find objects on which the edge of a shadow lies, by searching for evenly lit patches.
 
 If a hard shadow falls across an object, no threshold separates the object from the table. However,
 its lit part and its shaded part are patches without inner edges, and together they have the

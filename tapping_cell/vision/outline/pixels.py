@@ -16,7 +16,8 @@ from tapping_cell.vision.markers.photometric import window_rays
 from tapping_cell.vision.outline.shape import Dot, ObjectOutline
 
 SOFTENED = 2.5
-"""Sigma in pixels of the blur for a coarse fit, which extends the range of convergence."""
+"""Sigma, in pixels, of the blur that is applied to the image before a coarse fit. It extends the
+range of convergence."""
 MAX_PIXELS, ROUGH_PIXELS = 3000, 1000
 """Maximum number of pixels in a fine fit, and in a coarse or motion-blurred fit."""
 _SECTORS = 24
@@ -37,7 +38,7 @@ class Pixels:
 
 
 def softened(image: Image, view: View, outline: ObjectOutline, pose: Array, width: float) -> Image:
-    """Return the image with the object's surroundings blurred."""
+    """Return the image, blurred at the object and in its surroundings."""
     seen = view.project(transform_points(pose, outline.points()), outline.height)
     clearance = math.ceil(3.0 * width)
     x0, y0 = np.maximum(np.floor(seen.min(axis=0)).astype(int) - clearance, 0)
@@ -71,14 +72,14 @@ def rim_pixels(
     face = np.round((top - corner) * 16.0).astype(np.int32)
     cv2.polylines(mask, [face], True, (1,), round(2.0 * width) + 1, shift=4)
     if outline.vertices is not None:
-        # Blurred corners are round, so only the sides are used.
+        # Blurred corners are round, unlike the model, so their pixels are not used.
         for x, y in face:
             cv2.circle(mask, (int(x), int(y)), round(16.0 * width), (0,), -1, shift=4)
     return _seen_through(view, outline.height, mask, (int(x0), int(y0)), most)
 
 
 def dot_pixels(view: View, outline: ObjectOutline, dot: Dot, pose: Array) -> Pixels | None:
-    """Select the pixels of the dot and of the uniform part of the top around it."""
+    """Select the pixels of the dot and of the top around it, without the rim of the top."""
     clearance = -float(outline.distance(np.array([dot.offset]))[0][0])
     pixel = (float(view.pose.position[2]) - outline.height) / view.camera.fx
     reach = min(clearance - pixel, dot.radius + 5.0 * pixel)
@@ -101,7 +102,8 @@ def _seen_through(
     corner: tuple[int, int],
     most: int = MAX_PIXELS,
 ) -> Pixels | None:
-    """Project the pixels of a mask whose first pixel is ``corner`` (x, y) of the image."""
+    """Project the pixels of a mask. The first pixel of the mask is the pixel ``corner`` (x, y) of
+    the image."""
     rows, columns = mask.shape
     x0, y0 = corner
     chosen = np.flatnonzero(mask)

@@ -31,14 +31,15 @@ from tapping_cell.vision.outline.patches import patches
 from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
 
 _MIN_SEEN = {"disk": 0.55, "polygon": 0.7}
-"""Minimum visible fraction of the rim. An arc of a circle fits in only one place, but a polygon
-displaced along some of its sides still agrees with these sides."""
+"""Minimum visible fraction of the rim. An arc of a circle fits in only one place. The limit is
+higher for a polygon, because a polygon displaced along some of its sides still agrees with these
+sides."""
 _MIN_SIDE = 0.25
 """Minimum visible fraction of each long side of a polygon. Without this limit, a triangle displaced
 by some millimetres can fit well: two of its sides agree, and its third side agrees with a wall as
 bright as the top."""
 LARGEST_STRETCH = 0.03
-"""Maximum relative difference between an object's apparent size and its file."""
+"""Maximum relative difference between an object's apparent size and the size in its file."""
 _CERTAIN = 1e-5
 _SMALL = 32
 """Size of the object, in pixels, in the downscaled image that is searched."""
@@ -46,20 +47,22 @@ _SHADES = (0.06, 0.1, 0.16, 0.25, 0.4, 0.7)
 """Thresholds for the relative difference of a blob's brightness from the surroundings."""
 _AREAS = (0.65, 1.45)
 _LARGEST_HULL_RATIO = 1.18
-"""Minimum and maximum area relative to the object's top (a blob may include walls and shadows), and
-maximum ratio of the areas of the convex hull and the blob."""
+"""``_AREAS`` are the minimum and maximum area of a blob, which may include walls and shadows,
+relative to the area of the object's top. ``_LARGEST_HULL_RATIO`` is the maximum area of a blob's
+convex hull, relative to the area of the blob."""
 _FORM = 0.12
 """Maximum relative deviation (rms) of a blob's shape, which may be due to walls or occlusion."""
 _CANDIDATES = 6
 _NEAR = 30
-"""Maximum error of the best angle due to a wall, in steps of :func:`turn_differences`: 15
-degrees."""
+"""Maximum error of the angle found without considering the wall, in steps of
+:func:`turn_differences`. It corresponds to 15 degrees."""
 _DOUBTFUL = 0.006
-"""Relative difference of the fitted size from the file above which the fit is repeated with the
-size fixed."""
+"""Relative difference between the fitted size and the size in the file, above which the fit is
+repeated with the size fixed."""
 _INSIDE, _BESIDE, _THICK = 8.0, 14.0, np.array([-1.0, 0.0, 1.0])
-"""The top and its surroundings (beyond the wall) are compared at these distances in pixels inside
-and outside the rim. At each position, pixels with these offsets are averaged."""
+"""Distances, in pixels, inside and outside the rim at which the brightness of the top is compared
+with that of the surroundings (beyond the wall). At each of these positions, pixels with the offsets
+``_THICK`` are averaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,8 +174,8 @@ def fit_surely(
     """Call :func:`fit_outline`, and repeat it with the size of the file if the size seems wrong.
 
     One side of a tall polygon may be confused with a wall as bright as the top, so that the outline
-    is displaced and too small. The wrong fit is nearly as good as the correct fit, which is found
-    with the size fixed.
+    is displaced and too small. This wrong fit is nearly as good as the correct fit. However, a fit
+    with fixed size finds the correct one.
     """
     fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
     if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
@@ -266,9 +269,10 @@ def rough_places(
     around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
     shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
     places: list[_Place] = []
-    # The area and the minimum length of the rim are in pixels of the downscaled image. Of all
-    # shapes with this area, a disk has the shortest rim. Diagonal steps along a contour count as
-    # one pixel.
+    # The area, and the minimum number of points of a contour, in the downscaled image. Of all
+    # shapes with the same area, a disk has the shortest rim. The number of points can be smaller
+    # than the length in pixels by a factor of up to sqrt(2), because a diagonal step adds only one
+    # point.
     area = outline.area / (float(scale.prod()) * pixel**2)
     shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
     for threshold in _SHADES:
@@ -277,7 +281,8 @@ def rough_places(
         for contour in contours:
             if len(contour) < shortest:
                 continue
-            # Contours pass through the centres of the outermost pixels, so half a pixel is missing.
+            # Contours pass through the centres of the outermost pixels, so half a pixel is missing
+            # along the whole contour.
             share = (cv2.contourArea(contour) + 0.5 * len(contour)) / area
             if not _AREAS[0] < share < _AREAS[1]:
                 continue
@@ -330,7 +335,7 @@ def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
 
 def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]:
     """Match a rim (N, 2), projected to the plane of the top, with the outline of the top alone, and
-    with the outline of top and wall together."""
+    with the outline of top and wall together. Yield a candidate for each of the two."""
     middle, radii = _middle(rim), _radii(rim)
     model = outline.radii()
     size = float(radii.mean() / model.mean())

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from tapping_cell.vision.camera import Array
 
 _SAME = 0.03
-"""Difference (rms, relative to the mean radius) below which a rotated outline counts as the same.
-The manufacturing tolerance is a tenth of this value; the remainder allows for hidden parts of the
-rim."""
+"""Difference (rms, relative to the mean radius) between an outline and the rotated outline, below
+which the outline counts as symmetric under this rotation. The manufacturing tolerance is a tenth of
+this value. The remainder allows for hidden parts of the rim."""
 ANGLES = 720
 """Number of angles at which radii of a rim are compared."""
 _MIN_DOT = 0.002
@@ -148,8 +148,8 @@ class ObjectOutline:
         return distance, np.stack([nx, ny], axis=-1)
 
     def distance_at(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Compute :meth:`distance` for separate coordinates: distance, and its gradient along x and
-        y."""
+        """Compute :meth:`distance` for points with the coordinates ``x`` and ``y``. Return the
+        distance and its derivatives with respect to x and y."""
         if self.vertices is None:
             assert self.radius is not None
             length = np.sqrt(x * x + y * y)
@@ -217,8 +217,8 @@ def _turns(outline: ObjectOutline) -> tuple[float, ...]:
 
 
 def turn_differences(radii: Array, model: Array) -> Array:
-    """Root mean square difference, in m, of radii (N,) and the model's radii rotated by k of N
-    steps, for every k."""
+    """Return for every k from 0 to N - 1 the root mean square difference, in m, between radii (N,)
+    and the radii (N,) of a model that is rotated by k / N of a full turn."""
     spectrum = np.fft.rfft(radii) * np.conj(np.fft.rfft(model))
     product = np.fft.irfft(spectrum, len(radii)) / len(radii)
     square = float((radii**2).mean() + (model**2).mean())

@@ -33,10 +33,11 @@ from tapping_cell.vision.tracker import PoseTracker
 Mask = NDArray[np.uint8]
 
 _AROUND = 0.04
-"""Width (m) of the margin around the reference markers' centres in which the object may also
-lie."""
+"""Width (m) of a margin around the area that the centres of the reference markers enclose. The
+object may lie in this area and in the margin."""
 _FREE_RIM = 1.4
-"""Size of the area of a reference marker including its white border, in sides of the marker."""
+"""Side of the square that a reference marker and its white border cover, relative to the side of
+the marker."""
 _MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between an object and the table."""
 _SHADOW = 0.4
@@ -237,10 +238,11 @@ class _Plane:
 
 
 def _excess(seen: NDArray[np.float32], free: Mask) -> NDArray[np.float32]:
-    """Brightness of every pixel relative to the table beside it; 0 if nothing is visible.
+    """Return the difference of every pixel's brightness from the table's; 0 for pixels on reference
+    markers or outside the image.
 
-    The table's brightness is modelled by a quadratic surface, fitted iteratively to the pixels
-    close to it.
+    The table's brightness is modelled by a quadratic surface. The surface is fitted iteratively to
+    the pixels whose brightness is close to it.
     """
     rows, columns = seen.shape
     v, u = (2.0 * np.arange(n, dtype=np.float32) / max(n - 1, 1) - 1.0 for n in (rows, columns))
@@ -268,8 +270,9 @@ def _object(
 ) -> tuple[Mask, bool]:
     """Return a mask (255) of the object without holes, and whether it is brighter than the table.
 
-    Regions darker and brighter than the table are searched. The largest is the object; a region of
-    opposite sign is its shadow or its print.
+    Regions darker than the table and regions brighter than the table are searched. The largest
+    region is the object. Regions that differ from the table in the other direction are ignored,
+    because they are the object's shadow or its print.
     """
     least = math.pi * (_MIN_REACH / plane.step) ** 2
     found = [
@@ -320,8 +323,8 @@ def _encloses(outline: NDArray[np.int32], pixel: Array) -> bool:
 def _rim(excess: NDArray[np.float32], mask: Mask) -> Array:
     """Points (N, 2) of the rim in pixels, with sub-pixel accuracy.
 
-    The brightness is sampled across each point of the coarse rim. The rim is the position at which
-    it is halfway between the brightness inside and outside.
+    The brightness is sampled across the coarse rim at each of its points. The rim is where the
+    brightness is halfway between that inside and that outside.
     """
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     rough = max(contours, key=cv2.contourArea)[:, 0].astype(float)
@@ -362,8 +365,9 @@ def _sampled(image: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.
 
 
 def _shape(rim: Array) -> tuple[float | None, Array | None, Array, float]:
-    """Fit the shape: radius or corners (n, 2), centre (2,), and rms distance of the rim (N, 2), in
-    m."""
+    """Fit a circle or a polygon to a rim (N, 2). Return the radius (None for a polygon), the
+    corners (n, 2; None for a circle), the centre (2,), and the root mean square distance of the rim
+    from the shape, all in m."""
     if signed_area(rim) < 0.0:
         rim = rim[::-1]
     hull = cv2.convexHull(rim.astype(np.float32))[:, 0].astype(float)
@@ -414,7 +418,7 @@ def _corners(rim: Array, radius: float) -> Array | None:
         if len(side) < 5:
             return None
         middle = side.mean(axis=0)
-        # The normal of a side is the direction of its smallest spread.
+        # The normal of a side is the direction in which its points scatter least.
         _, _, directions = np.linalg.svd(side - middle, full_matrices=False)
         middles.append(middle)
         normals.append(directions[1])

@@ -15,8 +15,8 @@ from tapping_cell.vision.markers.edges import MarkerEdges, straight_corners
 _BENT = 0.03
 """Typical displacement of a square's sides relative to each other due to lens errors, in pixels."""
 _FAR = 4.0
-"""Maximum error of an inlier for a pose from two markers, as a multiple of
-``TableSettings.displaced``."""
+"""Maximum error of an inlier, as a multiple of ``TableSettings.displaced``, if the pose is computed
+from only two markers."""
 _MAX_PAIRS = 66
 
 
@@ -24,14 +24,14 @@ _MAX_PAIRS = 66
 class TableSettings:
     """Settings of the table tracker.
 
-    At least ``least_references`` markers must be measured; at most ``memory`` frames are averaged.
+    At least ``least_references`` markers must be measured. At most ``memory`` frames are averaged.
     A marker more than ``suspect_shift`` pixels from its average counts as disturbed. A frame in
     which at least half of the markers are disturbed counts as suspect, and after ``confirm_frames``
     suspect frames the camera counts as moved. The table is refused if it has moved by more than
     ``largest_move`` in total (m, measured at the references). A marker that disagrees with the rest
-    of the map by more than ``displaced`` pixels is excluded. All sides together may appear longer
-    or shorter than in the map by ``bloom`` pixels or by ``bloom_share`` of a side, whichever is
-    more; a larger difference contradicts the map.
+    of the map by more than ``displaced`` pixels is excluded. The common difference between the
+    apparent length of all sides and their length in the map may be up to ``bloom`` pixels or
+    ``bloom_share`` of a side, whichever is more. A larger difference contradicts the map.
     """
 
     least_references: int = 2
@@ -200,8 +200,8 @@ def fit_table(
 
 
 def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
-    """Index of the marker that explains most of the residuals (M, 8) if it is an outlier; None if
-    no marker explains half of them.
+    """Return the index of the marker whose exclusion reduces the sum of the squared residuals the
+    most; None if no marker reduces it by half. ``left`` (M, 8) are the residuals.
 
     This need not be the marker with the largest residual, because a marker far from the others
     pulls the fit towards itself (its leverage; Cook and Weisberg 1982). ``white`` is (M, 8, 8) and
@@ -218,7 +218,7 @@ def _wrong_one(white: Array, left: Array, jacobian: Array) -> int | None:
 def consensus(
     camera: CameraModel, points: Array, rays: Array, settings: TableSettings
 ) -> tuple[CameraPose, NDArray[np.bool_]] | None:
-    """Compute a pose in the presence of gross outliers, and which markers (M,) are inliers.
+    """Compute a pose in the presence of gross outliers. Return it with a mask (M,) of the inliers.
 
     The camera's pose is computed from every pair of markers (Fischler and Bolles 1981, all pairs),
     and the pose with the most inliers is chosen. Returns None unless the inliers are a majority and
@@ -240,14 +240,14 @@ def consensus(
 
 
 def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float) -> float:
-    """Standard deviation by which M markers' sides deviate from squares in excess of their
-    ``noise`` (M,) and of the ``usual`` deviation, in units of directions.
+    """Return the standard deviation, in units of directions, by which the sides of M markers
+    deviate from squares in excess of their ``noise`` (M,) and of the ``usual`` deviation.
 
-    Position and rotation of each marker depend on print and lens
-    (:mod:`tapping_cell.vision.table.systematic_error`). The residuals ``left`` (M, 8) of a marker's
-    corners have five other degrees of freedom. They contain noise, the small deformation of a
-    square by a lens, and errors of the sides due to blur, objects nearby or a shadow. The result is
-    0 if it cannot be distinguished from noise (three standard deviations of chi square).
+    The position and rotation of each marker are not considered, because they depend on print and
+    lens (:mod:`tapping_cell.vision.table.systematic_error`). The residuals ``left`` (M, 8) of a
+    marker's corners have five other degrees of freedom. These contain noise, the small deformation
+    of a square by a lens, and errors of the sides due to blur, objects nearby or a shadow. The
+    result is 0 if it cannot be distinguished from noise (three standard deviations of chi square).
     """
     count = len(left)
     arm = rays - rays.mean(axis=1, keepdims=True)
@@ -266,8 +266,8 @@ def _unsquare(white: Array, left: Array, rays: Array, noise: Array, usual: float
 
 
 def _linearised(pose: CameraPose, points: Array, rays: Array) -> tuple[Array, Array]:
-    """Jacobian (2 N, 6) of the directions with respect to the pose, and measured minus
-    predicted."""
+    """Return the Jacobian (2 N, 6) of the directions with respect to the pose, and the residuals
+    (2 N,), measured minus predicted."""
     p = pose.apply(points)
     x, y, z = p[:, 0], p[:, 1], p[:, 2]
     u, v = x / z, y / z

@@ -22,7 +22,8 @@ Rows = NDArray[np.intp]
 
 
 class ReferenceMarkers:
-    """Predicts the image positions of a map's markers; ``each`` markers are measured per frame."""
+    """Predicts the image positions of a map's markers and measures at most ``each`` of them in a
+    frame, in turn."""
 
     def __init__(self, table: ReferenceMap, each: int) -> None:
         self.dictionary = table.dictionary
@@ -56,14 +57,15 @@ class ReferenceMarkers:
         quads = {self._rows[i]: q for i, q in detections.single.items() if i in self._rows}
         self.repeated = [i for i in detections.repeated if i in self._rows]
         if self._quads is not None:
-            # The next frames search at the current image positions, regardless of the table's pose.
+            # In the next frames, the markers are measured near these image positions, even if the
+            # table's pose predicts other positions.
             for row, quad in quads.items():
                 self._quads[row] = quad
         return quads
 
     def next_group(self) -> dict[int, Array]:
-        """Return the predicted corners of the markers to measure in this frame, by row of the map;
-        the markers are measured in turn."""
+        """Return the predicted corners (4, 2) of the markers to measure in this frame, by row of
+        the map. Every call returns another group of markers, in turn."""
         if self._quads is None:
             return {}
         count = len(self._quads)

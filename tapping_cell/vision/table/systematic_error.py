@@ -2,12 +2,12 @@
 
 After the camera's pose is fitted, the references still deviate from their positions in the map.
 Part of this is due to an inaccurate lens calibration, part is individual to each marker (printing,
-gluing), and part is noise. Given the amplitudes of the first two, all three are Gaussian.
-Conditioned on the references, the model gives the expected error of a pose measured at any place
-and height above the table, and the remaining uncertainty. This is kriging with the camera's pose as
-trend (Rasmussen and Williams 2006, chapter 2). The amplitudes are averaged over a grid with their
-restricted likelihood as weight, so that the ambiguity left by few references increases the
-covariance.
+gluing), and part is noise. All three are modelled as Gaussian. The amplitudes of the first two are
+unknown. Conditioned on the references, the model gives the expected error of a pose measured at any
+place and height above the table, and the remaining uncertainty. This is kriging with the camera's
+pose as trend (Rasmussen and Williams 2006, chapter 2). The results for a grid of amplitudes are
+averaged with the restricted likelihood of the amplitudes as weight, so that the ambiguity left by
+few references increases the covariance.
 """
 
 from __future__ import annotations
@@ -27,42 +27,48 @@ _LENS: tuple[tuple[str | int, float], ...] = (
     (2, 0.00012),
     (3, 0.00012),
 )
-"""Lens parameters (pixels, or index of a coefficient) and their typical standard deviations
-relative to each other, as reported by OpenCV's calibration for some twenty images of a board.
+"""Typical standard deviations of the lens parameters, as reported by OpenCV's calibration for some
+twenty images of a board. A common amplitude of all lens errors is estimated from the references.
 
-The errors of both focal lengths (pixels) are nearly equal; their difference is much smaller.
-Deviations stated by a calibration (``CameraModel.deviations``) replace these.
+In ``_LENS``, an index denotes a distortion coefficient. Deviations of cx and cy are in pixels, and
+so are those of the focal lengths: ``_FOCAL`` is for their common error, and ``_ASPECT`` for half
+the difference of their errors. If a calibration states deviations (``CameraModel.deviations``),
+these are used instead.
 """
 _STATED_ASPECT = 0.25
-"""Ratio of the standard deviation of the focal lengths' difference to that of their common error,
-if the latter is stated. Measured: 0.05 for calibrations from images of a board."""
+"""Standard deviation of half the difference of the focal lengths' errors, relative to that of
+their common error, if the calibration states the latter. Measured: 0.05 for calibrations from
+images of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
 """Grids of the amplitude of the lens errors, in units of the standard deviations in ``_LENS``, and
 of the amplitude of a marker's misplacement, in m. Coarser steps make the covariance too small if
 the true value is between two of them."""
 _TURNS = (0.1, 0.3, 1.0)
-"""Displacement of a marker's corners by its rotation, divided by the displacement by its shift. The
-lowest ratio is typical of markers printed on one sheet, the highest of markers glued
-individually."""
+"""Assumed ratios of two displacements of a marker's corners: the one due to its rotation error,
+divided by the one due to its position error. The lowest ratio is typical of markers printed on one
+sheet, the highest of markers glued individually."""
 _PRIOR = (0.7, 1.0), (4e-5, 1.3)
-"""Each amplitude's typical value and its logarithmic standard deviation: lens errors, misplacement.
-This prior matters if there are only two or three references."""
+"""Prior distributions of the amplitude of the lens errors and of that of a marker's misplacement:
+typical value, and standard deviation of its logarithm. They matter if there are only two or three
+references."""
 _EXACT = (0.3, 0.1, 0.25)
-"""Prior probabilities that both lens and print are practically exact, that only the lens is, and
-that only the print is. The smallest amplitude then applies."""
+"""Prior probabilities that both lens and print are practically exact, that only the lens is exact,
+and that only the print is exact. Exact means that the amplitude is the smallest one of its
+grid."""
 _STATED = 1.0, 0.5
 """Typical amplitude of the lens errors in units of the deviations stated by the calibration, and
 its logarithmic standard deviation. A lens with stated deviations is never assumed to be exact."""
 _LEFT_OUT = 1e-3
-"""Total probability of the unlikely pairs of amplitudes that may be dropped. This limit is low
-because the unlikely pairs matter in total, even if each is only a fiftieth as likely as an exact
-lens and print."""
+"""Total probability of the unlikely combinations of amplitudes that may be dropped. This limit is
+low, because many unlikely combinations matter together, even if each of them is only a fiftieth as
+likely as an exact lens and print."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Members:
-    """K pairs of amplitudes: weights (K,), powers (K,) of the lens error, and shared products."""
+    """K combinations of amplitudes: their weights (K,), the squared amplitudes ``power`` (K,) of
+    the lens error, and matrices that do not depend on the pose to be corrected."""
 
     weight: Array
     power: Array
@@ -123,7 +129,7 @@ def condition(
     and False if it is scaled by typical deviations.
     """
     # Use only the position and rotation of each marker. Ink, bloom and blur make a marker appear
-    # larger, smaller or stretched; this must not be explained as a lens error.
+    # larger, smaller or stretched, which must not be attributed to the lens.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]
@@ -153,7 +159,8 @@ def condition(
 
 
 def _prior(field: Array, print_: Array, stated: bool) -> Array:
-    """Prior probability of pairs of amplitudes, given their squares."""
+    """Return the prior probabilities of combinations of amplitudes, whose squares are ``field``
+    (K,) for the lens errors and ``print_`` (K,) for the misplacement of markers."""
     usually, exactly = [], []
     of_lens = _STATED if stated else _PRIOR[0]
     for power, (usual, spread) in ((field, of_lens), (print_, _PRIOR[1])):
@@ -175,8 +182,9 @@ def _prior(field: Array, print_: Array, stated: bool) -> Array:
 
 
 def _misplaced(points: Array) -> tuple[Array, Array]:
-    """Covariances (8 M, 8 M) of corners for unit position errors of the markers, and unit
-    rotations."""
+    """Return two covariance matrices (8 M, 8 M) of the corners: for independent position errors of
+    the markers with a standard deviation of 1 m in x and y, and for independent rotations with a
+    standard deviation of 1 / r (see :func:`_turned`)."""
     turned = _turned(points)
     same = np.eye(points.shape[0])
     shifted = np.kron(same, np.kron(np.ones((4, 4)), np.eye(2)))
@@ -184,7 +192,9 @@ def _misplaced(points: Array) -> tuple[Array, Array]:
 
 
 def _poses_of(points: Array) -> Array:
-    """Matrix (3 M, 8 M): mean x, mean y and rotation (times corner distance) of every marker."""
+    """Return the matrix (3 M, 8 M) that maps displacements of all corners to the mean displacement
+    in x and in y and the rotation of every marker. The rotation is multiplied by the distance r of
+    :func:`_turned`."""
     count = points.shape[0]
     turned = _turned(points).reshape(count, 8)
     rows = np.zeros((count, 3, count, 8))
@@ -196,17 +206,17 @@ def _poses_of(points: Array) -> Array:
 
 
 def _turned(points: Array) -> Array:
-    """Displacements (8 M,) of all corners if each marker rotates by 1 / (distance of its
-    corners)."""
+    """Return the displacements (8 M,) of all corners if each marker rotates by 1 / r, where r is
+    the root mean square distance of the corners from the centre of their marker."""
     arm = points - points.mean(axis=1, keepdims=True)
     reach = np.sqrt((arm**2).sum(axis=-1).mean())
     return np.asarray(np.stack([-arm[..., 1], arm[..., 0]], axis=-1).reshape(-1) / reach)
 
 
 def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]:
-    """Directions (..., 2) of points (..., 2) of the plane at ``height``, and the changes (..., 2,
-    8) of the directions if each lens parameter in turn differs from its calibrated value by one
-    standard deviation, stated or typical."""
+    """Return the directions (..., 2) of points (..., 2) of the plane at ``height``, and the changes
+    (..., 2, 8) of these directions if one of eight lens parameters differs from its calibrated
+    value by one standard deviation (stated by the calibration, otherwise typical)."""
     camera = view.camera
     rays = camera.rays(view.project(points, height))
     shifts = [
@@ -217,7 +227,8 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
 
 
 def _other_lenses(camera: CameraModel) -> list[CameraModel]:
-    """The camera with each parameter in turn changed by its deviation, stated or typical."""
+    """Return eight cameras. In each of them, another lens parameter is changed by its standard
+    deviation (stated by the calibration, otherwise typical)."""
     focal, aspect, rest = _FOCAL, _ASPECT, [usual for _, usual in _LENS]
     if camera.deviations:
         focal = float(np.sqrt(np.mean(np.square(camera.deviations[:2]))))

@@ -1,11 +1,11 @@
 """Estimate the camera's pose over the table from the averaged reference markers.
 
 While nothing moves, each marker's corners are averaged over the frames and the pose is fitted to
-the averages. Every frame is compared with the averages, marker by marker. If most of the markers
-deviate from their averages in several successive frames, the camera or the table was moved. The
-averages are then restarted and the move is reported. The residuals that remain after averaging are
-due to lens and printing rather than noise. They determine the systematic error of a pose measured
-on this table.
+the averages. Every frame is compared with the averages, marker by marker. If at least half of the
+markers deviate from their averages in several successive frames, the camera or the table was moved.
+The averages are then restarted and the move is reported. The residuals that remain after averaging
+are due to lens and printing rather than noise. They determine the systematic error of a pose
+measured on this table.
 """
 
 from __future__ import annotations
@@ -32,11 +32,12 @@ from tapping_cell.vision.table.fit import (
 from tapping_cell.vision.table.systematic_error import SystematicError, condition, lens_shifts
 
 _SIDE_BIAS = 0.0007
-"""Standard deviation of an averaged side, in pixels, due to its position between pixels (measured:
-0.0005)."""
+"""Standard deviation, in pixels, of the error of an averaged side that depends on the position of
+the side within a pixel (measured: 0.0005)."""
 _STEP = 0.08
-"""Limit, in pixels, on the change of the bloom and on half the increase of the residual when only
-two reference markers are used. A larger change means that a marker moved, not the camera."""
+"""Limit in pixels for the case that only two reference markers are used. If the bloom changes by
+more than this limit, or the error of the fit increases by more than twice this limit, a marker has
+moved, not the camera."""
 _EDGE_BIAS = 0.0002
 """Systematic error common to all averaged edges, in pixels (measured: below 0.0002)."""
 
@@ -90,8 +91,10 @@ class TableTracker:
         self._field_frames = 0.0
 
     def update(self, edges: MarkerEdges, rows: NDArray[np.intp]) -> TableState:
-        """Process one frame's reference markers; ``rows`` (M,) are the rows of the map for
-        ``edges``; all edges must be good."""
+        """Process the reference markers of one frame.
+
+        ``rows`` (M,) are the rows of the markers in the map. All ``edges`` must be good.
+        """
         s = self.settings
         if len(rows) < s.least_references:
             return TableState.UNKNOWN if self.pose is None else TableState.UNSEEN
@@ -148,7 +151,11 @@ class TableTracker:
 
     def _too_many_moved(self, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]) -> bool:
         """Return whether so many markers deviate from their averages that they cannot have been
-        moved individually. Each frame measures only a few of the markers."""
+        moved individually.
+
+        Deviations are collected over several frames, because each frame measures only a few of the
+        markers.
+        """
         apart = self._moved_markers.copy()
         apart[rows] |= disturbed & (self._disturbed_frames[rows] >= self.settings.confirm_frames)
         return int(apart.sum()) > max(1, len(apart) // 4)
@@ -195,8 +202,8 @@ class TableTracker:
         points, rays, focal = self.points[have], self._rays[have], self.camera.fx
         fit = fit_table(start, points, rays, noise, self.settings, focal)
         if fit is not None and fit.error > self.settings.displaced and len(have) >= 3:
-            # The error is too large for least squares to identify the outlier, because all
-            # residuals are large.
+            # Least squares could not identify the outlier, because a gross outlier makes all
+            # residuals large.
             agreed = consensus(self.camera, points, rays, self.settings)
             if agreed is not None:
                 pose, used = agreed
@@ -232,8 +239,8 @@ class TableTracker:
         view = View(self.camera, fit.pose)
         seen, shifts = lens_shifts(view, points[fit.used], 0.0)
         count = int(fit.used.sum())
-        # Derivative of the position on the table with respect to the direction of the ray, for each
-        # corner: it differs between corners if the view is oblique.
+        # For each corner, compute the derivative of the position on the table with respect to the
+        # direction of the ray. It differs between corners if the view is oblique.
         ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
         lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
         block: Array = np.zeros((4 * count, 2, 4 * count, 2))
@@ -279,8 +286,9 @@ class TableTracker:
         """Covariance (3, 3) of a pose due to the errors of a measured map.
 
         If the same camera measured the map, the effects of the lens and of the markers' printed
-        size occur again in the measurement, so the markers agree with the map. The error is
-        modelled as a common stretch, shear and rotation about the markers' centre.
+        size are the same in the map and in this measurement, so the residuals do not show the
+        errors of the map. These errors are modelled as a common stretch, shear and rotation about
+        the markers' centre.
         """
         middles = self.points.mean(axis=1)
         arm = place[:2] - middles.mean(axis=0)
@@ -294,12 +302,14 @@ class TableTracker:
 
 
 CROSS = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-"""Points (4, 2) in m around an object's centre that represent its marker when it is shifted,
-rotated and sheared. A fit to all sides of a square rotates by the mean rotation of its sides."""
+"""Points (4, 2) in m around an object's centre that represent its marker: if the image is shifted,
+rotated or sheared, a pose fitted to these points changes as much as a pose fitted to all sides of a
+square. Under shear, both rotate by the mean rotation of the square's sides."""
 
 
 def pose_changes(points: Array, shifts: Array) -> Array:
-    """Change (..., 3) of a pose (x, y, theta) fitted to points (N, 2) displaced by (..., N, 2)."""
+    """Return the change (..., 3) of a pose (x, y, theta) that is fitted to points (N, 2), if these
+    points are displaced by ``shifts`` (..., N, 2)."""
     arm = points - points.mean(axis=0)
     turn = (arm[:, 0] * shifts[..., 1] - arm[:, 1] * shifts[..., 0]).sum(axis=-1)
     return np.concatenate([shifts.mean(axis=-2), (turn / (arm**2).sum())[..., None]], axis=-1)
