@@ -29,7 +29,7 @@ LATEST = 0.7
 CLOSE = 1e-3
 """Maximum difference between the true joints and their target, rad or m."""
 STILL = 0.02
-"""Maximum rotation of shoulder and elbow after a call that stopped the arm has returned, rad."""
+"""Maximum rotation of shoulder and elbow after the return of a call that stops the arm, rad."""
 LOW, HIGH = (-1.0, 0.4, -0.12, -1.5), (1.0, 2.0, 0.0, 1.5)
 """Range of the targets."""
 

@@ -13,8 +13,8 @@ from tapping_cell.verification.invariants import CHECK_S, InvariantChecker
 from tapping_cell.verification.physical_cell import Release
 
 OTHERS_ASKED_S = 0.1
-"""Maximum age, at the last check, of the replies of the other boards that their strikers are at
-rest."""
+"""Maximum age of the other boards' replies at the last check, s. These replies state that the
+strikers of these boards are at rest."""
 UNNOTICED_S = 3.0
 """Maximum time from when a striker leaves its mount until the tapper's node reports it. This
 maximum covers a request with all its repetitions, and the time for which a board waits until a
@@ -32,8 +32,8 @@ class FixedInvariantChecker(InvariantChecker):
     unread_until: Callable[[], float] = lambda: -math.inf
     """Time until which a fault may have prevented the tapper's node from reading the boards."""
     _motion_at_check: bool = False
-    """Whether, at the last check, the latest observation received by the tapper showed the object
-    in motion."""
+    """Whether the object was in motion in the latest observation that the tapper had received at
+    the last check."""
 
     @property
     def _cell(self) -> PhysicalFixedCell:

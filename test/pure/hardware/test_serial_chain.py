@@ -224,7 +224,8 @@ def test_a_leaning_striker_is_not_believed() -> None:
 def test_an_unreachable_way_is_refused_before_anything_moves() -> None:
     own = CELL.arm.ros2_control
     assert own is not None and own.chain is not None
-    # The arm is mounted so far back that the SCARA of the cell file reaches farther.
+    # The arm is mounted so far back that it does not reach every pose that the SCARA of the cell
+    # file reaches.
     back = replace(own.chain, mount=(-0.45, 0.0, 0.0, 0.0, 0.0, 0.0))
     arm = replace(CELL.arm, ros2_control=replace(own, chain=back))
     chain = arm.chain()

@@ -150,7 +150,7 @@ def test_where_it_comes_to_rest_does_not_depend_on_when_it_is_looked_at(gaps: li
     for gap in gaps:
         time += gap
         glimpsed.advance(time)
-        # The object never moves faster than a striker of this mass can push it.
+        # The object is never faster than the striker (0.3 m/s).
         assert math.dist(glimpsed.pose[:2], before[:2]) < 0.3 * gap + 1e-9
         before = glimpsed.pose
     glimpsed.advance(10.0)

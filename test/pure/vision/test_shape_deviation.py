@@ -55,8 +55,8 @@ def object_corners(pose: np.ndarray, lift: float, tilt: float) -> np.ndarray:
 
 
 def judged(pose: np.ndarray, lift: float, tilt: float, seed: int) -> tuple:
-    """Return the deviation of the shape (None if it is not a square), and the error of the measured
-    pose (3,)."""
+    """Return the deviation of the shape and the error of the measured pose (3,). If no square fits
+    the edges, return None and zeros."""
     edges = edges_of(object_corners(pose, lift, tilt)[None], np.random.default_rng(seed))
     fit = fit_marker(VIEW, edges, 0, MARKER)
     if fit is None:
