@@ -167,8 +167,8 @@ def _unplug(cell: ControllerCell, rng: np.random.Generator) -> None:
 
 
 def _alarm(cell: ControllerCell, rng: np.random.Generator) -> None:
-    """A Grbl controller reports a limit switch and then restarts; Marlin receives M112 from another
-    sender."""
+    """The controller raises an alarm during a move. With Grbl, a limit switch is hit and the board
+    restarts afterwards. With Marlin, another sender sends M112."""
     emulator = cell.emulator
 
     def hit() -> None:

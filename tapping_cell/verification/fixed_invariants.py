@@ -1,4 +1,5 @@
-"""Safety invariants of a positioning cell, in addition to those that it shares with an arm."""
+"""Safety invariants of a positioning cell, in addition to those that also hold for a cell with an
+arm."""
 
 from __future__ import annotations
 

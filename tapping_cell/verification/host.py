@@ -95,8 +95,8 @@ _PLAIN = frozenset(("int", "float", "str", "bool", "bytes"))
 
 @dataclass(slots=True)
 class HostClock:
-    """Clocks of one computer. ``offset`` (s) and ``drift`` (relative) of its ROS time are relative
-    to the run's time."""
+    """Clocks of one computer. After t s of a run, its ROS time is ``epoch`` + (1 + ``drift``) t +
+    ``offset``, in s."""
 
     scheduler: Scheduler
     offset: float = 0.0

@@ -41,8 +41,8 @@ ELBOW_UP = (1.75, 0.86, 0.14, 0.0, 0.58, -0.64)
 
 
 def reference(joints: NDArray[np.float64] | tuple[float, ...]) -> NDArray[np.float64]:
-    """Return the striker's pose in ``arm_base``: column height 0.40, arms 0.48 and 0.50, wrist
-    0.08."""
+    """Return the striker's pose in ``arm_base``. The lengths in m are from the drawing: column
+    0.40, arms 0.48 and 0.50, wrist 0.08."""
     q1, q2, q3, q4, q5, q6 = joints
     turn, place = Rotation.from_euler("z", q1), np.array([0.0, 0.0, 0.40])
     turn *= Rotation.from_euler("y", q2)

@@ -117,8 +117,8 @@ def references(places=PLACES, size=0.04) -> ReferenceMap:
 
 
 def reference_edges(table: ReferenceMap, seed: int, moved=(), bloom=0.0) -> MarkerEdges:
-    """Return the edges of the table's markers; ``moved`` contains pairs of a row and its shift (x,
-    y) in m."""
+    """Return the edges of the table's markers. ``moved`` contains the moved markers as pairs: the
+    marker's row in ``table.corners()``, and its shift (x, y) in m."""
     flat = table.corners()
     for row, shift in moved:
         flat[row] += shift
