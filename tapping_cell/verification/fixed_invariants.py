@@ -81,7 +81,7 @@ class FixedInvariantChecker(InvariantChecker):
             self.violate("object in motion", f"shot {shot} was fired while the object moved")
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Process what a state machine answered to a query of its running job."""
+        """Process a state machine's answer to a query of its running job."""
         super(FixedInvariantChecker, self).on_asked(process, job, answer)
         if process == "tapper_trigger" and job == "fire":
             self._motion_at_check = self.motion_seen_by_tapper

@@ -483,7 +483,7 @@ class InvariantChecker:
             self.promised_to[request.tap_id] = request.key
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Process what a state machine answered to a query of its running job."""
+        """Process a state machine's answer to a query of its running job."""
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
 

@@ -288,7 +288,7 @@ class Board:
         return self.times.get(timeout=20.0)
 
     def clock(self) -> float:
-        """Return the board's own time, s. On a busy machine it is later than real time."""
+        """Return the board's own time, s. On a busy machine it falls behind real time."""
         return self._ask()[0] * 1e-6
 
     def place(self) -> float:

@@ -146,8 +146,8 @@ def test_a_controller_that_lets_its_motors_go_is_refused_with_the_remedy(name: s
 
 
 def test_an_arm_without_torque_sinks_and_its_controller_does_not_notice() -> None:
-    """Without holding torque, the emulated arm sinks. The test above checks that such a controller
-    is refused."""
+    """Without holding torque, the emulated arm sinks. The previous test checks that the driver
+    refuses a controller with such settings."""
     machine = GrblMachine(start_joints=START, settings=default_settings() | {1: 25.0, 22: 0.0})
     emulator = GrblEmulator(machine)
     emulator.advance(1.0)
