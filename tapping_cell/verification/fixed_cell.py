@@ -43,8 +43,8 @@ class PhysicalFixedCell(PhysicalCell):
         self.boards: list[TapperEmulator] = []
         self.lines: list[SerialLine] = []
         self.out_since: dict[str, float] = {}
-        """Time since which a person or a broken spring has kept a striker off its mount, by
-        tapper."""
+        """For each tapper whose striker a person or a broken spring keeps off its mount: the time
+        at which the striker left."""
         self._last = 0
         for number, board in enumerate(self.cell.boards):
             made = FixedTapperBoard(self.cell, board, self.mounts, self._struck, 1, now)
