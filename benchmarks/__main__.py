@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _reports(section: ModuleType, count: int | None) -> Iterator[object]:
-    """Measure a section and yield its reports; the last one is complete."""
+    """Measure a section and yield one or more reports; the last report covers all parts."""
     if hasattr(section, "partial_reports"):
         yield from section.partial_reports(count or section.DEFAULT_COUNT)
     elif hasattr(section, "DEFAULT_COUNT"):

@@ -19,7 +19,8 @@ DEFAULT_COUNT = 200
 number."""
 SEED = 1
 _SHOWN = 3
-"""Maximum number of messages printed for each kind and controller with failed trials."""
+"""Maximum number of messages of failed trials that are printed for each kind of trial and
+controller."""
 
 
 def measure(count: int) -> dict[str, Any]:

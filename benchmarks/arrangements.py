@@ -46,8 +46,8 @@ DRAWN = ("history", "goals", "outlines", "table")
 """Fields of a trial that are only needed for drawings and are not stored."""
 
 Group = tuple[str, ArrangementTask, list[str], float]
-"""Name of the group, its task, additional options for the shapes, and its number of scenes relative
-to the count."""
+"""Name of a group of trials, its task, additional options for the shapes, and its share: the number
+of its scenes relative to the count of the benchmark."""
 
 
 def groups() -> list[Group]:

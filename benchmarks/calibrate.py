@@ -58,9 +58,13 @@ def measure() -> dict[str, Any]:
 def _camera_errors(
     model: CameraModel, views: list[TargetView], target: Target
 ) -> tuple[float, float, float, float]:
-    """Return four values: the RMS reprojection error in pixels; the relative error of the focal
-    length with this package, and with plain OpenCV; and the RMS of the errors of fx, fy, cx and cy,
-    each divided by its stated standard deviation."""
+    """Return four values:
+
+    - the RMS reprojection error in pixels;
+    - the relative error of the focal length with this package;
+    - the relative error of the focal length with plain OpenCV;
+    - the RMS of the errors of fx, fy, cx and cy, each divided by its stated standard deviation.
+    """
     result = calibrate_camera(views, target, (model.width, model.height))
     points = [
         np.column_stack([target.points[v.ids], np.zeros(len(v.ids))]).astype(np.float32)

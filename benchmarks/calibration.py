@@ -1,11 +1,11 @@
 """Errors of the parameters that are fitted to single taps, for random true parameters.
 
 Each experiment chooses the true values at random: friction 0.10 to 0.30, torque factor 1 to 4,
-restitution 0.65 to 0.95, contact friction 0.14 to 0.28, and a striker 5 % faster or slower than
-commanded. The experiment makes 4 runs of 10 taps in the simulated world, which integrates each tap
-in time, and then fits the parameters. The scatter is 5 % in speed, 15 % in spin and 1 degree in
-direction; the 30 Hz camera has pose errors of 0.03 mm and 0.05 degrees. Every fourth experiment
-also predicts the same number of new taps.
+restitution 0.65 to 0.95, contact friction 0.14 to 0.28, and a striker up to 5 % faster or slower
+than commanded. The experiment makes 4 runs of 10 taps in the simulated world, which integrates each
+tap in time, and then fits the parameters. The scatter is 5 % in speed, 15 % in spin and 1 degree in
+direction; the 30 Hz camera has pose errors of 0.03 mm and 0.05 degrees. In every fourth experiment,
+the fit also predicts the results of 40 new taps.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 
 DEFAULT_COUNT = 100
 _SHAPES = ("disk", "ring", "polygon")
-_OTHERS = 0.2  # experiments with each other shape, relative to those with a disk
-_PREDICTING = 4  # one in this many experiments also predicts new taps
+_OTHERS = 0.2  # number of experiments with rings, and with polygons, relative to that with disks
+_PREDICTING = 4  # one in this many experiments also predicts the results of new taps
 _LIMITS = {"torque_factor": 0.05, "friction": 0.03, "restitution": 0.04}
 _SCATTER = ScatterTruth(speed=0.05, spin=0.15, direction=math.radians(1.0))
 _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
@@ -37,7 +37,7 @@ _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
     """Return the errors and the coverage of the intervals for each shape, from ``count``
-    experiments with disks and a fifth of that number with each other shape."""
+    experiments with disks, and a fifth of that number with rings and with polygons."""
     report: dict[str, Any] = {"load": os.getloadavg()[0]}
     for shape in _SHAPES:
         number = count if shape == "disk" else max(round(_OTHERS * count), 1)
@@ -87,8 +87,9 @@ def _shape(shape: str, count: int) -> dict[str, Any]:
 
 
 def trial(shape: str, seed: int) -> dict[str, Any]:
-    """Run one experiment and return errors, half widths of the intervals and coverage; every fourth
-    experiment also predicts new taps."""
+    """Run one experiment and return, for each parameter, its relative error, the relative half
+    width of its interval, and whether the interval contains the true value. Every fourth experiment
+    also returns the errors of predicted taps."""
     content, truth, true = draw(shape, seed)
     experiment = _experiment(content, truth, 2 * seed)
     began = time.process_time()

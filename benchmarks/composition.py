@@ -1,5 +1,5 @@
-"""Processor time of rclpy's executor per callback: one node in a process, and all nodes in one
-process.
+"""Processor time of rclpy's executor per callback, with one node in a process and with all nodes in
+one process.
 
 Before each callback, the executor rebuilds its wait set from all entities of all nodes that it
 spins. Nodes in one process share the executor, so the entities of each node slow down the callbacks

@@ -2,12 +2,13 @@
 
 Two cells are measured. In the first cell, every node is a process, with rendered images and
 emulated boards. In the second cell, the same state machines, drivers and boards run in virtual
-time, in which software takes no time and messages take a few milliseconds, so that only the time of
-the cell's mechanics remains. A tap lasts from its command to the next command, or to the end of its
-goal. The activities of a tap follow each other without gaps or overlaps. Simultaneous activities
-(the slide, charging while the arm moves) are listed separately, as is the planned duration of the
-arm's motion to the strike. The two cells make different taps. The planned duration
-of the motion to the strike is therefore subtracted from each cycle before the cycles are compared.
+time. There, software takes no time and messages take a few milliseconds, so that a tap lasts hardly
+longer than its mechanics require. A tap lasts from its command to the next command, or to the end
+of its goal. The activities of a tap follow each other without gaps or overlaps. Activities that
+happen at the same time as these (the slide, charging while the arm moves) are listed separately, as
+is the planned duration of the arm's motion to the strike. The two cells make different taps with
+motions of different length. The planned duration of the motion to the strike is therefore
+subtracted from each cycle before the cycles are compared.
 """
 
 from __future__ import annotations
@@ -140,7 +141,8 @@ class Stopwatch:
             self._accepted = stamp
 
     def _tap_command(self, tap: Tap, message: Any, stamp: float) -> None:
-        """Do nothing: the cancellation of a tap is not timed."""
+        """Do nothing: the time of a WITHDRAW command is not needed, and ``on_message`` processes
+        TAP commands."""
 
     def _plan_state(self, tap: Tap, message: Any, stamp: float) -> None:
         if message.state == PlanState.LOOKING and math.isnan(tap.free):
@@ -279,8 +281,9 @@ def in_graph(
 ) -> Stopwatch:
     """Measure goals in a cell whose nodes are processes.
 
-    ``next_goal`` returns a goal from the object's pose and the goal's number (default: the
-    published task). ``cell_file``: path of the cell file (default: that of the package).
+    ``next_goal`` computes each goal from the object's pose and the number of the goal; by default,
+    the goals are those of the published task. ``cell_file``: path of the cell file (default: that
+    of the package).
     """
     own_domain().use()
     cell = load_cell(cell_file)

@@ -3,9 +3,9 @@
 The demos use the planning sessions of the cell (planner, learning from taps, arm, table). The taps
 of a demo are made in the simulated world, which integrates every slide in time. A truth file
 defines the world's tilt, uneven pressure, scatter and arm errors. Images, serial lines and the ROS
-graph are omitted, so that a demo takes a fifth of a second. The ground truths differ from the
-configuration by a fifth, as in closed_loop, and each fit uses 4 runs of 10 single taps with the
-same ground truth.
+graph are omitted, so that a demo takes a fifth of a second. The true friction, torque factor,
+restitution and contact friction are 15 to 20 % higher or lower than configured. For each of these
+ground truths, the object file is fitted to 4 runs of 10 single taps.
 """
 
 from __future__ import annotations
@@ -107,8 +107,8 @@ def _fitted(cell: Cell, truth: TruthFile, seed: int) -> ObjectFile:
 
 def _demos(cell: Cell, assumed: ObjectFile, truth: TruthFile, count: int) -> list[int]:
     """Return the number of taps of each demo; a demo that fails counts as the maximum number.
-    ``cell`` contains the object file that the planner uses. ``truth`` is relative to the object
-    file ``assumed``."""
+    ``cell`` contains the object file that the planner uses. The ratios in ``truth`` refer to the
+    values in the object file ``assumed``."""
     goal = cell.file.goal
     tolerance = (goal.position_tolerance, goal.angle_tolerance)
     planner = make_planner(goal.planner, assembly.make_planner_settings(cell, tolerance))

@@ -3,9 +3,10 @@ reconnect.
 
 The overhead is measured in the emulated devices' own time, so that it does not depend on the load
 of the computer. Replies take as long as on a real line at 115200 baud plus 2 ms for the adapter.
-Commands arrive immediately, as over a native USB port; the bytes sent to the arm are therefore
-counted separately. Stops and reconnections use pseudo-terminals in real time. For comparison, a
-plain ``os.write`` through the same terminal and a plain opening of the port are measured.
+Commands arrive immediately, as over a native USB port. On a slower line they would take additional
+time; therefore the bytes sent to the arm are counted. Stops and reconnections use pseudo-terminals
+in real time. For comparison, a plain ``os.write`` through the same terminal and a plain opening of
+the port are measured.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ RETURNS = 20
 
 
 def measure() -> dict[str, Any]:
-    """Return, in s, the times and the overhead of a tap for each dialect, the latency of a stop and
-    the time for reconnection."""
+    """Return the times of a tap (``overhead``) for each dialect of the arm's controller, the
+    latency of a stop, and the time to reconnect. Times are in s."""
     return {
         "overhead": {dialect.value: overhead(dialect, TAPS) for dialect in LANGUAGES},
         "stop": stop_to_wire(STOPS),
@@ -85,10 +86,12 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
-    """Return the mean times of a tap in s, and the number of bytes sent to the arm's board. The
-    times are: from the command until the arm is in position; from there back to the park pose; the
-    overhead until firing, which excludes motion, settling and charging; the overhead of the
-    complete tap; and the status query, which that overhead does not include."""
+    """Return mean values of a tap: times in s, and the number of bytes ``sent`` to the arm's board.
+
+    ``in_position``: from the command until the arm is in position. ``withdrawn``: motion back to
+    the park pose. ``to_release``: overhead from the command to the shot, without the planned
+    motion, settling and charging. ``whole``: overhead of the complete tap, without the arm's status
+    query during firing. ``reading``: duration of this query."""
     cell = TrialCell(dialect, 3)
     cell.recover()
     before = cell.arm_line.count(Direction.TO_DEVICE)
@@ -111,8 +114,8 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         cell.tapper.charge(shot, energy)
         cell.tapper.fire(shot, WINDOW, cell.allowed)
         to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
-        # While the node waits for the end of firing, it queries the arm. The time of this query is
-        # measured separately.
+        # The node makes this query while it waits for the end of firing. The duration of the query
+        # is therefore measured separately.
         reading = cell.clock.now
         here = cell.arm.read_joints()
         readings.append(cell.clock.now - reading)

@@ -1,9 +1,10 @@
 """Time per goal and per tap of the positioning cell with fixed tappers, in the running graph.
 
 Goals are at random places of the working disc, or at its centre, and rotated by up to 10, 30 and 90
-degrees relative to the object's current pose. A goal lasts from its acceptance to its end. Before
-the first tap, the planner needs the first image and the first plan. A tap lasts from its command to
-the next command: the shot, the object's slide, the images of the object at rest, and the decision.
+degrees relative to the object's current pose. A goal lasts from its acceptance to its end. This
+includes the time before the first tap, in which the planner waits for an image and computes the
+first plan. A tap lasts from its command to the next command: the shot, the object's slide, the
+images of the object at rest, and the decision.
 """
 
 from __future__ import annotations
@@ -56,8 +57,9 @@ def _run(count: int, angle: float, to_centre: bool = False) -> Stopwatch:
 
 
 def _summary(watch: Stopwatch, every: int = 1) -> dict[str, Any]:
-    """Return the mean duration and number of taps of every ``every``-th goal, and the mean times of
-    the taps of all goals."""
+    """Return the mean duration and the mean number of taps of the goals, and the mean times of the
+    taps. If ``every`` is 2, the figures of goals only include every second goal; those of taps
+    include all taps."""
     goal = np.array([seconds for seconds, _ in watch.goals])
     taps = np.array([number for _, number in watch.goals])
     cycle = np.array([tap.done - tap.commanded for tap in watch.taps])

@@ -38,7 +38,7 @@ from tapping_cell.planning.policy_cache import cache_folder
 
 DEFAULT_COUNT = 10_000
 PART = 250
-"""Number of trials with the same goal."""
+"""Number of trials in a part. All trials of a part have the same goal."""
 CELL = shared_folder() / "positioning_cell" / "cell.yaml"
 CAMERA = CameraNoise(5e-5, math.radians(0.05))
 MOUNT_ERROR = (5e-4, math.radians(0.5))

@@ -44,7 +44,8 @@ WORLDS = {
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return the detected misfits and the coverage over ``count`` experiments in each world."""
+    """Return, for each world, the misfits detected in ``count`` experiments and the share of new
+    taps within the prediction interval."""
     return {name: _world(truth, count) for name, truth in WORLDS.items()}
 
 

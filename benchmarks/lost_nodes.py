@@ -5,9 +5,10 @@ of the boards. For example, a striker may be fired only while the arm has promis
 and nothing may move without a person's permission. Runs continue until each node was frozen
 ``count`` times, and killed, restarted or stopped half as many times. Every violation is printed.
 
-The cost of the permit is measured in goals without faults. This cost has two parts: the time from
-the tapper's request to the arm's answer, and the time for which the arm still waits although the
-striker has ended its stroke and the tap was withdrawn. The stroke itself is not counted.
+The tapper fires only with a permit: the arm's promise to stand still. The time that the permit
+costs is measured in goals without faults. It has two parts: the time from the tapper's request to
+the arm's answer, and the time for which the arm keeps standing still after the striker has
+completed its stroke and the tap has been withdrawn. The stroke itself is not counted.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def _times(summary: Summary, node: str, ways: tuple[str, ...]) -> int:
 
 @dataclass(slots=True)
 class _Waits:
-    """Waiting times for the permit in one run, s."""
+    """Times in one run for which the tapper or the arm waited because of the permit, s."""
 
     trial: Trial
     for_answer: list[float] = field(default_factory=list)

@@ -28,12 +28,12 @@ _LAUNCHES = 12
 _MUJOCO_LAUNCHES = 4
 _MUJOCO_FEET = 61
 _TIGHT = 1e-12
-# At this tolerance, solve_ivp is as accurate as the table in the worst case (a few 1e-10).
+# At this tolerance, the largest error of solve_ivp is about that of the table (a few 1e-10).
 _EQUAL = 1e-10
 
 
 def measure() -> dict:
-    """Return times (s), rates (1/s), relative errors and ratios."""
+    """Return the results by name: times (s), rates (1/s), relative errors, and ratios of rates."""
     sliding = Sliding(_DISK, _FRICTION, _KAPPA, _GRAVITY)
     report = {
         "table_build_s": _best(lambda: SlideTable("disk", _KAPPA * _DISK.gamma), 5),
@@ -140,7 +140,8 @@ def _polygon_rate() -> float:
 
 
 def _polygon_table_rates() -> dict[str, float]:
-    """Measure a scalene triangle, whose table cannot be reduced by symmetry."""
+    """Return the building time, the rate and the largest relative error of the table of a scalene
+    triangle. This table cannot be reduced by symmetry."""
     triangle = Polygon([(0, 0), (0.1, 0), (0, 0.07)], 0.2, 0.01)
     start = time.process_time()
     exact = Sliding(triangle, _FRICTION, _KAPPA, _GRAVITY)

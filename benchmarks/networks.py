@@ -73,7 +73,8 @@ class Computer:
         self, words: Sequence[str], environment: Mapping[str, str], **options: Any
     ) -> subprocess.Popen[str]:
         """Start a program on this computer; its nodes discover other nodes over the network."""
-        # Entering the namespaces changes the working directory, so the benchmarks need a path.
+        # Entering the namespaces changes the working directory. PYTHONPATH therefore contains the
+        # folder of the benchmarks.
         path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
         own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "PYTHONPATH": path}
         return subprocess.Popen(

@@ -5,8 +5,8 @@ hostile clients with 200 messages per second each. The hostile clients first sen
 and invalid data to the page, and reconnect when disconnected. Then the hostile clients send
 ``check`` requests and invalid data to the port of STOP. The latency includes a browser's request
 over a new connection, the process, the middleware and the subscription in this process. For
-comparison, the same request is measured without an attack, and a message is published by this
-process.
+comparison, the latency is also measured without an attack, and for a message that this process
+publishes itself.
 """
 
 from __future__ import annotations

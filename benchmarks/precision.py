@@ -2,8 +2,9 @@
 
 The trials use the abstract model with the scatter from the paper (5 % in distance, 15 % in
 rotation, 1 degree in direction) and camera noise of 0.01 mm and 0.01 degrees. The benchmark also
-computes the share of smallest taps that end in the stopping box. It also measures the processor
-time for computing the coarse plan, which is used first, and the fine plan.
+computes the probability that the smallest tap, aimed at a goal at exactly its own distance, ends
+inside the stopping box (the region for which plans are made). It also measures the processor time
+for computing the coarse plan, which is used first, and the fine plan.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
             )
             began = time.process_time()
             solved = [(time.process_time() - began, plan) for plan in solutions(settings)]
-            keep_policy(settings, solved[-1][1])  # otherwise the trials would solve it again
+            keep_policy(settings, solved[-1][1])  # so that the trials need not compute it again
             found = summarise(evaluate(Evaluation("optimal", settings, trials=count), 1))
             rows.append(
                 {

@@ -1,5 +1,5 @@
-"""Lower limit of the expected taps of any method for 10 mm and 10 degrees at 0.1 mm and 0.1
-degrees.
+"""Minimum expected number of taps, with any planning method, for moving an object by 10 mm and 10
+degrees to within 0.1 mm and 0.1 degrees.
 
 For a round object on an open table, distance and rotation to the goal are the complete state, and a
 tap is given by direction, distance and rotation. The benchmark computes the optimal policy over all
@@ -37,8 +37,8 @@ LARGEST_TAP = 0.040
 ALL_DIRECTIONS = np.linspace(0.0, math.pi, 9)
 LINE = np.array([0.0, math.pi])
 NEAR = 3.2
-"""Limit for taps that do not follow the line to the goal, in multiples of the smallest tap: their
-maximum length, and the maximum distance from the goal at which they are considered."""
+"""Taps that do not follow the line to the goal are only considered if neither their length nor the
+distance to the goal exceeds this limit, in multiples of the length of the smallest tap."""
 ITERATIONS, EVALUATIONS, SETTLED = 12, 25, 2e-3
 
 

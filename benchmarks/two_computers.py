@@ -187,7 +187,8 @@ def _write(transport: str) -> None:
         publisher.publish(picture, CameraInfo())
         due += 1.0 / RATE_HZ
         time.sleep(max(0.0, due - time.monotonic()))
-    time.sleep(TIMEOUT_S)  # lost data can still be sent again; the reader ends earlier
+    # Keep running, so that lost data can be sent again. The reader ends earlier.
+    time.sleep(TIMEOUT_S)
 
 
 def _read(transport: str) -> None:

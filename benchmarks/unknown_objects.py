@@ -1,7 +1,7 @@
 """Objects without a file: values learnt from nine goals, and number of taps of further goals.
 
-Ten simulated objects are chosen at random (disks, rings, polygons; friction 0.05 to 0.6, torque
-factor 0.8 to 4; restitution, contact friction and density are also unknown). Each object starts
+Ten simulated objects are chosen at random: disks, rings and polygons, with friction 0.05 to 0.6,
+torque factor 0.8 to 4, and random restitution, contact friction and density. Each object starts
 with the file that the verb `new-object` makes from its true shape and height. Nine goals are run,
 during which the planner learns from each tap, and `learn-object` makes a new file from these taps.
 Then further goals are run with the learnt file and with the true file, using the same random

@@ -121,7 +121,8 @@ def _figures(rows: list[tuple[float, float, float]]) -> dict[str, float]:
 def _methods(
     view: View, marker: ObjectMarker
 ) -> dict[str, Callable[[np.ndarray, np.ndarray], Pose]]:
-    """Return functions that measure a pose in an image, some of them only near the true pose."""
+    """Return functions that measure a pose, given the image and the true pose. Some of them search
+    only near the true pose."""
     pixel = float(view.pose.translation[2]) / view.camera.fx
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     template = make_template(marker, pixel, USUAL_BLUR * pixel)
@@ -144,8 +145,8 @@ def _methods(
         return by_edges(image, quad(true + np.array([0.0005, -0.0004, 0.004])))
 
     def settled(image: np.ndarray, true: np.ndarray) -> Pose:
-        # Start from the predicted pose: that of a stationary object, or a good prediction for a
-        # moving one.
+        # Start from the predicted pose. It is nearly exact if the object is stationary or if its
+        # motion was predicted well.
         return by_edges(image, quad(true + np.array([2e-5, -2e-5, 2e-4])))
 
     def photometric(image: np.ndarray, true: np.ndarray) -> Pose:
@@ -216,8 +217,8 @@ def _pupil(
         for found in detector.detect(part):
             if found.tag_id == marker.id:
                 # The corners are counter-clockwise from the bottom left of the tag as printed by
-                # AprilRobotics, which is upside down compared with OpenCV's tag. Integer
-                # coordinates are the corners of pixels, not their centres.
+                # AprilRobotics, which is upside down compared with OpenCV's tag. In this library,
+                # integer coordinates are the corners of pixels, not their centres.
                 corners = found.corners + origin - 0.5
                 poses = [
                     pose_of_corners(view, np.roll(corners[::-1], shift, axis=0), marker)

@@ -12,8 +12,8 @@ DEFAULT_COUNT = 10_000
 
 
 def partial_reports(count: int) -> Iterator[dict[str, Any]]:
-    """Yield the report while the arm reaches over object and reference markers, for at least
-    ``count`` frames."""
+    """Run trials in which the arm reaches over object and reference markers, for at least ``count``
+    frames, and yield the report so far after each camera."""
     yield from reports_of_cases(ARM_CASES, count)
 
 

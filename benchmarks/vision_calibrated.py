@@ -1,7 +1,7 @@
 """Accuracy of a cell whose camera was calibrated from photographs, compared with an exact
 calibration.
 
-Rendered photographs of a ChArUco board are calibrated in the same way as by ``calibrate camera``.
+The camera is calibrated from rendered photographs of a ChArUco board, as by ``calibrate camera``.
 The stationary object is then measured over the whole table from fused frames, with that calibration
 and with the exact calibration.
 """

@@ -1,12 +1,12 @@
 """Processor time per image with 1, 5 and 20 objects on the table, each with a marker of its own.
 
 The noise and the positions of the objects change from image to image, so that the tracker measures
-every object again. All objects are measured in each image, whereas the node measures the objects
-after the first one in turn.
+every object again. The benchmark measures all objects in each image. The node measures the first
+object in each image, and the others in turn.
 
-The search for objects without a file is measured in the same images. The search only has the file
-of the first object. (The node searches at most every 0.15 s.) Then the arm, whose joints are known,
-is at random places over an empty table with random light, and the search must find nothing.
+The search for objects without a file is measured in the same images. Only the first object is known
+to the search. (The node searches at most every 0.15 s.) Then the arm, whose joints are known, is at
+random places over an empty table with random light, and the search must find nothing.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ FIRST_ID = 20
 COLUMNS, PITCH = 5, 0.075
 WARM_UP = 5
 ARM_SCENES, EACH_SCENE = 5, 5
-"""Number of images with the arm per image of ``count``, and number of consecutive images with the
-same light."""
+"""Number of images with the arm as a multiple of ``count``, and number of consecutive images with
+the same light."""
 AWAY = np.array([5.0, 5.0, 0.0])
 """Pose of the scene's disk out of view."""
 

@@ -44,8 +44,8 @@ def random_scene(
     random: np.random.Generator, cell: Cell, seed: int, turn: float = 0.0
 ) -> SceneRenderer:
     """Return a random scene: the camera is tilted by up to 5 degrees, the noise is 2 to 4 grey
-    levels, and the brightness decreases by up to two thirds. The camera is also turned by ``turn``
-    rad about its x axis."""
+    levels, and the brightness decreases from one side of the table to the other by up to two
+    thirds. The camera is also turned by ``turn`` rad about its x axis."""
     settings = SceneSettings(
         noise=random.uniform(2.0, 4.0),
         light_falloff=random.uniform(0.0, 0.67),

@@ -20,7 +20,8 @@ from tapping_cell.verification.scheduler import Scheduler
 from tapping_cell.vision.rest_detection import RestSettings, Track
 
 PERIOD_S = 1 / 15
-"""Frame period: half the frame rate of the real camera, which halves the duration of a run."""
+"""Frame period, s. The frame rate is half that of the real camera, which halves the processor time
+of a run."""
 LATENCY_S = 0.02
 """Time from the exposure to the publication of the pose."""
 SILENCE_LIMIT_S = 0.4

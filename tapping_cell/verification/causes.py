@@ -13,8 +13,8 @@ from collections.abc import Iterable
 from tapping_cell.messages import ErrorCode
 
 BRIEFLY_OPEN = "guard open briefly"
-"""Fault "guard" that ends before the tapper's node has certainly read the open guard. A board that
-has discharged because of it then reports no reason."""
+"""Fault "guard" that is so short that the tapper's node may not have read the open guard. The
+board may discharge because of it, and then reports no reason."""
 AT_ONCE_S = 10.0
 """Maximum time from the end of a fault to the end of a goal, if the fault ends the goal without any
 waiting time. This maximum allows for a planner that is frozen for 5 s and for a late message."""

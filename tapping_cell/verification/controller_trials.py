@@ -29,7 +29,7 @@ LATEST = 0.7
 CLOSE = 1e-3
 """Maximum difference between the true joints and their target, rad or m."""
 STILL = 0.02
-"""Maximum rotation of shoulder and elbow after a call that stopped the arm has returned, rad."""
+"""Maximum rotation of shoulder and elbow after the return of a call that stops the arm, rad."""
 LOW, HIGH = (-1.0, 0.4, -0.12, -1.5), (1.0, 2.0, 0.0, 1.5)
 """Range of the targets."""
 
@@ -167,8 +167,8 @@ def _unplug(cell: ControllerCell, rng: np.random.Generator) -> None:
 
 
 def _alarm(cell: ControllerCell, rng: np.random.Generator) -> None:
-    """A Grbl controller reports a limit switch and then restarts; Marlin receives M112 from another
-    sender."""
+    """The controller raises an alarm during a move. With Grbl, a limit switch is hit and the board
+    restarts afterwards. With Marlin, another sender sends M112."""
     emulator = cell.emulator
 
     def hit() -> None:

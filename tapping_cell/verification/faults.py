@@ -223,7 +223,8 @@ LINKS = {
     "hold_still": ("request", "answer"),
     "emergency_stop": NODES,
 }
-"""Subscribers of each topic; for a service, its two directions (request and answer)."""
+"""Links that can be slow: for each topic its subscribers, and for each service its two directions
+(request and answer)."""
 
 
 def _slow_topic(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -271,7 +272,7 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
             request=TapCommand.WITHDRAW if withdraw else TapCommand.TAP, tap_id=number
         )
         if not withdraw and last:
-            # The command is a copy of the last one; its id is ``number``.
+            # Copy the poses and the speed of the last command.
             model = t.checker.commands[last]
             command.strike_pose, command.striker_speed = model.strike_pose, model.striker_speed
             command.object_pose, command.predicted_pose = model.object_pose, model.predicted_pose
@@ -592,7 +593,8 @@ def _line(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _shot_line(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """The tapper's line fails during a shot; a shot takes about 100 bytes in each direction."""
+    """The tapper's line fails during a shot, at a random byte. A shot takes about 100 bytes in each
+    direction."""
     direction = list(Direction)[int(rng.integers(2))]
     drawn = random_fault(rng, direction, 0, 120)
 

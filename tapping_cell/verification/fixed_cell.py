@@ -43,8 +43,8 @@ class PhysicalFixedCell(PhysicalCell):
         self.boards: list[TapperEmulator] = []
         self.lines: list[SerialLine] = []
         self.out_since: dict[str, float] = {}
-        """Tappers whose striker a person or a broken spring keeps off its mount, each with the time
-        since when."""
+        """For each tapper whose striker a person or a broken spring keeps off its mount: the time
+        at which the striker left."""
         self._last = 0
         for number, board in enumerate(self.cell.boards):
             made = FixedTapperBoard(self.cell, board, self.mounts, self._struck, 1, now)
@@ -59,8 +59,8 @@ class PhysicalFixedCell(PhysicalCell):
 
     @property
     def active(self) -> int:
-        """Number of the charged board; if none is charged, of the board that released a striker
-        last."""
+        """Number of the charged board. If no board is charged, the number of the board that
+        released a striker last."""
         charged = self.charged()
         return charged[0] if charged else self._last
 
@@ -117,7 +117,7 @@ class PhysicalFixedCell(PhysicalCell):
         self.lines[number].schedule()
 
     def block(self, tapper: str, blocked: bool) -> None:
-        """Block a striker, so that it stays at its mount when it is released; or free it."""
+        """Block a striker, so that it stays at its mount when it is released, or unblock it."""
         number, channel = self.place_of(tapper)
         self.boards[number].coils.block(channel, blocked)
         self.lines[number].schedule()

@@ -1,4 +1,5 @@
-"""Safety invariants of a positioning cell, in addition to those that it shares with an arm."""
+"""Safety invariants of a positioning cell, in addition to those that also hold for a cell with an
+arm."""
 
 from __future__ import annotations
 
@@ -13,8 +14,8 @@ from tapping_cell.verification.invariants import CHECK_S, InvariantChecker
 from tapping_cell.verification.physical_cell import Release
 
 OTHERS_ASKED_S = 0.1
-"""Maximum age, at the last check, of the replies of the other boards that their strikers are at
-rest."""
+"""Maximum age of the other boards' replies at the last check, s. These replies state that the
+strikers of these boards are at rest."""
 UNNOTICED_S = 3.0
 """Maximum time from when a striker leaves its mount until the tapper's node reports it. This
 maximum covers a request with all its repetitions, and the time for which a board waits until a
@@ -32,8 +33,8 @@ class FixedInvariantChecker(InvariantChecker):
     unread_until: Callable[[], float] = lambda: -math.inf
     """Time until which a fault may have prevented the tapper's node from reading the boards."""
     _motion_at_check: bool = False
-    """Whether, at the last check, the latest observation received by the tapper showed the object
-    in motion."""
+    """Whether the object was in motion in the latest observation that the tapper had received at
+    the last check."""
 
     @property
     def _cell(self) -> PhysicalFixedCell:
@@ -80,7 +81,7 @@ class FixedInvariantChecker(InvariantChecker):
             self.violate("object in motion", f"shot {shot} was fired while the object moved")
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Process what a state machine answered to a query of its running job."""
+        """Process a state machine's answer to a query of its running job."""
         super(FixedInvariantChecker, self).on_asked(process, job, answer)
         if process == "tapper_trigger" and job == "fire":
             self._motion_at_check = self.motion_seen_by_tapper

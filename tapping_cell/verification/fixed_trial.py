@@ -49,8 +49,8 @@ GOALS = ((0.0, 0.0), (0.020, -0.015), (-0.025, 0.010))
 """Positions of all goals, m. There are only a few positions, because solving the policy of a goal
 takes a second."""
 TURN_RAD = 1.0
-"""Maximum rotation to a goal, rad. With the coarsest grid alone, the solver may find no solution
-for half a turn."""
+"""Maximum rotation to a goal, rad. Larger rotations are not used, because the solver may find no
+solution for half a turn with the coarsest grid alone."""
 NEAR_M = 0.045
 """Maximum distance from the middle of the working area at which a person puts the object, m."""
 

@@ -76,8 +76,8 @@ def copy_of(value: Any) -> Any:
 
 
 def _parts(kind: type) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
-    """Return the names of the fields of a message class, first those of plain types, then the
-    others; None for any other class."""
+    """Return the names of the fields of a message class in two groups: fields of plain types, and
+    other fields. Return None for a class that is not a message."""
     if kind not in _PARTS:
         known = fields(kind) if is_dataclass(kind) else ()
         plain = tuple(item.name for item in known if item.type in _PLAIN)
@@ -95,8 +95,8 @@ _PLAIN = frozenset(("int", "float", "str", "bool", "bytes"))
 
 @dataclass(slots=True)
 class HostClock:
-    """Clocks of one computer. ``offset`` (s) and ``drift`` (relative) of its ROS time are relative
-    to the run's time."""
+    """Clocks of one computer. After t s of a run, its ROS time is ``epoch`` + (1 + ``drift``) t +
+    ``offset``, in s."""
 
     scheduler: Scheduler
     offset: float = 0.0

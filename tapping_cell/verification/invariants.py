@@ -36,22 +36,24 @@ PULSE_S = 0.02
 """Duration of the release pulse, s. The arm's promise to stand still covers the pulse and the
 striker's flight."""
 HEARTBEAT_S = 0.45
-"""Maximum time before a release without a message from the camera, and without one from a planner
-that has already reported that it waits for this tap, s."""
+"""Maximum time from the camera's last message to a release, s. The same maximum applies to the
+planner's last message if the planner has reported that it waits for this tap. ``WINDOW_S`` is added
+to this maximum and to ``SILENCE_S``."""
 SILENCE_S = 1.5
-"""Maximum time before a release without a message from a planner that has not yet reported that it
-waits for its tap, s."""
+"""Maximum time from the planner's last message to a release if the planner has not yet reported
+that it waits for its tap, s."""
 ORPHAN_S = 1.5
 """Maximum time from the end of the planner's process to a release, s. After this time the planner's
 heartbeat has timed out."""
 HOMED_S = 3.0
-"""Maximum time for which the arm may still be reported as homed after it has lost its reference, or
-after the end of a freeze that followed, s. Bytes on the line may be that late."""
+"""Maximum time for which the arm may still be reported as homed after it has lost its reference, s.
+If the arm's process is frozen meanwhile, the time begins at the end of the freeze. Bytes on the
+line may be that late."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner may exceed the time limit of a waiting state, s."""
 CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
-"""Time in s after a report of a charged striker during which the arm must not begin to move, and
-time in s after charging from which on the arm need not wait any longer."""
+"""The arm must not begin to move within ``CHARGE_AGE_S`` (s) after it has received a report that
+the striker is charged, unless the striker has been charged for longer than ``CARRIED_S`` (s)."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
@@ -98,11 +100,11 @@ class InvariantChecker:
     promises: dict[int, float] = field(default_factory=dict)
     """End of the arm's promise to stand still, by tap id."""
     promised_to: dict[int, int] = field(default_factory=dict)
-    """Key of the request for this promise, by tap id; only a request with it can end the promise
-    early."""
+    """Key of the request that began this promise, by tap id. Only a request with the same key can
+    end the promise early."""
     last_check: tuple[float, object | None] = (-math.inf, "no check was made")
-    """Time of the last check before FIRE by the tapper's state machine, and its reason to refuse
-    the shot (None: no refusal)."""
+    """Time at which the tapper's state machine made its last check before FIRE, and the reason for
+    which it refused the shot (None: no refusal)."""
     motor_weak_until: float = -math.inf
     """Time until which the tapper's motor may have lost steps due to missing power."""
     unseen_limit: float = 0.0
@@ -131,7 +133,8 @@ class InvariantChecker:
     unhomed_since: float = math.inf
     """Time since which the arm has had no valid reference; inf while it has one."""
     unseen_by_tapper: float = 0.0
-    """Maximum time since the object was last seen for which the tapper itself still fires."""
+    """The tapper itself refuses to fire if it last received a pose of the object longer ago than
+    this, s."""
     charge_received: float = -math.inf
     """Time at which the arm's process last received that the striker is charged."""
     _struck_until: float = -math.inf
@@ -226,7 +229,8 @@ class InvariantChecker:
 
     def _command_of(self, release: Release) -> TapCommand | None:
         """Return the command that caused a release. If several commands have its id (two planners
-        were started by mistake), return the one whose strike pose and energy are closest."""
+        were started by mistake), return the command whose strike pose and energy are closest to
+        those of the release."""
 
         def distance(command: TapCommand) -> float:
             pose = from_message(command.strike_pose)
@@ -479,7 +483,7 @@ class InvariantChecker:
             self.promised_to[request.tap_id] = request.key
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Process what a state machine answered to a query of its running job."""
+        """Process a state machine's answer to a query of its running job."""
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
 

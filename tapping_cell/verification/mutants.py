@@ -494,8 +494,7 @@ def mutated(mutant: Mutant) -> str:
 
 
 def _changed(mutants: Sequence[Mutant]) -> str:
-    """Return the source of a module with all these mutants, which belong to this module,
-    applied."""
+    """Apply mutants of one module to its source, and return the changed source."""
     source = _source_of(mutants[0].module).read_text(encoding="utf-8")
     for mutant in mutants:
         count = source.count(mutant.old)

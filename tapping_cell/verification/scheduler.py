@@ -101,7 +101,8 @@ class Scheduler:
             self.now = max(self.now, until)
 
     def _process(self, in_main: bool) -> Fiber | None:
-        """Process events until a fiber continues, and return it; None: the main thread continues.
+        """Process events until one of them resumes a fiber, and return this fiber. Return None if
+        the main thread continues.
 
         ``in_main``: whether this is the main thread.
         """
@@ -168,8 +169,8 @@ class Scheduler:
         self._raise_failure()
 
     def ended(self, failure: BaseException | None) -> None:
-        """Return control to the main thread, which waits in ``end``, from a fiber that has
-        ended."""
+        """Return control to the main thread, which waits in ``end`` for a killed fiber. The fiber
+        calls this method when it has ended."""
         self._failure = failure
         self._baton.release()
 

@@ -230,7 +230,8 @@ class Trial:
         self.joint_names: tuple[str, ...] = Joints._fields
         self.arm_covers = self._covers()
         self.short_time_limit = bool(self.rng.random() < SHARE_OF_SHORT_LIMITS)
-        """Whether goals have a short time limit; it ends some of them even without a fault."""
+        """Whether goals have a short time limit. Such a limit ends some goals even without a
+        fault."""
         self.settings = PlannerSettings(
             goal_time_limit=draw_duration(self.rng, *SHORT_LIMIT_S)
             if self.short_time_limit

@@ -13,7 +13,7 @@ import pytest
 from tapping_cell.report.arrangement_run import moves_of, read_arrangement
 
 TIMEOUT_S = 900
-"""Longer than the time limits of the goals, even on a slow computer."""
+"""Time limit of the whole demo, s. It must be longer than the time limits of the demo's goals."""
 
 
 @pytest.mark.timeout(TIMEOUT_S + 60)

@@ -12,8 +12,8 @@ from benchmarks import networks, two_computers
 from tapping_cell.cli.graph import own_domain
 
 TRIES = 3
-"""Number of goals. A link that loses packets may end a goal with an error, but never with a wrong
-result."""
+"""Maximum number of goals until one is reached. On a link that loses packets, a goal may end with
+an error, but never with a wrong result."""
 
 
 @pytest.mark.skipif(bool(networks.why_not()), reason=networks.why_not() or "possible")

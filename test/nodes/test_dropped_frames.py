@@ -1,5 +1,5 @@
-"""If images arrive faster than they are processed, the node takes only the newest one. After a
-short delay, it processes all images."""
+"""If images arrive faster than the node can process them, the node takes only the newest image. If
+the node is merely blocked for a short time, it processes all images."""
 
 from __future__ import annotations
 

@@ -114,7 +114,8 @@ class Browser:
         await self.connection.write_message(json.dumps(content))
 
     async def receive(self, wanted: Callable[[Any], bool]) -> Any:
-        """Return the next message that ``wanted`` accepts; text as an object, images as bytes."""
+        """Return the next message that ``wanted`` accepts. Text messages are returned as parsed
+        JSON, images as bytes."""
 
         for content in self.answers:
             if wanted(content):

@@ -43,8 +43,8 @@ BASE = CELL.arm_base @ Pose(0.002, -0.001, 0.01)
 
 @dataclass
 class HeldMarker:
-    """Simulated arm and camera. The camera sees the marker that the arm holds at the pose to which
-    the arm has moved."""
+    """Simulated arm and camera. The arm holds a marker, and the camera sees this marker at the pose
+    to which the arm has moved."""
 
     bench: Bench
     blind: bool = False
@@ -180,7 +180,8 @@ def test_energies_are_within_the_tapper_and_mixed_over_the_range() -> None:
 
 
 class ScriptedTapClient(ScriptedClient):
-    """A client with scripted taps that also provides what a recording needs."""
+    """A client with scripted taps. It also provides the object's state and the camera rate, which a
+    recording needs."""
 
     simulated = True
 

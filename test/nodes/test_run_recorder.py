@@ -147,8 +147,8 @@ def is_written(runs: Path) -> bool:
 def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> None:
     with cell(tmp_path, seed=3, pictures=True) as fake:
         fake.arms.publish(fake.stamp(ArmState(state=ArmState.IDLE)))
-        # Longer than the time that is recorded before a goal. The bag must still contain latched
-        # messages.
+        # Wait for longer than the time that is recorded before a goal. The bag must nevertheless
+        # contain the latched messages.
         time.sleep(2.5)
         fake.follow(fake.goal())
         (run,) = fake.recorded(1)
@@ -163,7 +163,8 @@ def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> No
     assert "/camera/image_annotated/compressed" in names
     first = next(stamp for stamp, _ in bag.of("plan_state"))
     assert min(stamp for stamp, _ in bag.of("object_state")) < first
-    # This also applies to topics that the recorder subscribes to only during a goal.
+    # The bag begins before the first state of the planner even for topics that the recorder
+    # subscribes to only during a goal.
     assert min(stamp for stamp, _ in bag.of("ground_truth")) < first
     stamps = [message.stamp for message in bag.messages]
     assert stamps == sorted(stamps)

@@ -29,9 +29,9 @@ SENT = ("feedback", "status")
 DISCOVERY_S = 60.0
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
-    # Used with image_transport:=compressed, and in a cell with an arm.
+    # Opened only with image_transport:=compressed, or in a cell with an arm.
     "camera_pose": {"subscribe": {"/camera/image_raw/compressed", "/arm_state", "/joint_states"}},
-    # Used while a page is open.
+    # Opened only while a browser shows the page.
     "operator_page": {
         "subscribe": {
             "/arm_state",
@@ -46,7 +46,7 @@ OPENED_LATER: dict[str, dict[str, set[str]]] = {
         },
         "request": {f"/{name}/get_state" for name in MODULES},
     },
-    # Used for each node that is found.
+    # Opened only for nodes that the client finds.
     "cell_client": {"request": {f"/{name}/get_state" for name in MODULES}},
 }
 

@@ -157,7 +157,7 @@ def test_firmware_and_emulator_answer_alike_with_channels(
             case ("say", words):
                 firmware, emulated = boards.ask(str(words))
             case ("fail", kind, channel, on):
-                if boards.emulator.coils.next_event() is None:  # not while a striker is moving
+                if boards.emulator.coils.next_event() is None:  # no striker is moving
                     boards.fail(str(kind), int(str(channel)), bool(on))
                 continue
             case _:

@@ -288,7 +288,7 @@ class Board:
         return self.times.get(timeout=20.0)
 
     def clock(self) -> float:
-        """Return the board's own time, s. On a busy machine it is later than real time."""
+        """Return the board's own time, s. On a busy machine it falls behind real time."""
         return self._ask()[0] * 1e-6
 
     def place(self) -> float:
@@ -481,8 +481,8 @@ def test_the_real_firmwares_stop_wants_a_press_after_it(board: Board) -> None:
     board.command("clear 0")
     board.rest(0.01)
     assert driver.clear().state is State.SAFE
-    # The stop input: presses do not count while its circuit is open, and afterwards the carriage is
-    # homed again.
+    # While the circuit of the stop input is open, pressing the clear button has no effect. After
+    # the stop is cleared, the carriage is homed again.
     driver.charge(2, 0.002)
     board.command("stop 1")
     press_clear(board)

@@ -27,8 +27,8 @@ from tapping_cell.vision.markers.detection import marker_pattern
 
 Random = np.random.Generator
 _MODULES_A_SQUARE = 48
-"""Pixels per square of the drawn target. The marker in a square is 3 / 4 of the square's size, so
-that each module of the marker has a whole number of pixels."""
+"""Pixels per square of the drawn target. A marker with 3 / 4 of the size of its square is 36
+pixels wide, so that each of its modules has a whole number of pixels."""
 
 
 def camera(random: Random) -> CameraModel:
@@ -40,8 +40,8 @@ def camera(random: Random) -> CameraModel:
         middle = 639.5 + random.uniform(-25.0, 25.0), 511.5 + random.uniform(-25.0, 25.0)
         radial = random.uniform(-0.25, 0.05), random.uniform(0.0, 0.08)
         tangential = random.uniform(-5e-4, 5e-4, 2).tolist()
-        # Some random coefficients fold back inside the image and are drawn again; real lenses do
-        # not fold back.
+        # Some random coefficients map two directions to one pixel of the image, which no real lens
+        # does. CameraModel then raises an error, and other coefficients are chosen.
         with contextlib.suppress(CameraError):
             return CameraModel(*size, *middle, (*radial, *tangential, 0.0))
 
@@ -69,8 +69,8 @@ def corners_of(target: Target) -> np.ndarray:
 def corner_views(
     random: Random, model: CameraModel, target: Target, count: int, noise: float
 ) -> list[TargetView]:
-    """Return views as a detector with ``noise`` pixels would measure them, with the corners inside
-    the image."""
+    """Return ``count`` views as a detector with a noise of ``noise`` pixels would measure them. A
+    view contains those corners of the target that are inside the image."""
     size = (target.columns * target.square, target.rows * target.square)
     views: list[TargetView] = []
     while len(views) < count:

@@ -50,7 +50,8 @@ def bench(
     parameters: dict[str, dict[str, object]],
     remappings: Sequence[str] = (),
 ) -> Iterator[Bench]:
-    """Run nodes with parameters by node name; all of them end with the block."""
+    """Run nodes with these parameters, given by node name. The nodes end at the end of the ``with``
+    block."""
     made = Bench()
     arguments = ["--ros-args"]
     for rule in remappings:

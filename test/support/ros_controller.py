@@ -18,8 +18,8 @@ OTHER_JOINT = "gripper"
 
 
 class RosController(Node):
-    """Publishes joint states in another order and with an additional joint; spins in its own
-    thread."""
+    """Node that spins in its own thread. Its joint states contain an additional joint and list the
+    arm's joints in reverse order."""
 
     def __init__(self, controller: TrajectoryController, name: str = "scara_controller") -> None:
         super().__init__(name, use_global_arguments=False)

@@ -68,7 +68,7 @@ def _incoming(decode: Callable[[bytes], object], longest: int, data: bytes) -> N
     cut = data.rfind(b"\n", 0, len(data) // 2 + 1) + 1
     first, held = _decode_all(decode, data[:cut])
     second, _ = _decode_all(decode, held + data[cut:])
-    # Noise between frames may be reported in other pieces, but the valid frames must be the same.
+    # Noise between frames may be split at other bytes, but the valid frames must be the same.
     if [f for f in first + second if not _is_bad(f)] != [f for f in whole if not _is_bad(f)]:
         raise Broken(f"{data!r} is decoded differently in two parts")
 
@@ -145,7 +145,8 @@ def marlin_out(data: bytes) -> None:
 
 
 def tapper_out(data: bytes) -> None:
-    """Check that the emulated board answers requests with the same session and number."""
+    """Check that the emulated board repeats the session and the number of a request in its
+    answer."""
     session, sequence, which, shot = struct.unpack("<HHBQ", data.ljust(13, b"\0")[:13])
     command = list(tapper_protocol.Command)[which % len(tapper_protocol.Command)]
     arguments: tuple[int | tapper_protocol.Mode, ...] = {

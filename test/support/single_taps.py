@@ -25,11 +25,11 @@ _AFTER_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """The runs of an experiment, each with (distance in m without rotation, incidence in rad), and
-    the noise of the measurement.
+    """The runs of an experiment, and the noise of the measurement.
 
-    The noise is one standard deviation: of a sample of a track (m, rad), of a pose at rest (m,
-    rad), and of a measured striker speed (relative).
+    ``runs`` contains a pair for each run: the distance (m) of the slide if the object did not
+    rotate, and the incidence (rad). The noise is one standard deviation: of a sample of a track (m,
+    rad), of a pose at rest (m, rad), and of a measured striker speed (relative).
     """
 
     runs: tuple[tuple[float, float], ...] = tuple(

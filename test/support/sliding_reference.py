@@ -1,8 +1,8 @@
 """Independent references for the sliding tests: the textbook formulas and an accurate integration.
 
 Nothing is imported from the package. The friction factors are the published ones in K and E
-(scipy's functions take k^2), with series where the formulas cancel. The motion is integrated in ln
-r by DOP853.
+(scipy's functions take k^2), with series where the formulas cancel. The motion is integrated by
+DOP853 with a variable on which the velocities depend about exponentially.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
     """Return mu g x, mu g R theta and mu g t of a complete slide, with a relative accuracy of
     1e-10.
 
-    ``torque_ratio`` is kappa m R^2 / I. With r = hypot(speed, rim speed), the integration variable
-    is L = ln(r0 / r), and the integration ends when r is 1e-8 of its initial value r0. The products
-    x / v0 and theta / omega0 are integrated, so that even a very small translation or rotation has
-    this relative accuracy.
+    ``torque_ratio`` is kappa m R^2 / I. The integration variable sigma is defined by dt = r dsigma
+    with r = hypot(speed, rim speed). The integration ends when both speeds are at most 1e-9 of the
+    initial value of r. The quotients x / v0 and theta / omega0 are integrated, so that even a very
+    small translation or rotation has this relative accuracy.
     """
     friction = {"disk": disk_force_and_torque, "ring": ring_force_and_torque}[support]
     r0 = math.hypot(speed, rim_speed)
@@ -71,7 +71,8 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
         v, s = math.exp(log_v), math.exp(log_s)
         force, torque = friction(v / s)
         r = math.hypot(v, s)
-        # The derivatives of v and s are -F and -Lambda T; dt = dsigma * r.
+        # The derivatives of v and s with respect to time are -F and -Lambda T (Lambda is
+        # torque_ratio). The factor r changes from time to the integration variable.
         return [
             -force * r / v,
             -torque_ratio * torque * r / s,
@@ -91,9 +92,9 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
     )
     assert solution.status == 1
     _, _, travel, rim_travel, time = solution.y[:, -1]
-    # The integration ends at 1e-8 of the initial velocity. The rest of the slide changes the
-    # results by less than 1e-8; only its duration is added, computed with the friction at the final
-    # ratio of the velocities.
+    # The integration ends at 1e-9 of the initial velocity. Distance and rotation of the rest of the
+    # slide are negligible. Its duration is added, computed with the friction at the final ratio of
+    # the velocities.
     log_v, log_s = solution.y[:2, -1]
     v, s = math.exp(log_v), math.exp(log_s)
     force, torque = friction(v / s)

@@ -33,7 +33,7 @@ class ControllerSettings:
 
     names: tuple[str, ...]
     lag: float = 0.02
-    """Delay from a command to the arm reaching it, s."""
+    """Delay from a commanded position until the arm reaches it, s."""
     goal_tolerance: float = 1e-3
     """Maximum position error at the goal, rad or m."""
     goal_time: float = 0.5

@@ -26,8 +26,8 @@ GUESS = replace(CELL.object, friction=0.2, torque_factor=1.8, smallest_tap=0.001
 
 
 def drawn(seed: int) -> tuple[ObjectFile, float, float]:
-    """Return the file of a random object with guessed values, its true friction and its true torque
-    factor."""
+    """Choose a random object. Return its object file, in which the values are guessed, its true
+    friction and its true torque factor."""
     random = np.random.default_rng(seed)
     kind = ("disk", "ring", "polygon")[seed % 3]
     if kind != "polygon":

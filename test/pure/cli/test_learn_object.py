@@ -56,7 +56,7 @@ def test_an_object_file_is_learnt_from_runs(
     assert main(words) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["taps"] == 10 and result["left_out"] == 0
-    # The results are as commanded, so the learnt values are those in use.
+    # The results are as commanded, so the learnt values equal those of the object file in use.
     assert load_object(made).friction == pytest.approx(load_cell().object.friction, rel=0.02)
     assert load_object(made).calibration is not None
 

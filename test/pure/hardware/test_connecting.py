@@ -127,8 +127,8 @@ class OneBadAnswer(MarlinEmulator):
     ],
 )
 def test_one_bad_line_does_not_choose_how_marlin_is_stopped(present: bool, spoilt: bytes) -> None:
-    """M112 would halt a board permanently although M410 can stop it; M410 would not stop a board
-    without the emergency parser."""
+    """A board with the emergency parser must be stopped by M410, because M112 would halt it
+    permanently. A board without this parser would not be stopped by M410."""
     line = line_to(OneBadAnswer(present, spoilt))
     dialect = MarlinDialect(line)
     ArmDriver(line, dialect, ScaraGeometry()).connect()

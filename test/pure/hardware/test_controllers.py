@@ -146,8 +146,8 @@ def test_a_controller_that_lets_its_motors_go_is_refused_with_the_remedy(name: s
 
 
 def test_an_arm_without_torque_sinks_and_its_controller_does_not_notice() -> None:
-    """Without holding torque, the emulated arm sinks. The test above checks that such a controller
-    is refused."""
+    """Without holding torque, the emulated arm sinks. The previous test checks that the driver
+    refuses a controller with such settings."""
     machine = GrblMachine(start_joints=START, settings=default_settings() | {1: 25.0, 22: 0.0})
     emulator = GrblEmulator(machine)
     emulator.advance(1.0)
@@ -201,8 +201,8 @@ def test_an_axis_without_a_switch_must_be_named() -> None:
 
 @pytest.mark.parametrize("lost", [b"[FIRMWARE:grblHAL]", b"[AXS:4:XYZA]"])
 def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> None:
-    """Without the first line, grblHAL would be mistaken for grbl-Mega-5X; without both lines, for
-    Grbl."""
+    """Without the line [FIRMWARE:grblHAL], grblHAL would be mistaken for grbl-Mega-5X. Without this
+    line and the line [AXS:4:XYZA], it would be mistaken for Grbl."""
     cell = ControllerCell("grblhal", {22: 9.0})
     original = cell.emulator.take_output
     spoilt: list[bytes] = []

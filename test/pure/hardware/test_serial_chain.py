@@ -41,8 +41,8 @@ ELBOW_UP = (1.75, 0.86, 0.14, 0.0, 0.58, -0.64)
 
 
 def reference(joints: NDArray[np.float64] | tuple[float, ...]) -> NDArray[np.float64]:
-    """Return the striker's pose in ``arm_base``: column height 0.40, arms 0.48 and 0.50, wrist
-    0.08."""
+    """Return the striker's pose in ``arm_base``. The lengths in m are from the drawing: column
+    0.40, arms 0.48 and 0.50, wrist 0.08."""
     q1, q2, q3, q4, q5, q6 = joints
     turn, place = Rotation.from_euler("z", q1), np.array([0.0, 0.0, 0.40])
     turn *= Rotation.from_euler("y", q2)
@@ -224,7 +224,8 @@ def test_a_leaning_striker_is_not_believed() -> None:
 def test_an_unreachable_way_is_refused_before_anything_moves() -> None:
     own = CELL.arm.ros2_control
     assert own is not None and own.chain is not None
-    # The arm is mounted so far back that the SCARA of the cell file reaches farther.
+    # The arm is mounted so far back that it does not reach every pose that the SCARA of the cell
+    # file reaches.
     back = replace(own.chain, mount=(-0.45, 0.0, 0.0, 0.0, 0.0, 0.0))
     arm = replace(CELL.arm, ros2_control=replace(own, chain=back))
     chain = arm.chain()

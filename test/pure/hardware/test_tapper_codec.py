@@ -118,8 +118,7 @@ def test_a_frame_with_one_or_two_wrong_bits_is_never_taken(data: st.DataObject) 
         if decoded.frame is None:
             return
         if isinstance(decoded.frame, Reply):
-            # A corrupted reply must not be accepted. Only a changed end of line is harmless (\n is
-            # kept, \r is optional).
+            # A corrupted reply must not be accepted.
             pytest.fail(f"{bytes(frame)!r} was taken for {decoded.frame}")
         rest = decoded.rest
 

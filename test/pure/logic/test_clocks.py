@@ -158,8 +158,8 @@ def test_a_tapper_fires_whichever_clock_is_ahead(
 
 @pytest.mark.parametrize("needed", [True, False])
 def test_a_tapper_that_needs_a_camera_waits_for_its_first_image(needed: bool) -> None:
-    """Otherwise a tapper restarted while the camera is missing would fire at an object that it
-    never saw."""
+    """A tapper that is restarted while the camera is missing must not fire at an object that it has
+    never seen."""
     peers, here = TapperPeers(PeerLimits(needs_camera=needed)), Pose(0.0, 0.0, 0.0)
     peers.begin_tap("")
     arm = ArmState(state=ArmState.IN_POSITION, tap_id=7)

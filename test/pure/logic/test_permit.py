@@ -170,7 +170,8 @@ def test_no_release_falls_into_a_motion_of_the_arm(
 
 
 def test_a_prompt_answer_lets_the_shot_go() -> None:
-    """With prompt answers, the shot is fired; otherwise the test above would prove nothing."""
+    """With prompt answers, the shot is fired. Without this check, the previous test could pass
+    because no shot is ever fired."""
     pair = Pair()
     call = pair.begin()
     made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))

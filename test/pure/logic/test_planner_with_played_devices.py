@@ -339,7 +339,8 @@ def test_late_messages_before_a_tap_do_not_end_the_goal(actors: Actors) -> None:
 
 
 def test_taps_that_somebody_else_ended_are_told_as_such(actors: Actors) -> None:
-    """If the tapper fires nothing and reports no error, another node must have ended its tap."""
+    """If the tapper fires nothing and reports no error, the planner concludes that another program
+    has ended its taps."""
     actors.tapper_answers = TapperState.NOT_FIRED
     actors.send()
     end = actors.end()

@@ -1,4 +1,4 @@
-"""A tap command names its tapper; an empty name means the only one."""
+"""A tap command names its tapper. In a cell with only one tapper, the name may be empty."""
 
 from __future__ import annotations
 

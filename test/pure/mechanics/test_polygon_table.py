@@ -20,8 +20,8 @@ MU, G = 0.2, 9.81
 
 
 def launches(body: Polygon, count: int, largest: float) -> np.ndarray:
-    """Return initial motions in all directions, with all ratios of spin to speed and all
-    magnitudes, including the limits."""
+    """Return initial motions in all directions, with all ratios of spin to speed (including pure
+    translation and pure rotation), and with all sizes of slides up to ``largest``."""
     random = np.random.default_rng(4)
     rho = body.radius_of_gyration
     major = np.sqrt(largest * random.uniform(0, 1, count) ** 2 * MU * G * rho)

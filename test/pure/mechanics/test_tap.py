@@ -266,8 +266,8 @@ def test_the_jacobian_predicts_small_errors(rotation):
 
 
 def test_the_papers_jacobian():
-    """The x and theta rows of the Jacobian agree with section 5.1 of the paper within 10 % rms, and
-    the product within 20 %."""
+    """The x and theta rows of the Jacobian agree with section 5.1 of the paper within 10 % rms. The
+    product of the Jacobian and the paper's striker error agrees within 20 %."""
     both = sensitivity(paper_tap(), (0.010, 0.0, math.radians(3)))
     error = (both.printed - PAPER_JACOBIAN)[[0, 2]] / [[0.135], [0.0251]]
     assert np.sqrt((error**2).mean(axis=1)).max() < 0.10

@@ -209,8 +209,9 @@ def test_an_object_does_not_return_to_where_it_blocks_another(kind: Kind) -> Non
 def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(
     kind: Kind, off: float, direction: float
 ) -> None:
-    """With this small noise, an observation inside the tolerance is enough to keep an object
-    confirmed. If the first observation were 0.5 mm outside, the object would not be confirmed."""
+    """An object that was confirmed at its goal stays confirmed as long as it is observed inside the
+    tolerance, even close to its edge. A first observation that close to the edge would not be
+    enough to confirm the object."""
     goals = [Pose(0.1, 0.0, 0.0), Pose(-0.1, 0.1, 0.0)]
     session = ArrangementSession(bodies_of(kind, goals))
     noise = np.diag([2e-4, 2e-4, 2e-3]) ** 2

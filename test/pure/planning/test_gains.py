@@ -105,7 +105,7 @@ def test_a_bumped_object_is_not_a_gain():
     after = gains.observe([0.01, 0.0, 0.05], [-0.02, 0.03, 1.0], 0.0, SCATTER, CAMERA)
     assert np.allclose(after.value, gains.value, atol=0.02)
     assert bool(after.surprised) and float(after.outliers) == float(gains.outliers) + 1
-    # The larger gain is considered possible until the next tap shows whether it is.
+    # Until further taps are as expected, much longer slides than before are considered possible.
     asked = np.array([0.01, 0.0, 0.0])
     assert after.spread(asked, SCATTER, 3.0).longest > 2 * gains.spread(asked, SCATTER, 3.0).longest
     calm = learn(FILE, 2, 3, after)

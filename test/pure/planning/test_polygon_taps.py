@@ -25,7 +25,8 @@ PLANNER = make_planner("exact", PlannerSettings(cone_slope=TAP.cone_slope))
 
 
 def states(count, seed=3):
-    """Return poses, goals, and for each of them the tap that the exact method prefers."""
+    """Return poses, goals, the taps that the exact method prefers from the poses to the goals, and
+    initial gains."""
     rng = np.random.default_rng(seed)
     pose = rng.uniform([-0.1, -0.1, -math.pi], [0.1, 0.1, math.pi], (count, 3))
     goal = pose + rng.uniform([-0.03, -0.03, -0.3], [0.03, 0.03, 0.3], (count, 3))

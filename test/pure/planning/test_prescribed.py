@@ -94,8 +94,8 @@ def test_the_strike_has_the_speed_and_incidence_asked_for(cell, pose, speed, inc
 def test_the_object_stays_on_the_table_though_the_model_is_wrong(
     cell, pose, speed, incidence, friction, restitution, luck
 ):
-    """The true motion is computed with other parameters; factors of 1/0.85 and 1.1 give the longest
-    slide."""
+    """The true motion is computed with other values of friction and restitution than the planned
+    motion. The slide is longest with the lowest friction and the highest restitution."""
     space, _, body = cell
     decision = session(cell, speed, incidence).decide(pose, in_view=WHOLE_TABLE)
     if not isinstance(decision, Strike):

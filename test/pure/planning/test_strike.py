@@ -72,7 +72,8 @@ def test_taps_beside_a_keep_out_come_from_where_the_tool_has_room(tap):
 
 @pytest.fixture(scope="module")
 def one_sided(tap):
-    """An arm whose left elbow reaches x < 0.1 and whose right elbow reaches x > -0.1."""
+    """An arm that reaches x < 0.1 with the elbow to the left, and x > -0.1 with the elbow to the
+    right."""
 
     def reach(poses):
         return np.stack([poses[..., 0] < 0.1, poses[..., 0] > -0.1], axis=-1)

@@ -69,8 +69,8 @@ def test_a_free_striker_launches_a_round_body_as_the_closed_form_says(
     striker_mass: float,
     ring: bool,
 ) -> None:
-    """With B3 = 0, the normal direction does not depend on sliding, and all definitions of
-    restitution agree."""
+    """If the coefficient B3 of the impact is 0, sliding does not affect the motion in the normal
+    direction. All definitions of restitution then agree."""
     body = Ring(0.05, 0.1, 0.01) if ring else DISK
     striker = Striker(striker_mass, 0.0054, "free")
     law = ContactLaw(restitution, friction, 1e-4)

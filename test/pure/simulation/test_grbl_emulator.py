@@ -144,7 +144,7 @@ def test_repeatability_has_its_own_spread_and_is_seeded() -> None:
     for i in range(400):
         exchange(emulator, b"G1X%dF6000\n" % (i % 2), 1 + i, 1.99 + i)
         ends.append(emulator.joints(1.99 + i)[0] - math.radians(i % 2))
-    # The first line is excluded because the arm is already there.
+    # The first end is excluded: the arm was at this target from the start and did not move.
     assert np.std(ends[1:]) == pytest.approx(spread, rel=0.15)
 
 

@@ -157,7 +157,8 @@ def test_coverage_of_a_polygon_is_its_area():
 
 def test_a_frame_takes_little_of_its_33_ms(scene):
     def least(frames: int, step: float) -> float:
-        """Return the shortest processor time of a frame, ms; other programs do not affect it."""
+        """Return the shortest processor time of a frame, ms. It is hardly affected by other
+        programs."""
         spent = []
         for k in range(frames):
             begin = time.process_time()

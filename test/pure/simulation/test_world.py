@@ -150,7 +150,7 @@ def test_where_it_comes_to_rest_does_not_depend_on_when_it_is_looked_at(gaps: li
     for gap in gaps:
         time += gap
         glimpsed.advance(time)
-        # The object never moves faster than a striker of this mass can push it.
+        # The object is never faster than the striker (0.3 m/s).
         assert math.dist(glimpsed.pose[:2], before[:2]) < 0.3 * gap + 1e-9
         before = glimpsed.pose
     glimpsed.advance(10.0)
@@ -160,8 +160,8 @@ def test_where_it_comes_to_rest_does_not_depend_on_when_it_is_looked_at(gaps: li
 
 
 def test_a_striker_follows_through_to_the_end_of_its_stroke() -> None:
-    """A heavy striker that hardly rebounds keeps pushing a light object; a short stroke ends
-    this."""
+    """A heavy striker that hardly rebounds keeps pushing a light object until the end of the
+    stroke. A shorter stroke ends earlier."""
     content = replace(CELL.object, mass=0.02, restitution=0.1, friction=0.6)
     striker = Striker(0.3, 0.0054, "linear_bearings")
     tip = Pose(START.x - 0.0054 - 0.048 - 0.005, START.y, 0.0)

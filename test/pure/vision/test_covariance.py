@@ -14,7 +14,8 @@ from tapping_cell.vision.markers.edges import BINS, MarkerEdges
 from tapping_cell.vision.table.tracker import TableState, TableTracker
 
 ROW = 0.05
-"""Standard deviation of one edge row in pixels; each side has 60 rows."""
+"""Standard deviation of the edge position in one row of pixels, in pixels. Each side of a marker
+has 60 rows."""
 HEIGHT = 0.012
 TRIALS = 150
 
@@ -52,7 +53,8 @@ def erroneous_map(random: np.random.Generator, misprint: float) -> ReferenceMap:
 
 
 def noisy_edges(view: View, random: np.random.Generator) -> MarkerEdges:
-    """Return the references' sides as the true camera sees them, with noise of each row."""
+    """Return the sides of the reference markers as the true camera sees them, with the noise of the
+    rows."""
     corners = REFERENCES.corners()
     share = (np.arange(BINS) + 0.5) / BINS
     start, end = corners[:, :, None], np.roll(corners, -1, axis=1)[:, :, None]

@@ -111,7 +111,8 @@ def brute_force(
     inside = (np.arange(samples) + 0.5) / samples - 0.5
     xs = (np.arange(x0, x1)[:, None] + inside).ravel()
     ys = (np.arange(y0, y1)[:, None] + inside).ravel()
-    # Rays are computed at every sixth pixel and interpolated by splines, because a lens is smooth.
+    # Rays are computed at every sixth pixel and interpolated by splines. This is exact enough,
+    # because the rays vary smoothly over the image.
     grid_x, grid_y = np.arange(x0 - 6, x1 + 12, 6.0), np.arange(y0 - 6, y1 + 12, 6.0)
     nodes = view.camera.rays(np.stack(np.meshgrid(grid_x, grid_y), axis=-1))
     rays = np.moveaxis(between(grid_y, grid_x, nodes, ys, xs), 0, -1)

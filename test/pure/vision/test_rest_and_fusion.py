@@ -31,7 +31,7 @@ def measured(random: np.random.Generator, pose: np.ndarray) -> np.ndarray:
 )
 @settings(max_examples=150, deadline=None)
 def test_rest_is_declared_within_150_ms(seed, speed, direction, phase, angle):
-    """A slide with 0.17 g of friction ends at time 0; the phase of the frames is random."""
+    """A slide with a deceleration of 0.17 g ends at time 0. The phase of the frames is random."""
     random = np.random.default_rng(seed)
     track = Track()
     deceleration = 1.67

@@ -55,8 +55,8 @@ def object_corners(pose: np.ndarray, lift: float, tilt: float) -> np.ndarray:
 
 
 def judged(pose: np.ndarray, lift: float, tilt: float, seed: int) -> tuple:
-    """Return the deviation of the shape (None if it is not a square), and the error of the measured
-    pose (3,)."""
+    """Return the deviation of the shape and the error of the measured pose (3,). If no square fits
+    the edges, return None and zeros."""
     edges = edges_of(object_corners(pose, lift, tilt)[None], np.random.default_rng(seed))
     fit = fit_marker(VIEW, edges, 0, MARKER)
     if fit is None:
@@ -117,8 +117,8 @@ def references(places=PLACES, size=0.04) -> ReferenceMap:
 
 
 def reference_edges(table: ReferenceMap, seed: int, moved=(), bloom=0.0) -> MarkerEdges:
-    """Return the edges of the table's markers; ``moved`` contains pairs of a row and its shift (x,
-    y) in m."""
+    """Return the edges of the table's markers. ``moved`` contains the moved markers as pairs: the
+    marker's row in ``table.corners()``, and its shift (x, y) in m."""
     flat = table.corners()
     for row, shift in moved:
         flat[row] += shift

@@ -61,8 +61,8 @@ def test_markers_of_a_pixel_and_a_half_a_module_are_measured_as_well_as_they_say
         assert right.all()
         shift = edges.corners[0].mean(axis=0) - corners.mean(axis=0)
         errors.append(np.linalg.norm(shift))
-        # If each side has this noise, the centre of the four sides has half of its variance in x
-        # and in y.
+        # If each side has this noise, the centre of the four sides has half the variance of a side
+        # in x and in y.
         normalised.append(shift @ shift / (0.5 * side_noise(edges, 1.0)[0] ** 2))
     assert np.max(errors) < 0.1
     assert np.mean(normalised) < 3.5
@@ -165,8 +165,8 @@ def test_sides_of_a_fitted_pattern_claim_no_more_than_the_fit():
 
 
 def test_searches_of_one_image_add_up():
-    """The detections of one search are kept in the next one; two places of one id are two
-    markers."""
+    """The next search of the same image keeps the detections of the first. If an id is found at two
+    places, these are two markers with the same id."""
     here, beside = square(20.0, 0.0), square(20.0, 0.0) + 0.4
     elsewhere = square(20.0, 0.0, (40.0, 40.0))
     first = Detections({1: here, 2: here, 3: here}, (7,))

@@ -239,7 +239,8 @@ def breadboard(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize(("texture", "hides"), [(grain, False), (tiles, True), (breadboard, False)])
 def test_the_texture_of_a_table_is_no_object_but_an_object_on_it_is(texture, hides) -> None:
-    """The contrast of the tiles is so high that the limit hides the object."""
+    """An object is not found on the tiles: their brightness varies so much that the threshold of
+    the search, which increases with this variation, exceeds the contrast of the object."""
     random = np.random.default_rng(1)
     scene, (footprint,) = scene_with([("disk", 0.03, 0.02, True)])
     finder, place = UnknownObjects(LENGTH, WIDTH, CELL.table), np.array([0.1, 0.0, 0.0])
