@@ -198,6 +198,16 @@ def test_the_last_check_refuses_an_arm_that_reports_another_state_despite_its_pr
     assert reason is not None and reason[0] == ErrorCode.TAPPER_ARM_NOT_IN_POSITION
 
 
+@pytest.mark.parametrize("late", [0.0, 0.2, 30.0])
+def test_the_arm_promises_only_on_a_fresh_reading_and_before_the_tap_expires(late: float) -> None:
+    """The reading is taken at START, and the tap expires 20 s later."""
+    pair = Pair()
+    call = pair.begin()
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START + late))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    assert answer.response.granted == (late <= arms.FRESH_READING_S)
+
+
 def test_a_tap_withdrawn_at_the_end_of_charging_discharges_the_striker() -> None:
     pair = Pair()
     charge = pair.begin_charging()
