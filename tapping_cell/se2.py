@@ -1,6 +1,6 @@
 """Planar poses: the pose of a frame B in a frame A, X_AB = (x, y, theta).
 
-A pose is three numbers in metres, metres and radians. :class:`Pose` is a tuple of them, so that
+A pose consists of x and y in metres and theta in radians. :class:`Pose` is a tuple of them, so that
 ``numpy.asarray(pose)`` has shape (3,). The functions accept arrays of shape (..., 3) and broadcast
 them.
 """

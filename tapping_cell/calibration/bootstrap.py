@@ -1,12 +1,12 @@
 """Bootstrap confidence intervals for estimates at which the scores of all trials sum to zero.
 
-An estimate t solves sum_i s_i(t) = 0 over the trials. Near the fitted estimate t_0, s_i(t) = s_i +
-H_i (t - t_0), with the score s_i and the information H_i of the fit. One Newton step gives the
-estimate of a resample and its standard error, so thousands of resamples cost only a matrix product.
-Trials are resampled within each run, so every run keeps its number of trials. The interval is the
-studentised one (percentile-t; Davison and Hinkley, Bootstrap Methods and their Application, 1997,
-section 5.2.1). Its coverage is correct even for few trials; the plain percentile interval would be
-too short.
+An estimate t solves sum_i s_i(t) = 0 over the trials. Near the fitted estimate t_0, the score is
+approximately s_i(t) = s_i + H_i (t - t_0), where s_i is the score and H_i the information of trial
+i at t_0. One Newton step gives the estimate of a resample and its standard error, so thousands of
+resamples cost only a matrix product. Trials are resampled within each run, so every run keeps its
+number of trials. The interval is the studentised one (percentile-t; Davison and Hinkley, Bootstrap
+Methods and their Application, 1997, section 5.2.1). Its coverage is correct even for few trials;
+the plain percentile interval would be too short.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _MAX_STD = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Lower and upper end of the interval relative to the estimate, and standard error; each
-    (p,)."""
+    """Lower and upper end of the interval, as differences from the estimate, and the standard
+    error; each (p,)."""
 
     low: Array
     high: Array
@@ -73,7 +73,8 @@ def spread(
     ratio = np.clip(ratio, -_MAX_STD, _MAX_STD)
     tail = (1 - level) / 2
     upper, lower = np.quantile(ratio, [1 - tail, tail], axis=0)
-    # For few trials the standard error is slightly too small (degrees of freedom).
+    # For few trials the standard error is slightly too small. This factor accounts for the degrees
+    # of freedom that the fit uses.
     std = std[0] * math.sqrt(count / max(count - size, 1))
     return Spread(low=-upper * std, high=-lower * std, std=std)
 

@@ -124,7 +124,8 @@ def travel_direction(place: Pose, number: int) -> float:
 
 
 def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[float, float]:
-    """Compute incidence and contact angle (rad) of a strike from ``tip``; NaN if it misses."""
+    """Compute the incidence and the contact angle (rad) of a strike that starts at the tip pose
+    ``tip``; both are NaN if the strike misses."""
     hit = tap.strike(start, tip, striker_speed)
     if bool(hit.missed):
         return math.nan, math.nan

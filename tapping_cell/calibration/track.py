@@ -14,7 +14,8 @@ from tapping_cell.calibration.trials import Track, Trial
 
 Array = NDArray[np.float64]
 
-# Samples within this fraction of the displacement from its start or its end may be at rest.
+# Samples that are closer to the start or the end of the slide than this fraction of the
+# displacement may be at rest.
 _EDGE = 0.02
 _NOISE = 8.0  # standard deviations
 _MIN_MOTION = 0.0002  # m: minimum displacement

@@ -10,11 +10,12 @@ the striker is, along the normal (compression) and along the tangent (sliding),
 
     B1 = 1/m + c_n^2 / I + striker,  B2 = 1/m + c_t^2 / I + striker,  B3 = c_n c_t / I + striker
 
-where a striker in linear bearings adds (a_t^2, a_n^2, -a_n a_t) / m_s and a free one adds (1, 1, 0)
-/ m_s. Routh's method (Wang and Mason, J. Applied Mechanics 59, 1992) follows the impulse along the
-friction limit until sliding stops (S = 0). It then continues along S = 0 if friction can prevent
-sliding, and otherwise along the opposite limit. Compression ends at C = 0. With Poisson's
-restitution e, the total normal impulse is 1 + e times the normal impulse of the compression.
+where ``striker`` stands for a_t^2 / m_s, a_n^2 / m_s and -a_n a_t / m_s if the striker moves in
+linear bearings, and for 1 / m_s, 1 / m_s and 0 if it is free. Routh's method (Wang and Mason, J.
+Applied Mechanics 59, 1992) follows the impulse along the friction limit until sliding stops (S =
+0). It then continues along S = 0 if friction can prevent sliding, and otherwise along the opposite
+limit. Compression ends at C = 0. With Poisson's restitution e, the total normal impulse is 1 + e
+times the normal impulse of the compression.
 """
 
 from __future__ import annotations

@@ -11,8 +11,9 @@ over a face of area A
 
 by the divergence theorem, as in Goyal, Ruina and Papadopoulos (Wear 143, 1991). The classic
 Runge-Kutta method integrates the motion over the logarithm of the velocity's magnitude, because a
-slide is smooth in this variable until its end. The accuracy is 1e-4 relative to a brute-force grid
-of friction points (tested at 1e-3, the accuracy of the grid); the inverse is accurate to 1e-11.
+slide is smooth in this variable until its end. The accuracy, relative to a brute-force sum over a
+grid of friction points, is 1e-4; the tests require 1e-3, the accuracy of their grid. The inverse is
+accurate to 1e-11.
 """
 
 from __future__ import annotations
@@ -275,7 +276,8 @@ class PolygonSlide:
             unit = unit + _STEP / 6 * (a + 2 * b + 2 * c + d)
             unit /= np.sqrt((unit**2).sum(axis=0))
             state = state + _STEP / 6 * (p + 2 * q + 2 * r + s)
-        # The last part of the motion, a fraction of 1e-6, is computed with constant friction.
+        # The last part of the motion, a few millionths of the displacement, is computed with
+        # constant friction.
         size = np.exp(-_STEPS * _STEP)
         _, loss = self.rates(unit, state[2])
         time = per_size * size / loss

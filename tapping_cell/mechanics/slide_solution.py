@@ -21,10 +21,10 @@ the equations are therefore solved by collocation without an initial value. From
 method of order five, which is stable in this direction, continues the solution to pure sliding and
 to pure spinning.
 
-Near tau = 0, y contains powers of tau slightly above one; near tau = 1, a ring's friction contains
-a logarithm. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). Near both
-ends, p varies like the square root of the distance of tau from the end; computing p from tau takes
-two square roots.
+Near tau = 0, y contains powers of tau with exponents slightly above one. Near tau = 1, a ring's
+friction contains a logarithm. The knots of the table are therefore denser near both ends: they are
+uniformly spaced in p, with tau = p^2 / (p^2 + (1 - p)^2). Near an end, p varies like the square
+root of the distance of tau from that end. Computing p from tau takes two square roots.
 """
 
 from __future__ import annotations

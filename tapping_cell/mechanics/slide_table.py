@@ -1,10 +1,10 @@
 """Table of all slides for one support and one torque factor, forward and inverse.
 
-It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite pieces over the graded
-variable p. A single slide is computed with Python floats; many slides are computed in blocks that
-fit in the cache, with preallocated work arrays. The inverse looks up an estimate of p in a separate
-table and refines it by Newton steps on the forward table, so that ``launch`` inverts ``rest`` up to
-rounding.
+It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite polynomials between
+knots that are uniformly spaced in p (defined there). A single slide is computed with Python floats;
+many slides are computed in blocks that fit in the cache, with preallocated work arrays. The inverse
+looks up an estimate of p in a separate table and refines it by Newton steps on the forward table,
+so that ``launch`` inverts ``rest`` up to rounding.
 """
 
 from __future__ import annotations
@@ -195,8 +195,8 @@ class SlideTable:
             )
         np.multiply(x, self._divide, out=spare)
         np.greater(r, spare, out=mask)
-        # With x scaled by ``_divide``, both travels are equal at the boundary of the regimes, so
-        # that min / max is valid in both.
+        # With x scaled by ``_divide``, both travels are equal at the boundary between the regimes.
+        # The smaller scaled travel is therefore the minor one in both regimes.
         np.maximum(spare, r, out=large)
         np.minimum(spare, r, out=small)
         _grade(large, small, t, gathered)
@@ -264,7 +264,9 @@ class SlideTable:
         return value
 
     def _inverse_guess(self) -> Array:
-        """Table of p over the graded ratio of the travels: Hermite pieces, one half per regime."""
+        """Compute the table of p as a function of the ratio of the travels, graded like tau:
+        coefficients of Hermite polynomials, first of the translating and then of the spinning
+        regime."""
         p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):
@@ -338,8 +340,8 @@ def _grade(major: Array, minor: Array, t: Array, spare: Array) -> None:
 
 
 def _piece(t: Array, mask: NDArray[np.bool_], index: NDArray[np.intp], spare: Array) -> None:
-    """Split t into the row of its piece (in the table's second half if ``mask``) and the position
-    in the piece."""
+    """Split t into the row of its piece and the position in the piece. Where ``mask`` is true, the
+    row is in the second half of the table."""
     np.copyto(index, t, casting="unsafe")
     np.minimum(index, PIECES - 1, out=index)
     t -= index

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Quadratic convergence from a complementary modulus of 1e-12 needs eight steps, plus one spare.
+# The mean converges quadratically: from a complementary modulus of 1e-12 in eight steps. One more
+# is made for safety.
 _AGM_STEPS = 9
 _SMALLEST_COMPLEMENT = 1e-12
 

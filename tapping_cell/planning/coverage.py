@@ -35,7 +35,8 @@ class Coverage(NamedTuple):
     """Coverage at points of the working area.
 
     points: (n, 2), m. reached: (n, tappers), whether the tapper can tap an object there at every
-    orientation. dead: (n,), whether an object there cannot be tapped inward at some orientation."""
+    orientation. dead: (n,), whether there is an orientation at which an object there cannot be
+    tapped inward."""
 
     points: Array
     reached: BoolArray

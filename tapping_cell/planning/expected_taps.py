@@ -42,7 +42,8 @@ def expected_taps(
     sizes: Array,
     turns: Array,
 ) -> Array:
-    """Expected taps that follow a tap, (directions, sizes, turns); infinite outside the cone.
+    """Return the expected number of taps that follow a tap, (directions, sizes, turns); infinite
+    outside the cone.
 
     Args:
         solution: plan that is followed after the tap.

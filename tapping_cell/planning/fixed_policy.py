@@ -41,8 +41,8 @@ class Grading(NamedTuple):
 
     @property
     def _limits(self) -> tuple[float, float]:
-        """Point from which the steps are constant: its distance, and its coordinate asinh(distance
-        / fine)."""
+        """Distance from the goal beyond which the steps are constant, and asinh(distance / fine) of
+        this distance."""
         distance = math.sqrt(max((self.widest / self.step) ** 2 - self.fine**2, 0.0))
         return distance, math.asinh(distance / self.fine)
 

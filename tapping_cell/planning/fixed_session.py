@@ -293,9 +293,9 @@ class FixedTapperSession(GoalSession):
         return np.asarray(safe)
 
     def _way(self, pose: Array, commanded: Array, expected: Array, deviations: float) -> Array:
-        """Points on slides whose length and direction deviate by ``deviations`` standard
-        deviations, for displacements (tappers, n, 3): (tappers, n, 3 directions, points, 2), m in
-        `table`."""
+        """Return points on slides whose length and direction deviate by ``deviations`` standard
+        deviations. Displacements (tappers, n, 3) give points (tappers, n, 3 directions, points, 2),
+        m in `table`."""
         spread = self.gains.spread(commanded, self.settings.scatter, deviations)
         size = np.hypot(expected[..., 0], expected[..., 1])
         heading = np.arctan2(expected[..., 1], expected[..., 0])

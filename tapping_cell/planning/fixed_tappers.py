@@ -90,7 +90,7 @@ class WorkingArea:
 
 
 def tap_seconds(travel: ArrayLike, reach: ArrayLike, length: ArrayLike) -> Array:
-    """Durations of taps, s. travel, reach: see ``Lines``; length: displacement, m."""
+    """Return the durations of taps, s. travel, reach: as in ``Lines``. length: displacement, m."""
     flight = np.asarray(travel) * np.sqrt(np.asarray(reach) / np.asarray(length))
     return np.asarray(BESIDES_FLIGHT_S + flight)
 

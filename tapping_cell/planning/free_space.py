@@ -35,7 +35,7 @@ WIDEST_GAP = math.radians(150.0) + 1e-9
 """Largest allowed angle between neighbouring directions of possible taps, below 180 degrees."""
 
 TURNS = (-0.7, 0.0, 0.7)
-"""Rotations of the taps tried, as fractions of the cone's slope."""
+"""Rotations per distance of the taps tried, as fractions of the cone's slope."""
 
 TYPICAL_TAP = 0.010
 """Distance of the taps tried, m. The choice is arbitrary because the pose of a strike depends only
@@ -236,8 +236,8 @@ def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolA
 
 
 def _tool_in(area: KeepOut, space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
-    """Return which taps would put the tip or the bar into this area or its margin; shape as for
-    ``_blocked``."""
+    """Return which taps would put the tip or the bar into this area or its margin: (turns, cells x,
+    cells y, directions)."""
     shape = (*centres.shape[:-1], DIRECTIONS)
     round_area = area if isinstance(area, CircleArea) else _around(area)
     offset = (np.array([round_area.x, round_area.y]) - centres).reshape(-1, 2).astype(np.float32)

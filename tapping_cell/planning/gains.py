@@ -8,11 +8,12 @@ A tap commanded as (d, turn, direction) and measured as (d', turn', direction') 
 
 The unknowns of each equation are estimated separately. u is the direction of travel in the object's
 frame. o is an offset with two components, for an object whose centre of mass or of friction is not
-at its middle: the rotation per distance (rad/m) that a tap through the middle causes. The rotation
-is divided by the measured distance because friction scales both equally; G therefore describes only
-the torque of the friction. Each estimate is a ``Belief``. Its prior is a mixture of a narrow
-distribution, for an accurate object file, and wide ones. Measurements are weighted by the tap's
-scatter and the camera's noise, and outliers are distinguished from lasting changes.
+at its middle: the rotation per distance (rad/m) that a tap through the middle causes. An error of
+the friction coefficient changes distance and rotation by the same factor. The rotation is therefore
+divided by the measured distance, so that G describes only the torque of the friction. Each estimate
+is a ``Belief``. Its prior is a mixture of a narrow distribution, for an accurate object file, and
+wide ones. Measurements are weighted by the tap's scatter and the camera's noise, and outliers are
+distinguished from lasting changes.
 """
 
 from __future__ import annotations
@@ -410,7 +411,7 @@ def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -
 
 
 def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None:
-    """Replace the narrowest prior by saved numbers, and give it a higher weight, ``KEPT``."""
+    """Replace the narrowest prior by saved numbers, with the weight ``KEPT``."""
     belief.weight[1:] *= (1.0 - KEPT) / belief.weight[1:].sum()
     belief.weight[0] = KEPT
     belief.mean[0] = np.asarray(mean)

@@ -16,8 +16,8 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35
-"""Largest difference of the taps at neighbouring grid points that are interpolated, as a share of
-the longest of them."""
+"""Taps at neighbouring grid points are interpolated if they differ by at most this share of the
+longest of them."""
 
 
 class OptimalPolicy:
@@ -53,7 +53,8 @@ class OptimalPolicy:
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
         """Expected taps for these residuals: 0 inside the box. Beyond the grid, one tap is added
         for each length of the largest tap."""
-        # Rotations divided by the learnt gain may exceed half a turn.
+        # Rotations are divided by the learnt gain and may therefore exceed half a turn, where the
+        # grid ends.
         most = self.settings.largest_distance
         far = np.asarray(distance, dtype=float) - self._solution.distances[-1]
         turned = np.abs(np.asarray(rotation, dtype=float)) - self._solution.rotations[-1]
@@ -150,7 +151,8 @@ class OptimalPlanner:
     def taps_after(
         self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
     ) -> Array | None:
-        """See ``interface.TapValues``; None while the fallback is in use."""
+        """Return the expected number of further taps (see ``interface.TapValues``); None while the
+        fallback is in use."""
         policy = self._policy
         if policy is None:
             return None

@@ -54,10 +54,11 @@ UNKNOWN = 1.6
 first. For an object that matches its file, the ratio is 1.2 after one tap."""
 
 JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
-"""Criteria for refusing an object that does not rotate: from this number of explained taps on, the
-rotation gain must be below its least value with this probability. The second criterion is weaker,
-because more taps hardly narrow the estimate of a gain slightly below the least value, and the goal
-would end only at the maximum number of taps."""
+"""Criteria (number of taps, probability) for refusing an object that does not rotate. After this
+number of taps that are not outliers, the object is refused if its rotation gain is below the least
+gain with this probability. The second criterion is weaker, because further taps hardly improve the
+estimate of a gain slightly below the least gain. Without it, such a goal would end only at the
+maximum number of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
@@ -683,9 +684,10 @@ class PositioningSession(GoalSession):
         )
 
     def _ends_well(self, pose: Array, commanded: Array, *, trusting: bool = False) -> BoolArray:
-        """Return which displacements (n, 3) are acceptable, (n,). The slide must be safe within the
-        bounds of all uncertainty and, within those of the scatter alone, must end at a tappable
-        place. ``trusting``: ignore the uncertainty of the gains."""
+        """Return which displacements (n, 3) are acceptable, (n,). The slide must be safe for all
+        deviations within the bounds of the whole uncertainty, and it must end at a tappable place
+        for all deviations within the bounds of the scatter. ``trusting``: ignore the uncertainty of
+        the gains."""
         expected = self.gains.predict(commanded, pose[2])
         end = self._space.footprint(pose, expected)[..., -1, :]
         tappable = np.all(self._free.contains(end), axis=-1)

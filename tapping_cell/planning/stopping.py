@@ -31,9 +31,8 @@ MARGIN = 2.5758293035489004
 
 LONG_OBSERVATION = 9
 """Number of nominal observations that are fused in a long observation. An observation takes much
-less time than a tap. If the tolerance is 0.1 mm and 0.1 degrees and the noise a tenth of it, long
-observations of 9 instead of 4 nominal observations save 0.25 taps and need 0.6 more
-observations."""
+less time than a tap. With a tolerance of 0.1 mm and 0.1 degrees, and noise of a tenth of that,
+fusing 9 instead of 4 nominal observations saves 0.25 taps and costs 0.6 more observations."""
 
 SMALLEST_SHARE = 0.25
 """Smallest box as a share of the tolerance; a smaller box would need too many taps."""
@@ -43,8 +42,9 @@ _REACH = 6.0
 
 _NODES, _ROUND_NODES = 241, 41
 """Numbers of quadrature nodes. An isotropic position covariance needs fewer nodes, because the
-integration can run across the residual, where the length of the chord changes slowly. Both numbers
-give an accuracy of 1e-8 (tested)."""
+integration can then run along the diameter at a right angle to the residual: near the middle of
+that diameter, the length of the chord across it changes slowly. Both numbers give an accuracy of
+1e-8 (tested)."""
 
 
 class StoppingBox(NamedTuple):

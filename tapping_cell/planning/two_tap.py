@@ -28,12 +28,12 @@ def two_tap_choice(
 ) -> Taps:
     """Choose the tap to the goal if one tap suffices, else the first tap of a two-tap plan.
 
-    The error line of a subgoal is the rotation of the first tap times 1 +- ``error_line``. The
-    subgoal is the nearest one for which a second tap, in the opposite direction, reaches the goal
-    from every point of the error line. An ``error_line`` s of 0 gives the exact two-tap plan (Huang
-    and Mason, sections 4.1 and 4.2). The variant "retreat" first taps away from the goal by a, so
-    that the distance r + a remains. The variant "overshoot" first taps past the goal by b, so that
-    the distance b remains:
+    The error line of a subgoal contains the possible rotations of the first tap: the commanded
+    rotation times 1 +- ``error_line``. The subgoal is the nearest one for which a second tap, in
+    the opposite direction, reaches the goal from every point of the error line. Below, s is
+    ``error_line``; s = 0 gives the exact two-tap plan (Huang and Mason, sections 4.1 and 4.2). The
+    variant "retreat" first taps away from the goal by a, so that the distance r + a remains. The
+    variant "overshoot" first taps past the goal by b, so that the distance b remains:
 
         retreat:    theta - k a (1 - s) = k (r + a)  ->  a = (theta - k r) / (k (2 - s))
         overshoot:  theta - k (r + b)(1 - s) = k b   ->  b = (theta - k r (1 - s)) / (k (2 - s))

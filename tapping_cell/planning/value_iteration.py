@@ -44,7 +44,7 @@ RATIO = 1.1
 """Ratio of neighbouring grid values far from the box, for states and for taps."""
 
 COARSE_RATIO = 1.3
-"""The same ratio for the coarse grid."""
+"""Ratio of neighbouring values of the coarse grid far from the box."""
 
 FINE_STEPS = 5
 """Number of grid steps from the goal to the edge of the box."""

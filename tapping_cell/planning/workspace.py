@@ -40,8 +40,8 @@ class CircleArea:
 
 @dataclass(frozen=True, slots=True)
 class PolygonArea:
-    """A polygonal keep-out, convex or not. The corners, in m, are in order around the area;
-    ``name`` as for a circle."""
+    """A polygonal keep-out, convex or not. The corners, in m, are in order around the area.
+    ``name``: name of the object if the keep-out is an object."""
 
     vertices: tuple[tuple[float, float], ...]
     name: str = ""

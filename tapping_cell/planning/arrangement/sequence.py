@@ -47,8 +47,9 @@ CLOSEST = 3
 possible."""
 
 AGAIN = 1.0
-"""Extra cost, in taps, for each earlier move of the same object out of the way, because it did not
-help enough. Close to the earlier buffer place the cost is doubled."""
+"""Extra cost, in taps, of moving an object out of the way, for each time that it was moved out of
+the way before: these moves did not help enough. Close to an earlier buffer place the extra cost is
+doubled."""
 
 NARROW = 0.03
 """Gap to another object, m, below which a buffer place has an extra cost of up to one tap."""
@@ -264,7 +265,7 @@ def _open(scene: Scene) -> list[Body]:
 
 
 def _due(scene: Scene) -> list[Body]:
-    """Return the objects that may go to their goals now."""
+    """Return the unfinished objects that need not wait for other objects (``Scene.later``)."""
     return [body for body in _open(scene) if body.name not in scene.later]
 
 

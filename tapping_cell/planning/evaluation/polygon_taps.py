@@ -130,8 +130,9 @@ class _Ranking:
 
 
 def _passed_on(tap: Tap, pose: Array, commanded: Array) -> NDArray[np.bool_]:
-    """Return which displacements (n, m, 3) lie in the friction cone of some edge. Others are
-    impossible, because a polygon that slides like a disk moves in the direction of the impulse."""
+    """Return which displacements (n, m, 3) lie in the friction cone of some edge. All others are
+    impossible for a polygon that slides like a disk: it moves in the direction of the impulse,
+    which lies in the friction cone of the edge."""
     body = tap.body
     assert isinstance(body, Polygon)
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0]) + pose[:, 2:]
