@@ -60,8 +60,8 @@ def slide_of(
 ) -> Slide | TrackProblem:
     """Extract the slide from a trial's track, or return the reason why the track is unusable.
 
-    The standard deviations are the defaults for samples without their own. ``rate`` (Hz) and
-    ``exposure`` (s) are those of the camera.
+    ``position_std`` and ``rotation_std`` apply to samples that contain no standard deviations.
+    ``rate`` (Hz) and ``exposure`` (s) are those of the camera.
     """
     track = trial.track
     if track is None or track.time.size < 4:

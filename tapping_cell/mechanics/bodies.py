@@ -59,8 +59,8 @@ class Body:
         raise NotImplementedError
 
     def normal(self, angle: ArrayLike) -> Array:
-        """Outward unit normals (..., 2) at the boundary points of the same angles (see
-        :meth:`boundary`)."""
+        """Outward unit normals (..., 2) at the points that :meth:`boundary` returns for these
+        angles."""
         raise NotImplementedError
 
 

@@ -97,10 +97,11 @@ class Impact:
 
     ``restitution`` is Poisson's coefficient, 0 to 1, and ``friction`` is the friction coefficient
     of the contact. The model can be calibrated for a real device in two ways (section 3.1.1 of the
-    paper fits two constants): ``scale`` multiplies the model's B1, B2 and B3, and ``constants``
-    replaces those for which a fitted value in 1/kg is given instead of None. Without calibration,
-    energy never increases and mirrored impacts have mirrored results; with calibration, neither is
-    guaranteed. Raises :class:`InvalidParameterError` for values out of range.
+    paper fits two constants): ``scale`` contains factors for the model's B1, B2 and B3, and
+    ``constants`` contains values in 1/kg that replace them, or None to keep the model's value.
+    Without calibration, energy never increases and mirrored impacts have mirrored results; with
+    calibration, neither is guaranteed. Raises :class:`InvalidParameterError` for values out of
+    range.
     """
 
     body: Body
@@ -135,7 +136,8 @@ class Impact:
         """Maximum angle (rad) of the impulse to either side of the normal at ``contact``.
 
         This is the arctangent of the contact friction. It is less if the contact does not slide
-        throughout at any incidence up to ``LARGEST_INCIDENCE``. ``contact`` as for :meth:`strike`.
+        throughout at any incidence up to ``LARGEST_INCIDENCE``. ``contact`` (..., 2) is (c_n, c_t)
+        in m.
         """
         c = np.asarray(contact, dtype=float)
         angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
@@ -212,8 +214,8 @@ class Impact:
     def incidence_for(self, impulse_slope: ArrayLike, contact: ArrayLike) -> Array:
         """Incidence (rad) at which the impulse has P_t / P_n = ``impulse_slope``.
 
-        The slope must be within the friction cone. ``contact`` as for :meth:`strike`. NaN if no
-        incidence within ``LARGEST_INCIDENCE`` gives the slope.
+        The slope must be within the friction cone. ``contact`` (..., 2) is (c_n, c_t) in m. NaN if
+        no incidence within ``LARGEST_INCIDENCE`` gives the slope.
         """
         bracket = self._bracket(impulse_slope, contact)
         root = np.full(bracket.found.shape, np.nan)

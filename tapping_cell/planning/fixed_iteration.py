@@ -82,7 +82,8 @@ CHUNK = 200_000
 """Number of states after taps computed per batch, so that a batch fits in the processor's cache."""
 
 PER_HALF_STEP = 6
-"""Number of entries of an axis's index table per smallest half step of its grid."""
+"""Resolution of the index table of an axis: number of entries per half of the grid's smallest
+step."""
 
 
 class Abandoned(Exception):

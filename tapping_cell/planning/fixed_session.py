@@ -207,7 +207,7 @@ class FixedTapperSession(GoalSession):
         return self._strike(pose, left, self._missed | self._skipped)
 
     def skip(self, strike: Strike) -> None:
-        """See ``GoalSession.skip``."""
+        """Reject a tap that the operator did not want (see ``GoalSession.skip``)."""
         self._skipped |= {self._index(strike)}
 
     def _strike(self, pose: Array, left: Array, missed: frozenset[int]) -> Strike | Refusal:

@@ -132,8 +132,8 @@ class FreeSpace:
         edges = []
         for axis in (0, 1):
             i, j = np.nonzero(np.diff(padded, axis=axis))
-            # The map is padded by one cell, so the boundary behind padded cell i is the boundary
-            # before cell i.
+            # The map is padded by one cell, so padded cell i + 1 is cell i of the map, and the
+            # boundary between padded cells i and i + 1 is the lower boundary of cell i.
             first = np.stack([i, j], axis=-1).astype(float)
             first[:, 1 - axis] -= 1.0
             along = np.eye(2)[1 - axis]

@@ -47,8 +47,8 @@ DISTANCE = Prior(
     change=1,
     span=4.0,
 )
-"""Prior of ln(distance gain): standard deviation of 4 % for an object that matches its file, else
-friction within a factor of 4."""
+"""Prior of ln(distance gain), a mixture: a standard deviation of 4 % for an object that matches its
+file, and one that allows for a friction that differs from the file by a factor of up to 4."""
 
 ROTATION = Prior(
     weight=np.array([0.60, 0.20, 0.12, 0.08]),

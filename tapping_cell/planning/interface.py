@@ -34,7 +34,7 @@ class Planner(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the method in use now (a fallback is in use while a plan is being solved)."""
+        """Name of the method that is in use now: a fallback while a plan is being solved."""
         ...
 
     @property

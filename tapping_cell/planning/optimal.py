@@ -69,7 +69,7 @@ class OptimalPolicy:
     def taps_after(
         self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
     ) -> Array:
-        """See ``interface.TapValues``."""
+        """Return the expected number of further taps after a tap; see ``interface.TapValues``."""
         return expected_taps(self._solution, self.settings, distance, rotation, aside, sizes, turns)
 
     def _cell(

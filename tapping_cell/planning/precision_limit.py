@@ -31,7 +31,7 @@ def smallest_tap_share(settings: PlannerSettings) -> float:
 
 
 def precision_limit(settings: PlannerSettings) -> str:
-    """Return why taps cannot meet this tolerance, with the limiting number, or an empty string.
+    """Return why taps cannot meet this tolerance, with the figures, or an empty string if they can.
 
     The accuracy of the camera is checked for each observation (see ``stopping``).
     """

@@ -125,7 +125,7 @@ class PrescribedSession:
 
         Args:
             object_pose: x, y, theta in `table`, m and rad.
-            covariance: unused; present as in a positioning session.
+            covariance: unused; accepted because other sessions require it.
             in_view: points (n, 2) of the table in the camera's view, m; the object's centre must
                 stay in their convex hull, all of which is in view. None means no limit.
         """
@@ -179,7 +179,7 @@ class PrescribedSession:
         )
 
     def edge_warning(self, pose: ArrayLike) -> str:
-        """See ``goal.edge_warning``."""
+        """Return a warning if the object is close to an edge or over it, else an empty string."""
         return edge_warning(pose, self._space)
 
     def use_free_space(self, space: StrikeSpace, free: FreeSpace) -> None:

@@ -409,7 +409,7 @@ class PositioningSession(GoalSession):
         return self._strike(pose, left, self._missed + self._skipped)
 
     def skip(self, strike: Strike) -> None:
-        """See ``GoalSession.skip``."""
+        """Reject a tap that the operator did not want (see ``GoalSession.skip``)."""
         heading = math.atan2(strike.commanded.y, strike.commanded.x)
         self._skipped = (*self._skipped, heading)
 
@@ -444,7 +444,7 @@ class PositioningSession(GoalSession):
         )
 
     def edge_warning(self, pose: ArrayLike) -> str:
-        """See ``goal.edge_warning``."""
+        """Return a warning if the object is close to an edge or over it, else an empty string."""
         return edge_warning(pose, self._space)
 
     def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:

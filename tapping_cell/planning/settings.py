@@ -60,7 +60,8 @@ class Scatter:
         return np.hypot(self.rotation * np.asarray(rotation), self.angle_floor)
 
     def at_least(self, other: Scatter) -> Scatter:
-        """Return the larger of both values for each standard deviation."""
+        """Return, for each standard deviation, the larger of the values of this scatter and of
+        ``other``."""
         return Scatter(*(max(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
     def __post_init__(self) -> None:

@@ -15,7 +15,7 @@ scatter of a tap. It is therefore stored on a product grid and interpolated line
 tap, r' and theta' are independent. The expectations for all taps from a state are therefore two
 matrix products,
 
-    E = P_r W P_t^T - (the same over the part inside the box).
+    E = P_r W P_t^T - (the part of this product from values inside the box).
 
 A row of P_r or P_t contains the expected weights of linear interpolation, as exact integrals over
 the distribution. The solver uses policy iteration: each improvement compares all taps of the action
