@@ -5,8 +5,8 @@ approximately s_i(t) = s_i + H_i (t - t_0), where s_i is the score and H_i the i
 i at t_0. One Newton step gives the estimate of a resample and its standard error, so thousands of
 resamples cost only a matrix product. Trials are resampled within each run, so every run keeps its
 number of trials. The interval is the studentised one (percentile-t; Davison and Hinkley, Bootstrap
-Methods and their Application, 1997, section 5.2.1). Its coverage is correct even for few trials;
-the plain percentile interval would be too short.
+Methods and their Application, 1997, section 5.2.1). Its coverage is correct even for few trials,
+for which the plain percentile interval is too short.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ def spread(
     offset, own_std = _newton(weights, score, information)
     usable = np.isfinite(offset).all(axis=1) & np.isfinite(own_std).all(axis=1)
     ratio = offset[usable] / np.maximum(own_std[usable], 1e-3 * std + 1e-300)
-    # Within a run of n trials, the variance of a resample is too small by the factor (n - 1) / n.
+    # Resampling within a run of n trials gives a variance that is too small by the factor (n - 1) /
+    # n. This is corrected with the mean over the runs.
     sizes = np.array([np.sum(labels == run) for run in labels], dtype=float)
     ratio *= math.sqrt(float(np.mean(sizes / np.maximum(sizes - 1, 1))))
     ratio = np.clip(ratio, -_MAX_STD, _MAX_STD)

@@ -353,8 +353,8 @@ def _turned_by_centre(problem: _Problem, at: Estimate, since: Array, friction: A
     radius.
 
     Friction at the centre of pressure c accelerates the rotation, d omega / dt = - kappa gamma (mu
-    g / R) (c x v) / v. This rotation decays like all spin, d omega / dt = - p omega (mu g / v),
-    with p = kappa gamma / 4, while sliding dominates over spinning; v decreases linearly.
+    g / R) (c x v) / v. This rotation decays like any spin: while sliding dominates over spinning, v
+    decreases linearly and d omega / dt = - p omega (mu g / v), with p = kappa gamma / 4.
     """
     rows = problem.samples.rows
     pull = (friction * problem.gravity)[rows]

@@ -42,8 +42,8 @@ _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _SIMPLE_STEPS = 400
-# The tolerance of a component is relative to the component itself or, if this is larger, to this
-# fraction of the largest component.
+# The tolerance of a component of a displacement is relative to the component or to this fraction of
+# the largest component, whichever is larger.
 _SMALLEST_SHARE = 1e-3
 
 

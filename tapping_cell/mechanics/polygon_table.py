@@ -46,7 +46,8 @@ _LAST_LEVEL = LARGEST_SIZE / (LARGEST_SIZE + _SIZE_GRADE)
 _RATIOS = 65
 """Number of values of phi, from pure spin in one direction to pure spin in the other."""
 _DIRECTIONS = 72
-"""Number of values of alpha for a full turn; reduced by the polygon's symmetry."""
+"""Number of values of alpha for a full turn. For a polygon with rotational symmetry, the table
+covers only one period of the symmetry, with fewer values."""
 _FEWEST_DIRECTIONS = 12
 _FINER = 2
 _EDGE = 8

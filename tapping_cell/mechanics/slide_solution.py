@@ -136,7 +136,9 @@ class SlideSolution:
         slopes[:, first + 1] = polynomial @ powers / width
 
     def _march(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
-        """Take the Radau steps of all intervals simultaneously, then compose their affine maps."""
+        """Compute the Radau steps of all intervals at once. The step of an interval is an affine
+        map from the solution at its start to that at its end; these maps are then applied one after
+        another."""
         count = path_p.size - 1
         interval = np.arange(count)
         outward = interval > first

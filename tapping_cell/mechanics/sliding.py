@@ -107,8 +107,9 @@ class Sliding:
 
         Arguments broadcast; scalars give floats. ``direction`` (rad) is that of the launch in the
         body's frame. It matters only for polygons, whose result also drifts sideways (``lateral``).
-        Distance and rotation have the signs of speed and spin (small values of a polygon may have
-        the other sign). Raises :class:`InvalidParameterError` for values that are not finite.
+        Distance and rotation have the signs of speed and spin. For a polygon, a small distance or
+        rotation may have the opposite sign. Raises :class:`InvalidParameterError` for values that
+        are not finite.
         """
         return self._model.rest(speed, spin, direction)
 

@@ -7,7 +7,8 @@ additional measurement. A measurement may be an outlier (a bumped object, a stri
 Each filter weights measurements by the probability that they are valid (probabilistic data
 association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may also change permanently.
 An additional filter, the candidate, assumes that the true values changed at the last measurement.
-If the next measurement agrees with the candidate, it outweighs the other filters and replaces them.
+If the next measurement agrees with the candidate, the candidate outweighs the other filters and
+replaces them.
 """
 
 from __future__ import annotations

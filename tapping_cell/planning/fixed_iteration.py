@@ -282,8 +282,8 @@ class _Problem:
     def _scattered(
         self, heading: Singles, slope: Singles, length: Singles, points: Singles
     ) -> tuple[Singles, Singles, Singles]:
-        """Lengths, headings and rotations of taps at every scatter point; (..., p) for taps
-        (...)."""
+        """Return the lengths, headings and rotations of taps (...) at every scatter point, each
+        (..., p)."""
         turn = length * slope
         along = self.scatter.along(length).astype(np.float32)
         turning = self.scatter.turning(turn).astype(np.float32)

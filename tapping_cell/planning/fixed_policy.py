@@ -140,7 +140,8 @@ def states_after(
 
 
 def expected_taps(table: Array, grid: Grid, box: tuple[float, float], after: Array) -> Array:
-    """Mean W over the states after a tap at its scatter points, (..., p, 3); W is 0 in the box."""
+    """Return the mean of W, which is 0 in the box, over ``after`` (..., p, 3): the states after a
+    tap at its p scatter points."""
     where = grid.coordinates(after)
     value = map_coordinates(table, where, order=1, mode="constant", cval=LOST)
     inside = (np.hypot(after[..., 0], after[..., 1]) <= box[0]) & (np.abs(after[..., 2]) <= box[1])

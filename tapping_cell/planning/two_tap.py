@@ -64,8 +64,8 @@ def two_tap_choice(
         second = subgoal
     turn = _first_rotation(theta, k * np.abs(first), k * second, error_line)
 
-    # If the plan needs taps above the limit, rotate by as much as one tap can, and stay near the
-    # goal.
+    # If the plan needs a tap above the limit, make the largest tap in the direction of the goal,
+    # with as much of the rotation as it can cause.
     too_large = ~direct & (np.maximum(np.abs(first), second) > most)
     tap = np.where(direct, np.clip(r, least, most), np.where(too_large, most, first))
     turn = np.where(direct, np.minimum(theta, k * r) * most / np.maximum(r, most), turn)

@@ -1,5 +1,5 @@
-"""Vectorised choice of taps on polygons; taps that are impossible with every contact are
-replaced."""
+"""Vectorised choice of taps on polygons. A tap that is impossible with every contact is replaced by
+an alternative."""
 
 from __future__ import annotations
 
