@@ -87,7 +87,7 @@ def _known(deviation: Array, size: Array) -> tuple[Array, Array]:
 def _relative_error(
     series: Sequence[tuple[Array, Array]], shares: Sequence[float], floor: float
 ) -> float:
-    """Standard error of the logarithm of the floor, from the Fisher information."""
+    """Compute the standard error of the logarithm of the floor from the Fisher information."""
     count = len(shares)
     information = np.zeros((count + 1, count + 1))
     for k, ((_, size), share) in enumerate(zip(series, shares, strict=True)):

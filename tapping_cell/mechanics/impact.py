@@ -133,7 +133,8 @@ class Impact:
         object.__setattr__(self, "constants", constants)
 
     def largest_impulse_angle(self, contact: ArrayLike) -> Array:
-        """Maximum angle (rad) of the impulse to either side of the normal at ``contact``.
+        """Compute the maximum angle (rad) of the impulse to either side of the normal at
+        ``contact``.
 
         This is the arctangent of the contact friction. It is less if the contact does not slide
         throughout at any incidence up to ``LARGEST_INCIDENCE``. ``contact`` (..., 2) is (c_n, c_t)
@@ -150,7 +151,7 @@ class Impact:
     def inverse_inertias(
         self, incidence: ArrayLike, contact: ArrayLike
     ) -> tuple[Array, Array, Array]:
-        """Calibrated B1, B2 and B3 in 1/kg. Arguments as for :meth:`strike`.
+        """Compute the calibrated B1, B2 and B3 in 1/kg. Arguments as for :meth:`strike`.
 
         Raises :class:`InvalidParameterError` if the calibrated values are physically impossible, B1
         B2 <= B3^2.
@@ -212,7 +213,7 @@ class Impact:
         )
 
     def incidence_for(self, impulse_slope: ArrayLike, contact: ArrayLike) -> Array:
-        """Incidence (rad) at which the impulse has P_t / P_n = ``impulse_slope``.
+        """Compute the incidence (rad) at which the impulse has P_t / P_n = ``impulse_slope``.
 
         The slope must be within the friction cone. ``contact`` (..., 2) is (c_n, c_t) in m. NaN if
         no incidence within ``LARGEST_INCIDENCE`` gives the slope.
@@ -271,7 +272,8 @@ class Impact:
         return _Bracket(shape, found, straight, other, e_straight, e_other, error)
 
     def _routh(self, incidence: Array, contact: Array) -> tuple[Array, Array, Array]:
-        """Impulses for a striker of unit speed, and the sign of the sliding velocity at the end."""
+        """Compute the impulses for a striker of unit speed, and the sign of the sliding velocity at
+        the end."""
         a_n, a_t = np.cos(incidence), np.sin(incidence)
         b1, b2, b3 = self.inverse_inertias(incidence, contact)
         mu = self.friction
@@ -321,7 +323,8 @@ class _Bracket(NamedTuple):
 def _bracketed_root(
     function: Callable[[Array, Rows], Array], low: Array, high: Array, f_low: Array, f_high: Array
 ) -> Array:
-    """Roots (n,) of a function between ``low`` and ``high``, by Chandrupatla's method (1997).
+    """Find the roots (n,) of a function between ``low`` and ``high``, by Chandrupatla's method
+    (1997).
 
     ``function`` takes values and the rows to which they belong; rows that have converged are
     omitted.

@@ -141,7 +141,8 @@ class PolygonSlide:
         return np.stack([x, x, s / self._gyration], axis=1)
 
     def _slide(self, twist: Array) -> tuple[Array, Array]:
-        """Displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and rad/s."""
+        """Compute displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and
+        rad/s."""
         moved, duration = np.empty(twist.shape), np.empty(len(twist))
         for begin in range(0, len(twist), _CHUNK):
             part = slice(begin, begin + _CHUNK)
@@ -151,7 +152,8 @@ class PolygonSlide:
         return moved, duration
 
     def _path(self, twist: Array, times: Array) -> tuple[Array, Array]:
-        """Velocities and displacements, each (n, k, 3), of launches (n, 3) at times (k,)."""
+        """Compute velocities and displacements, each (n, k, 3), of launches (n, 3) at times
+        (k,)."""
         velocity = np.zeros((len(twist), times.size, 3))
         moved = np.zeros_like(velocity)
         final, steps = self._integrate(twist)
@@ -207,7 +209,8 @@ class PolygonSlide:
         return mean_x, mean_y, moment
 
     def _far_friction(self, vx: Array, vy: Array, spin: Array) -> tuple[Array, Array, Array]:
-        """Friction by quadrature, with formulas that remain accurate down to zero spin."""
+        """Compute the friction as :meth:`friction` does, but by quadrature, with formulas that
+        remain accurate down to zero spin."""
         speed = np.hypot(vx, vy)
         q = spin / speed
         ex, ey = vx / speed, vy / speed
@@ -230,7 +233,7 @@ class PolygonSlide:
         return ex * (1 + loss) - ey * turn, ey * (1 + loss) + ex * turn, moment
 
     def rates(self, unit: Array, angle: Array) -> tuple[Array, Array]:
-        """Friction (3, n) on a body, and its component along the velocity.
+        """Compute the friction (3, n) on a body, and its component along the velocity.
 
         ``unit`` is the velocity (vx, vy, gyration * omega), scaled to unit length, in the axes of
         the launch. The body has rotated by ``angle`` since the launch.
@@ -342,8 +345,8 @@ def invert(
 
 
 def _quadrature(polygon: Polygon) -> tuple[Array, Array]:
-    """Points (2, k, 1) and weights (k,) for the mean over the face, by Gauss quadrature in the
-    triangles from the centre to the edges."""
+    """Return points (2, k, 1) and weights (k,) for the mean over the face, by Gauss quadrature in
+    the triangles from the centre to the edges."""
     roots, halves = np.polynomial.legendre.leggauss(_FAR_POINTS)
     nodes, weights = (roots + 1) / 2, halves / 2
     a, b = polygon.points, np.roll(polygon.points, -1, axis=0)
@@ -363,7 +366,7 @@ def _twists(speed: Array, spin: Array, direction: Array) -> Array:
 
 
 def _turned(planar: Array, angle: Array) -> tuple[Array, Array]:
-    """x and y of vectors (..., 3) rotated by an angle."""
+    """Return x and y of vectors (..., 3) after a rotation by an angle."""
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = planar[..., 0], planar[..., 1]
     return cos * x - sin * y, sin * x + cos * y

@@ -105,7 +105,7 @@ class RoundSlide:
 def _slow_down(
     table: SlideTable, speed: Array, rim_speed: Array, time: Array
 ) -> tuple[Array, Array]:
-    """Speed and rim speed, each (launches, times), of launches (n,) at reduced times (k,).
+    """Compute speed and rim speed, each (n, k), of launches (n,) at reduced times (k,).
 
     Reduced times are multiplied by mu g. The logarithm of the ratio of spin to speed, as a function
     of the logarithm of the remaining fraction of the duration, obeys an autonomous differential

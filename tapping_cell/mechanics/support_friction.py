@@ -46,7 +46,7 @@ class SupportFriction(NamedTuple):
 
 
 def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
-    """Friction factors for uniform pressure on a disk.
+    """Compute the friction factors for uniform pressure on a disk.
 
     ``complement`` is 1 - tau^2. It is a separate argument because computing it from tau would lose
     accuracy.
@@ -62,8 +62,8 @@ def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) ->
 
 
 def ring_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
-    """Friction factors for uniform pressure on a thin ring. The formulas of both regimes are the
-    same, with force and torque exchanged."""
+    """Compute the friction factors for uniform pressure on a thin ring. The formulas of the
+    spinning regime are those of the translating regime with force and torque exchanged."""
     del spinning
     b, _, d = _elliptic_bcd(tau, complement)
     return SupportFriction(2 / math.pi * (b + complement * d), 2 / math.pi * b)

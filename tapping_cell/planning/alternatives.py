@@ -161,9 +161,9 @@ def candidate_taps(
 
 
 def _through_edges(tap: Tap, body: Polygon, orientation: Array) -> Array:
-    """Directions of travel, rad in `table`, that suit a polygon's edges best: each edge's normal,
-    and directions half a friction angle to either side of it; (..., directions) for orientations
-    (...)."""
+    """Return the directions of travel, rad in `table`, that suit a polygon's edges best: each
+    edge's normal, and the directions half a friction angle to either side of it. Orientations (...)
+    give (..., directions)."""
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0])
     aside = 0.5 * math.atan(tap.impact.friction) * np.array([-1.0, 0.0, 1.0])
     return np.asarray(orientation[..., None] + (inward[:, None] + aside).ravel())

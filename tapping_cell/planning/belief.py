@@ -84,13 +84,14 @@ class Belief:
         self.covariance[rows] = other.covariance
 
     def expected(self) -> Array:
-        """Expected numbers (..., numbers) over all filters except the candidate."""
+        """Return the expected numbers (..., numbers), over all filters except the candidate."""
         main = self.weight[..., :-1]
         share = main / main.sum(axis=-1, keepdims=True)
         return np.asarray(np.einsum("...h,...hi->...i", share, self.mean[..., :-1, :]))
 
     def deviation(self) -> Array:
-        """Standard deviations (..., numbers) about ``expected``, without the candidate."""
+        """Return the standard deviations (..., numbers) about ``expected``, over all filters except
+        the candidate."""
         main = self.weight[..., :-1]
         share = main / main.sum(axis=-1, keepdims=True)
         off = self.mean[..., :-1, :] - self.expected()[..., None, :]

@@ -72,7 +72,8 @@ def coverage(space: FixedStrikeSpace) -> Coverage:
 
 
 def _widest_gap(heading: Array, usable: BoolArray) -> Array:
-    """Widest angle between neighbouring usable directions, rad: (...,) for (..., tappers)."""
+    """Return the widest angle between neighbouring usable directions, rad. Directions (...,
+    tappers) give (...,)."""
     angle = np.where(usable, heading % (2.0 * math.pi), math.inf)
     ordered = np.sort(angle, axis=-1)
     some = np.isfinite(ordered)

@@ -234,7 +234,7 @@ class _Problem:
         return value
 
     def _lengths(self, rows: slice) -> Singles:
-        """Lengths of all taps of the given states, (n, tappers, lengths + 2), m."""
+        """Return the lengths of all taps of the given states, (n, tappers, lengths + 2), m."""
         least, most = self.least[rows, :, None], self.most[rows, :, None]
         heading, slope, error = self.heading[rows], self.slope[rows], self.error[rows]
         row = least * (most / least) ** self._row
@@ -244,7 +244,8 @@ class _Problem:
         return np.concatenate([row, np.clip(own, least, most)], axis=-1)
 
     def _taps(self, rows: slice) -> tuple[NDArray[np.intp], Singles]:
-        """Tapper and length of the compared taps of the given states, (n, kept) each."""
+        """Return the tapper and the length of the compared taps of the given states, (n, kept)
+        each."""
         lengths = self._lengths(rows)
         kept = self.kept[rows]
         flat = lengths.reshape(lengths.shape[0], -1)
@@ -253,7 +254,8 @@ class _Problem:
     def _leads_to(
         self, rows: slice, tapper: NDArray[np.intp], length: Singles, points: Singles
     ) -> Indices:
-        """Table indices of the states after taps (n, k) of the given states, (n, k, p)."""
+        """Return the table indices, (n, k, p), of the states after taps (n, k) of the given
+        states."""
         error = self.error[rows]
         heading = np.take_along_axis(self.heading[rows], tapper, axis=1)
         slope = np.take_along_axis(self.slope[rows], tapper, axis=1)
@@ -272,7 +274,7 @@ class _Problem:
         return entry
 
     def _cost(self, rows: slice, tapper: NDArray[np.intp], length: Singles) -> Singles | float:
-        """Costs of taps of the given states, (n, k)."""
+        """Return the costs of taps of the given states, (n, k)."""
         if not self._timed:
             return 1.0
         travel = np.take_along_axis(self._travel[rows], tapper, axis=1)
@@ -295,7 +297,7 @@ class _Problem:
         )
 
     def _table(self, value: Array) -> Singles:
-        """Flat table of W at the grid points and at points halfway between them. Three entries are
+        """Return a flat table of W at the grid points and at points halfway between them. Three entries are
         appended: W beyond the grid, W in the stopping box and W of an impossible tap."""
         table: Singles = value.reshape(self.grid.shape).astype(np.float32)
         for axis in range(3):
@@ -385,8 +387,8 @@ class _Problem:
     def _corners(
         self, x: Singles, y: Singles, turn: Singles
     ) -> tuple[Indices, Singles, NDArray[np.bool_]]:
-        """Indices and weights, (n, p, 8) each, for linear interpolation at states (n, p), and
-        which states lie beyond the grid, (n, p)."""
+        """Return indices and weights, (n, p, 8) each, for linear interpolation at states (n, p),
+        and which states lie beyond the grid, (n, p)."""
         grid, size = self.grid, self.grid.size
         inside = (x * x + y * y <= self.box[0] ** 2) & (np.abs(turn) <= self.box[1])
         beyond = np.zeros(inside.shape, dtype=bool)
@@ -434,7 +436,7 @@ def _lines_at(
     rows: NDArray[np.intp],
     shape: tuple[int, ...],
 ) -> Lines:
-    """Lines (see ``Lines``) at these states; for a round object they are computed once per
+    """Return the ``Lines`` at these states; for a round object they are computed once per
     position."""
     if not space.is_round:
         return space.lines(places[rows])

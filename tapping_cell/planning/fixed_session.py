@@ -351,8 +351,8 @@ def _displacement(heading: ArrayLike, slope: ArrayLike, length: ArrayLike) -> Ar
 def _lengths(
     left: Array, heading: Array, slope: Array, least: Array, most: Array, gain: Array
 ) -> Array:
-    """Lengths to compare, (tappers, n): a geometric progression and lengths that end near the
-    goal."""
+    """Return the lengths to compare, (tappers, n): a geometric progression and lengths that end
+    near the goal."""
     row = least[:, None] * (most / least)[:, None] ** np.linspace(0.0, 1.0, LENGTHS)
     nearest = (left[0] * np.cos(heading) + left[1] * np.sin(heading)) / gain[0]
     true_slope = slope * gain[1]

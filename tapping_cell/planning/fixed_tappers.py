@@ -77,14 +77,14 @@ class WorkingArea:
     radius: float
 
     def outline(self, edges: int = 72) -> Array:
-        """Edges of the disc, (edges, 2 ends, 2), for drawing, m in `table`."""
+        """Return the edges of the disc for drawing, (edges, 2 ends, 2), m in `table`."""
         angles = np.linspace(0.0, 2.0 * math.pi, edges + 1)
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         corners = np.array([self.x, self.y]) + self.radius * ring
         return np.stack([corners[:-1], corners[1:]], axis=1)
 
     def clearance(self, points: ArrayLike) -> Array:
-        """Distance of points (..., 2) to the area's edge, negative outside, m."""
+        """Return the distance of points (..., 2) to the area's edge, m, negative outside."""
         p = np.asarray(points, dtype=float)
         return np.asarray(self.radius - np.hypot(p[..., 0] - self.x, p[..., 1] - self.y))
 

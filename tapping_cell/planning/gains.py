@@ -305,7 +305,7 @@ class Gains:
     def predicted_covariance(
         self, commanded: ArrayLike, orientation: float, scatter: Scatter
     ) -> Array:
-        """Covariance (3, 3), m and rad, of the displacement caused by one command (3,).
+        """Compute the covariance (3, 3), m and rad, of the displacement caused by one command (3,).
 
         Half the width of the interval with a probability of 68 % is used as the standard deviation,
         because the belief has heavier tails than a normal distribution.
@@ -419,11 +419,13 @@ def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None
 
 
 def _directions(travel: Array) -> tuple[Array, Array]:
-    """Coefficients of o_x and o_y for directions of travel (rad) in the object's frame."""
+    """Return the coefficients of o_x and o_y for directions of travel (rad) in the object's
+    frame."""
     return -np.sin(travel), np.cos(travel)
 
 
 def _across(number: Array, travel: Array) -> Array:
-    """Rotation per distance (rad/m) due to the offset, for directions in the object's frame."""
+    """Return the rotation per distance (rad/m) due to the offset, for directions in the object's
+    frame."""
     first, second = _directions(travel)
     return np.asarray(number[..., 4] * first + number[..., 5] * second)

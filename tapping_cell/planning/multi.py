@@ -70,7 +70,8 @@ class MultiPlanner:
         -1 where a cone is empty."""
 
     def planned_taps(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Number of the state's cone, which is the number of planned taps; 0 inside the box."""
+        """Return the number of the state's cone, which is the number of planned taps; 0 inside the
+        box."""
         r, theta = np.broadcast_arrays(
             np.asarray(distance, dtype=float), np.abs(np.asarray(rotation, dtype=float))
         )
@@ -86,8 +87,8 @@ class MultiPlanner:
         return np.where((r <= box.distance) & (theta <= box.rotation), 0, level)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Number of planned taps plus a term that grows with the path length and ranks the states
-        within a cone."""
+        """Return the number of planned taps plus a term that grows with the path length and ranks
+        the states within a cone."""
         settings = self.settings
         r = np.asarray(distance, dtype=float)
         path = np.maximum(r, np.abs(rotation) / settings.cone_slope)

@@ -51,8 +51,8 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps for these residuals: 0 inside the box. Beyond the grid, one tap is added
-        for each length of the largest tap."""
+        """Return the expected number of taps for these residuals, 0 inside the box. Beyond the
+        grid, one tap is added for each length of the largest tap."""
         # Rotations are divided by the learnt gain and may therefore exceed half a turn, where the
         # grid ends.
         most = self.settings.largest_distance
@@ -145,7 +145,8 @@ class OptimalPlanner:
         return (self._policy or self._fallback).choose(distance, rotation)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps, or the estimate of the fallback method while the plan is being solved."""
+        """Return the expected number of taps, or the estimate of the fallback method while the plan
+        is being solved."""
         return (self._policy or self._fallback).taps_to_go(distance, rotation)
 
     def taps_after(

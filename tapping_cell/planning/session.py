@@ -190,17 +190,19 @@ class GoalSession(ABC):
         is chosen if one is possible."""
 
     def predicted_covariance(self, strike: Strike, pose: Pose) -> Array:
-        """Covariance (3, 3), m and rad, of the pose after a tap of an object at ``pose``."""
+        """Compute the covariance (3, 3), m and rad, of the pose after a tap of an object at
+        ``pose``."""
         return self.gains.predicted_covariance(strike.commanded, pose.theta, self.settings.scatter)
 
     def residual(self, object_pose: ArrayLike) -> Array:
-        """Goal minus object: (dx, dy, dtheta) in `table`, with the shorter sense of rotation."""
+        """Return goal minus object: (dx, dy, dtheta) in `table`, with the rotation in the shorter
+        sense."""
         left: Array = self.goal - np.asarray(object_pose, dtype=float)
         left[2] = wrap_angle(left[2])
         return left
 
     def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
-        """Stopping box for an observation with this covariance, (3, 3) in m and rad."""
+        """Return the stopping box for an observation with this covariance, (3, 3) in m and rad."""
         settings = self.settings
         noise = settings.camera if covariance is None else noise_of(covariance)
         return stopping_box(
@@ -643,14 +645,14 @@ class PositioningSession(GoalSession):
         )
 
     def _longest_factor(self) -> float:
-        """Ratio of the longest possible slide, within the bounds of the uncertainty, to the
-        predicted slide."""
+        """Return the ratio of the longest possible slide, within the bounds of the uncertainty, to
+        the predicted slide."""
         spread = self._spread([1.0, 0.0, 0.0])
         return 1.0 if spread is None else float(spread.longest)
 
     def _longest_tap(self) -> float:
-        """Length of the longest tap allowed now, m. After an outlier the length is reduced, so that
-        an object that has changed slides no farther than the largest tap."""
+        """Return the length of the longest tap allowed now, m. After an outlier the length is
+        reduced, so that an object that has changed slides no farther than the largest tap."""
         settings = self.planner.settings
         if not bool(self.gains.surprised):
             return settings.largest_distance

@@ -48,15 +48,17 @@ class Scatter:
     angle_floor: float = 0.0
 
     def along(self, distance: ArrayLike) -> Array:
-        """Standard deviations of the end along the tap, m, for taps of these distances in m."""
+        """Return the standard deviations, m, of the end position along the tap, for taps of these
+        distances in m."""
         return np.hypot(self.distance * np.asarray(distance), self.position_floor)
 
     def across(self, distance: ArrayLike) -> Array:
-        """Standard deviations of the end across the tap, m, for taps of these distances in m."""
+        """Return the standard deviations, m, of the end position across the tap, for taps of these
+        distances in m."""
         return np.hypot(self.direction * np.asarray(distance), self.position_floor)
 
     def turning(self, rotation: ArrayLike) -> Array:
-        """Standard deviations of the rotation for taps with these rotations, rad."""
+        """Return the standard deviations of the rotation, for taps with these rotations, rad."""
         return np.hypot(self.rotation * np.asarray(rotation), self.angle_floor)
 
     def at_least(self, other: Scatter) -> Scatter:
@@ -154,7 +156,7 @@ class PlannerSettings:
 
     @classmethod
     def for_tap(cls, tap: Tap, **others: Any) -> PlannerSettings:
-        """Settings with the cone and the smallest distance of an object's mechanics.
+        """Return a copy with the cone and the smallest distance of an object's mechanics.
 
         The cone is made slightly narrower, so that a tap on its edge is not rejected because of
         rounding errors.

@@ -57,7 +57,8 @@ class StoppingBox(NamedTuple):
 
 
 def stopping_share(relative_noise: float) -> float:
-    """Share of the tolerance, in [0, 1], within which an observation of one axis confirms the goal.
+    """Return the share of the tolerance, in [0, 1], within which an observation of one axis
+    confirms the goal.
 
     ``relative_noise``: standard deviation of the observation as a share of the tolerance.
     """
@@ -90,7 +91,8 @@ def stopping_box(
 def inside_probability(
     residual: ArrayLike, covariance: ArrayLike, tolerance_position: float, tolerance_angle: float
 ) -> Array:
-    """Lower bound of the probability that the true residual is within the tolerance, (...,).
+    """Compute a lower bound of the probability that the true residual is within the tolerance,
+    (...,).
 
     Args:
         residual: measured dx, dy (m) and rotation (rad), (..., 3).
@@ -121,8 +123,9 @@ def inside_probability(
 
 
 def _inside_circle(left: Array, axes: Array, deviation: Array, radius: float) -> Array:
-    """Probability (n,) of being in the circle about the origin, for normal distributions with means
-    ``left`` (n, 3), principal axes (n, 2, 2) and standard deviations (n, 2) in ascending order."""
+    """Compute the probability (n,) of being in the circle about the origin, for normal
+    distributions with means ``left`` (n, 3), principal axes (n, 2, 2) and standard deviations (n,
+    2) in ascending order."""
     centre = np.einsum("nij,ni->nj", axes, left[:, :2])
     nodes = _NODES
     if np.all(deviation[:, 1] <= deviation[:, 0] * (1.0 + 1e-9)):

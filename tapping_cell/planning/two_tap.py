@@ -74,8 +74,9 @@ def two_tap_choice(
 
 
 def _first_rotation(theta: Array, most: Array, reach: Array, error_line: float) -> Array:
-    """Rotation of the first tap: half of theta, limited so that for every error on the error line
-    the remaining rotation is within ``reach``, which the second tap can correct."""
+    """Compute the rotation of the first tap: half of theta, limited so that for every error on the
+    error line the rotation that remains is at most ``reach``, the largest rotation that the second
+    tap can correct."""
     least = np.clip((theta - reach) / (1.0 - error_line), 0.0, most)
     largest = np.clip((theta + reach) / (1.0 + error_line), 0.0, most)
     return np.asarray(np.maximum(least, np.minimum(theta * 0.5, largest)))

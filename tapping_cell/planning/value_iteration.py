@@ -236,7 +236,8 @@ def state_grid(
 def interpolation_weights(
     grid: Array, cumulative: Array, box: int, at_box: Array
 ) -> tuple[Array, Array]:
-    """Expected weights of linear interpolation, from the integral of the distribution function.
+    """Compute the expected weights of linear interpolation from the integral of the distribution
+    function.
 
     ``cumulative``: I(z) = integral of F from 0 to z at the grid points (last axis); ``at_box``: F
     at the edge of the box. The weight of node k is the expectation of its hat function; integration
@@ -254,8 +255,8 @@ def interpolation_weights(
 
 
 def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, Array]:
-    """Weights for |N(mean, deviation)|: I(z) = H(z) + H(-z) - 2 H(0), where H is the integral of
-    the normal distribution function."""
+    """Compute the weights for |N(mean, deviation)|: I(z) = H(z) + H(-z) - 2 H(0), where H is the
+    integral of the normal distribution function."""
     box = FINE_STEPS
 
     def integral(z: Array) -> Array:
@@ -298,7 +299,7 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
 
 
 def _normal_quantiles(count: int) -> Array:
-    """Conditional means of |N(0, 1)| over ``count`` intervals of equal probability."""
+    """Return the conditional means of |N(0, 1)| over ``count`` intervals of equal probability."""
     edges = ndtri(0.5 + 0.5 * np.arange(count) / count)
     density = np.append(np.exp(-0.5 * edges**2), 0.0) / math.sqrt(2.0 * math.pi)
     return np.asarray(2.0 * count * -np.diff(density))

@@ -275,7 +275,7 @@ def _margin(body: Body) -> float:
 
 
 def _from_line(place: Pose, start: Pose, end: Pose) -> float:
-    """Distance of a place from the line segment between two poses, m."""
+    """Return the distance of a place from the line segment between two poses, m."""
     dx, dy = end.x - start.x, end.y - start.y
     along = ((place.x - start.x) * dx + (place.y - start.y) * dy) / (dx * dx + dy * dy or 1.0)
     share = min(1.0, max(0.0, along))

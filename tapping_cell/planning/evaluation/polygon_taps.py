@@ -112,7 +112,8 @@ class _Ranking:
         return chosen
 
     def _total(self, rows: NDArray[np.intp], some: NDArray[np.intp]) -> Array:
-        """Total cost of the candidates ``some`` (n, k); infinite for impossible candidates."""
+        """Return the total cost of the candidates ``some`` (n, k); infinite for impossible
+        candidates."""
         made, at = self._made, rows[:, None]
         total = made.cost[at, some]
         reached = self._tap.reachable(made.commanded[at, some], self._pose[at])

@@ -53,7 +53,8 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
 
 
 def tap_figures(taps: np.ndarray[Any, np.dtype[np.int64]]) -> dict[str, Any]:
-    """Mean with its 95 % confidence interval, percentiles, maximum and histogram of tap counts."""
+    """Compute the mean with its 95 % confidence interval, percentiles, maximum and histogram of tap
+    counts."""
     if taps.size == 0:
         return {"mean": math.nan, "mean_interval": [math.nan] * 2, "histogram": {}}
     mean = float(np.mean(taps))

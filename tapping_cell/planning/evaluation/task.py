@@ -144,7 +144,7 @@ class Results(NamedTuple):
 
 
 def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
-    """Displacements from start to goal, (count, 3)."""
+    """Draw the displacements from start to goal, (count, 3)."""
     if evaluation.random_tasks is None:
         return np.tile(np.asarray(evaluation.goal, dtype=float), (count, 1))
     far, turn = evaluation.random_tasks
