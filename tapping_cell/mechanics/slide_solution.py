@@ -172,8 +172,8 @@ class SlideSolution:
             slopes[kind, before] = last[before, 0] * values[kind, before + 1] + last[before, 1]
 
     def _terminal(self, path_p: Array, flow: Array, first: int) -> float:
-        """Limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the speed
-        does."""
+        """Compute the limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the
+        speed does."""
         if first == 0 and flow[0] <= 0:
             return math.inf
         if first == path_p.size - 2 and flow[-1] >= 0:

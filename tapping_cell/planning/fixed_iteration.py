@@ -221,8 +221,8 @@ class _Problem:
         )
 
     def start(self, coarse: Solution | None) -> Array:
-        """Initial W: from a coarser solution or, if there is none, estimated from distance and
-        rotation."""
+        """Return the initial W: from a coarser solution or, if there is none, estimated from
+        distance and rotation."""
         value = np.full(self.states.shape[0], LOST)
         states = self.states[self.rows]
         if coarse is not None:
@@ -297,8 +297,9 @@ class _Problem:
         )
 
     def _table(self, value: Array) -> Singles:
-        """Return a flat table of W at the grid points and at points halfway between them. Three entries are
-        appended: W beyond the grid, W in the stopping box and W of an impossible tap."""
+        """Return a flat table of W at the grid points and at points halfway between them. Three
+        entries are appended: W beyond the grid, W in the stopping box and W of an impossible tap.
+        """
         table: Singles = value.reshape(self.grid.shape).astype(np.float32)
         for axis in range(3):
             table = _halved(table, axis)

@@ -61,8 +61,8 @@ table and off the keep-outs."""
 
 RETRIEVABLE = 1.5
 """Size of the uncertainty bound, in standard deviations, within which another tap must be able to
-bring the object back. For an object that was never tapped, this bound is 1.4 times the slide
-predicted from its file."""
+bring the object back. For an object that was never tapped, the upper bound of a slide is then 1.4
+times the slide predicted from its file."""
 
 WAY = np.linspace(0.25, 1.0, 4)
 """Fractions of a slide at which the object's distance to the keep-outs is checked."""

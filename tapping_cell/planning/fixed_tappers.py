@@ -194,8 +194,8 @@ class FixedStrikeSpace:
         return made
 
     def _clear_strokes(self) -> BoolArray:
-        """Return which tappers avoid all keep-outs along the whole stroke; a striker that misses
-        the object makes the whole stroke."""
+        """Return which tappers avoid all keep-outs along the whole stroke, because a striker that
+        misses the object makes the whole stroke."""
         clear = []
         for tapper in self.tappers:
             way = np.linspace(0.0, tapper.stroke, WAY_POINTS)

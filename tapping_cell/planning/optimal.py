@@ -86,8 +86,9 @@ class OptimalPolicy:
 class OptimalPlanner:
     """The optimal method: its plan is loaded from the cache, or solved now or in the background.
 
-    While a plan is solved in the background, ``fallback`` (by default exact two-tap plans) is used,
-    then the plan on the coarse grid. ``name`` contains the method in use.
+    While a plan is solved in the background, ``fallback`` (by default exact two-tap plans) is used
+    until the plan on the coarse grid is ready, and that plan until the plan on the fine grid is
+    ready. ``name`` contains the method in use.
     """
 
     def __init__(

@@ -105,9 +105,9 @@ class PlannerSettings:
     cone_slope: largest rotation per distance of a tap, rad/m.
     smallest_distance, largest_distance: limits of the distance of one tap, m.
     tolerance_position, tolerance_angle: allowed final error, m and rad.
-    box: share of the tolerance used for planning and for stopping, independent of the camera's
-        noise. None stops by the probability of being within the tolerance and plans for the box in
-        which a long observation stops.
+    box: size of the stopping box as a share of the tolerance, independent of the camera's noise,
+        for planning and stopping. With None, the session stops by the probability of being within
+        the tolerance, and plans are made for the box within which a long observation confirms this.
     variant: two-tap plan of ``exact`` and ``conservative``: "retreat" first taps away from the
         goal, "overshoot" first taps past it.
     error_line: half length of a tap's error line as a share of its rotation, for ``conservative``

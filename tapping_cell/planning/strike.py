@@ -143,7 +143,7 @@ class StrikeSpace:
         """Return the possible positions of the object's centre during and after a slide, m in
         `table`.
 
-        The result, (..., rays, points, 2), consists of points on rays, for displacements (..., 3),
+        For displacements (..., 3), the result has the shape (..., rays, points, 2): points on rays
         from the start to the end of the longest slide. ``spread`` bounds the rays' direction and
         length; with None, the bounds are ``settings.footprint`` standard deviations of the scatter
         alone.
