@@ -105,8 +105,8 @@ class ArmCalibration:
     of the fitted values; ``held`` names the values that were not fitted. ``residuals`` (N, 2) in m
     and ``turns`` (N,) in rad are the position and angle residuals of the rows used.
     ``wrist_deviation`` in m and ``heading_deviation`` in rad are the standard deviations of the
-    wrist position and the forearm's heading that result from those of the values (root mean square
-    over the rows used).
+    wrist position and the forearm's heading that result from the standard deviations of the values
+    (root mean square over the rows used).
     """
 
     values: dict[str, float]

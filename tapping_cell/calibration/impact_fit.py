@@ -5,10 +5,10 @@ direction relative to the contact normal. The residuals of the impact model (``m
 are divided by the scatter of a tap. This scatter is estimated together with the parameters.
 
 The data decide which parameters are free. Restitution is free, and contact friction is free if the
-contact slid in enough trials. The scale of B1 (and of B3 if B3 varies) is free only if the Bayesian
-information criterion supports it. B2 and the restitution only act in combination, as (1 + e) / B2.
-Therefore B2 keeps its model value. B2 is fitted instead of the restitution only if no restitution
-from 0 to 1 explains the launches.
+contact slid in enough trials. The scale of B1 (and that of B3, if B3 differs between the trials) is
+free only if the Bayesian information criterion supports it. B2 and the restitution only act in
+combination, as (1 + e) / B2. Therefore B2 keeps its model value. B2 is fitted instead of the
+restitution only if no restitution from 0 to 1 explains the launches.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ Array = NDArray[np.float64]
 FEWEST_TAPS = 5
 _DISTANCE, _ROTATION, _SLOPE = 0.05, 0.15, 0.1
 """Standard deviations by which the residuals are divided. ``_DISTANCE`` and ``_ROTATION`` are
-relative to distance and rotation. ``_SLOPE`` is that of the rotation per distance, in rad/m, and
-applies to taps that hardly rotate the object."""
+relative to distance and rotation. ``_SLOPE`` is the standard deviation of the rotation per
+distance, in rad/m, for taps that hardly rotate the object."""
 _OUTLIER = 5.0
 """Number of standard deviations above which a tap is an outlier, such as a collision or a miss."""
 _BOUNDS = (np.log([0.01, 0.05]), np.log([2.0, 20.0]))

@@ -66,8 +66,8 @@ class Misfit:
 @dataclass(frozen=True, slots=True)
 class ModelError:
     """Relative prediction error of a new tap. ``scatter`` is the standard deviation of taps at one
-    setting, ``error`` that of the model's error between settings, and ``half_width`` half the width
-    of the interval that contains 95 % of new taps."""
+    setting, and ``error`` is the standard deviation of the model's error between settings.
+    ``half_width`` is half the width of the interval that contains 95 % of new taps."""
 
     quantity: str
     scatter: float

@@ -54,8 +54,8 @@ _MIN_SPEED_ERROR = 0.01  # smallest relative error of the striker's speed that i
 
 
 class SpeedPoint(NamedTuple):
-    """Speed of the tapper at one setting: the draw of its spring (m, NaN if none) or the commanded
-    speed, and the mean and standard deviation of the measured speeds in m/s."""
+    """Mean and standard deviation of the measured speeds of the tapper at one setting, in m/s. The
+    setting is the draw of the tapper's spring in m (NaN if it has none) or the commanded speed."""
 
     draw: float
     commanded: float

@@ -5,7 +5,7 @@ samples of each of many slides while the parameters change. Slides are self-simi
 spin to speed, as a function of the remaining time, follows one of two curves, above or below its
 terminal value. A table of these two curves is therefore sufficient for all launches. There is a
 table for each torque factor of a grid. Between the torque factors of the grid, values are
-interpolated, which also gives the derivative.
+interpolated, which also gives their derivatives with respect to the torque factor.
 """
 
 from __future__ import annotations

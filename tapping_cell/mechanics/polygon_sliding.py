@@ -252,8 +252,8 @@ class PolygonSlide:
         return force, (force * unit).sum(axis=0)
 
     def _integrate(self, twist: Array) -> tuple[Array, list[tuple[Array, Array]]]:
-        """Integrate launches to rest: final (dx, dy, dtheta, t), (4, n), and (state, velocity) at
-        each step."""
+        """Integrate launches to rest. Return the final (dx, dy, dtheta, t), (4, n), and the (state,
+        velocity) at each step."""
         scale = np.array([1.0, 1.0, self._gyration])[:, None]
         start = twist.T * scale
         size0 = np.sqrt((start**2).sum(axis=0))

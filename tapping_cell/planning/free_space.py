@@ -181,8 +181,8 @@ class FreeSpace:
 
 
 class PathLengths:
-    """Path lengths to one goal: the straight distance where it is free, else that around
-    obstacles."""
+    """Path lengths to one goal: the straight distance where the straight line is free, else the
+    length of the path around obstacles."""
 
     def __init__(self, free: FreeSpace, goal: Array) -> None:
         self._free = free

@@ -166,9 +166,9 @@ class Gains:
         """Convert residuals (..., 3), dx, dy (m) and rotation (rad), to the input of a planning
         method.
 
-        Returns the distance (m), the rotation (rad) divided by its gain, so that the cone of
-        possible taps has its nominal slope, and the heading (rad). The distance is not scaled, so
-        that the stopping box and the smallest tap keep their size.
+        Returns the distance (m), the rotation (rad) and the heading (rad). The rotation is divided
+        by its gain, so that the cone of possible taps has its nominal slope. The distance is not
+        scaled, so that the stopping box and the smallest tap keep their size.
         """
         left = np.asarray(remaining, dtype=float)
         turn = left[..., 2] / self.value[..., 1]

@@ -1,6 +1,6 @@
 """Multi-tap plans: cones chained backwards from the stopping box (Huang and Mason, section 4.3).
 
-Cone 0 is the box. A state belongs to cone i if there is a tap that moves it into the cones below i
+Cone 0 is the box. A state belongs to cone i if there is a tap that moves it into the cones below i,
 whatever the error of the tap's rotation. The possible rotations of a tap form its error line: from
 the commanded rotation times 1 - ``error_line`` to that times 1 + ``error_line``. At each distance
 r, the states of cone i form an interval |theta| <= h_i(r); it has no gaps, because commanded

@@ -107,7 +107,8 @@ class PlannerSettings:
     tolerance_position, tolerance_angle: allowed final error, m and rad.
     box: size of the stopping box as a share of the tolerance, independent of the camera's noise,
         for planning and stopping. With None, the session stops by the probability of being within
-        the tolerance, and plans are made for the box within which a long observation confirms this.
+        the tolerance, and plans are made for the box within which a long observation confirms the
+        goal.
     variant: two-tap plan of ``exact`` and ``conservative``: "retreat" first taps away from the
         goal, "overshoot" first taps past it.
     error_line: half length of a tap's error line as a share of its rotation, for ``conservative``

@@ -42,9 +42,8 @@ _REACH = 6.0
 
 _NODES, _ROUND_NODES = 241, 41
 """Numbers of quadrature nodes. An isotropic position covariance needs fewer nodes, because the
-integration can then run along the diameter at a right angle to the residual: near the middle of
-that diameter, the length of the chord across it changes slowly. Both numbers give an accuracy of
-1e-8 (tested)."""
+integration can then run in any direction. At a right angle to the residual, the integrand changes
+slowly. Both numbers give an accuracy of 1e-8 (tested)."""
 
 
 class StoppingBox(NamedTuple):
