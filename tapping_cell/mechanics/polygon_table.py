@@ -207,9 +207,9 @@ class PolygonTable:
     ) -> tuple[Array, Array]:
         """Integrate the slide over steps of the logarithm of N.
 
-        Returns the velocity (3, n) afterwards, scaled to unit length and in the axes of the start,
-        and the displacement divided by N^2 and the time divided by N, (4, n). Sizes and steps are
-        scalars or (n,).
+        Returns two arrays: (3, n), the velocity after the steps, scaled to unit length and in the
+        axes of the start; and (4, n), the displacement divided by N^2 and the time divided by N.
+        Sizes and steps are scalars or (n,).
         """
 
         def slope(length: float | Array, unit: Array, state: Array) -> tuple[Array, Array]:
