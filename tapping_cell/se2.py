@@ -1,6 +1,6 @@
 """Planar poses: the pose of a frame B in a frame A, X_AB = (x, y, theta).
 
-A pose is three numbers in metres, metres and radians. :class:`Pose` is a tuple of them, so that
+A pose consists of x and y in metres and theta in radians. :class:`Pose` is a tuple of them, so that
 ``numpy.asarray(pose)`` has shape (3,). The functions accept arrays of shape (..., 3) and broadcast
 them.
 """
@@ -44,11 +44,11 @@ class Pose(NamedTuple):
         return Pose(*inverse(self).tolist())
 
     def distance_to(self, other: Pose) -> float:
-        """Distance between the two origins, in m."""
+        """Return the distance between the two origins, in m."""
         return math.hypot(other.x - self.x, other.y - self.y)
 
     def rotation_to(self, other: Pose) -> float:
-        """Signed rotation from this pose to the other, in rad, in [-pi, pi)."""
+        """Return the signed rotation from this pose to the other, in rad, in [-pi, pi)."""
         return (other.theta - self.theta + math.pi) % (2 * math.pi) - math.pi
 
 

@@ -42,8 +42,8 @@ RECORD_COLUMNS = (
 )
 """Columns of the record file; each row is one pose."""
 _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
-"""Maximum standard deviation of a fitted value; a less certain value is taken from the cell file
-instead."""
+"""Maximum standard deviation of a fitted value. A value with a larger standard deviation is kept as
+in the cell file."""
 _CORRELATED = 0.97
 """Correlation above which a note says that two values are known mainly in combination."""
 _OUTLIER = 4.5
@@ -51,7 +51,8 @@ _OUTLIER = 4.5
 used for this are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
 _POSITION_FLOOR, _ANGLE_FLOOR = 2e-5, 2e-4
 _WORST_SPREAD = 0.005
-"""Standard deviation of the points, in m, above which the rows do not fit this arm."""
+"""Standard deviation of the position residuals, in m, above which the calibration is refused,
+because the rows do not fit this arm."""
 _ALIKE = 0.01
 """Grid size, in rad, to which joints are rounded when different poses are counted."""
 _SUBSETS = 200
@@ -104,7 +105,8 @@ class ArmCalibration:
     of the fitted values; ``held`` names the values that were not fitted. ``residuals`` (N, 2) in m
     and ``turns`` (N,) in rad are the position and angle residuals of the rows used.
     ``wrist_deviation`` in m and ``heading_deviation`` in rad are the standard deviations of the
-    wrist position and the forearm's heading over the recorded poses.
+    wrist position and the forearm's heading that result from the standard deviations of the values
+    (root mean square over the rows used).
     """
 
     values: dict[str, float]
@@ -171,8 +173,8 @@ def _unit(name: str) -> str:
 
 
 def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
-    """Choose which poorly determined value to keep as in the cell file: the one most likely
-    accurate there."""
+    """Choose the poorly determined value that is to be kept as in the cell file: the one whose
+    value in the file is most likely to be accurate."""
     order = ("forearm", "upper_arm", "elbow_zero", "mount_x", "mount_y", "mount_angle")
     known = [name for name in order if name in free and not loose[name] <= 1.0]
     return known[0] if known else max(loose, key=lambda name: loose[name])
@@ -216,7 +218,8 @@ def _begin(
     columns = np.stack([np.ones_like(reach), reach, heading], axis=1)
     singular = np.linalg.svd(columns, compute_uv=False)
     if singular[-1] < 1e-3 * singular[0]:
-        # The tool has the same angle to the forearm in all rows, so keep the cell file's mount.
+        # The tool has the same angle to the forearm in all rows, so the rows do not determine the
+        # mount. Keep that of the cell file.
         columns = columns[:, :2]
         columns[:, 1] += complex(geometry.tip_forward, geometry.tip_side) * heading
     random = np.random.default_rng(0)

@@ -1,12 +1,12 @@
 """Bootstrap confidence intervals for estimates at which the scores of all trials sum to zero.
 
-An estimate t solves sum_i s_i(t) = 0 over the trials. Near the fitted estimate t_0, s_i(t) = s_i +
-H_i (t - t_0), with the score s_i and the information H_i of the fit. One Newton step gives the
-estimate of a resample and its standard error, so thousands of resamples cost only a matrix product.
-Trials are resampled within each run, so every run keeps its number of trials. The interval is the
-studentised one (percentile-t; Davison and Hinkley, Bootstrap Methods and their Application, 1997,
-section 5.2.1). Its coverage is correct even for few trials; the plain percentile interval would be
-too short.
+An estimate t solves sum_i s_i(t) = 0 over the trials. Near the fitted estimate t_0, the score is
+approximately s_i(t) = s_i + H_i (t - t_0), where s_i is the score and H_i the information of trial
+i at t_0. One Newton step gives the estimate of a resample and its standard error, so thousands of
+resamples cost only a matrix product. Trials are resampled within each run, so every run keeps its
+number of trials. The interval is the studentised one (percentile-t; Davison and Hinkley, Bootstrap
+Methods and their Application, 1997, section 5.2.1). Its coverage is correct even for few trials,
+for which the plain percentile interval is too short.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _MAX_STD = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Lower and upper end of the interval relative to the estimate, and standard error; each
-    (p,)."""
+    """Lower and upper end of the interval, as differences from the estimate, and the standard
+    error; each (p,)."""
 
     low: Array
     high: Array
@@ -67,13 +67,15 @@ def spread(
     offset, own_std = _newton(weights, score, information)
     usable = np.isfinite(offset).all(axis=1) & np.isfinite(own_std).all(axis=1)
     ratio = offset[usable] / np.maximum(own_std[usable], 1e-3 * std + 1e-300)
-    # Within a run of n trials, the variance of a resample is too small by the factor (n - 1) / n.
+    # Resampling within a run of n trials gives a variance that is too small by the factor (n - 1) /
+    # n. This is corrected with the mean over the runs.
     sizes = np.array([np.sum(labels == run) for run in labels], dtype=float)
     ratio *= math.sqrt(float(np.mean(sizes / np.maximum(sizes - 1, 1))))
     ratio = np.clip(ratio, -_MAX_STD, _MAX_STD)
     tail = (1 - level) / 2
     upper, lower = np.quantile(ratio, [1 - tail, tail], axis=0)
-    # For few trials the standard error is slightly too small (degrees of freedom).
+    # For few trials the standard error is slightly too small. This factor accounts for the degrees
+    # of freedom that the fit uses.
     std = std[0] * math.sqrt(count / max(count - size, 1))
     return Spread(low=-upper * std, high=-lower * std, std=std)
 

@@ -74,7 +74,7 @@ class CameraCalibration:
     """A calibrated camera and the quality of the calibration.
 
     ``rms`` is the root mean square reprojection error in pixels. ``deviations`` are the standard
-    deviations of the parameters (in pixels; coefficients have no unit). ``held_out`` is the
+    deviations of the parameters (in pixels; coefficients have no unit). ``held_out`` contains the
     cross-validation error of each lens model in pixels. ``coverage`` (rows, columns) counts the
     views with corners in each part of the image. ``warnings`` are for the user.
     """

@@ -80,7 +80,8 @@ class RowFault:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CsvTable:
-    """The valid rows of a file: row numbers (N,), columns (N,) in SI, and columns of N texts.
+    """The valid rows of a file: row numbers (N,), columns of numbers (N,) in SI units, and columns
+    of N texts.
 
     ``values`` does not contain optional columns that the file lacks. Empty cells of optional
     columns are NaN.

@@ -3,10 +3,10 @@
 A run repeats taps with one striker speed and one incidence (section 3.1 of the paper has four runs
 of ten trials). Taps with a small incidence, whose contact sticks, determine the impact constants.
 Taps with a large incidence, whose contact slides throughout, determine the contact friction. Two
-speeds separate speed-dependent effects from others. The start pose varies on purpose: an object in
-the middle of the table is tapped outwards, in a different direction each time, and an object
-elsewhere is tapped back to the middle. The effect of the table's tilt therefore cancels in each
-pair of trials, and an operator does not have to return the object.
+speeds show which effects depend on the speed. The start pose varies on purpose: an object in the
+middle of the table is tapped outwards, in a different direction each time, and an object elsewhere
+is tapped back to the middle. The effect of the table's tilt therefore cancels in each pair of
+trials, and an operator does not have to return the object.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ SPEEDS = (0.75, 1.1)
 """Striker speeds in m/s; the paper's disk then travels 30 to 100 mm in 6 to 12 frames at 30 Hz."""
 INCIDENCES = (math.radians(20.0), math.radians(-45.0))
 """One incidence at which the contact sticks and one at which it slides, for contact frictions near
-0.2. Their signs differ, so that the object's rotations and a constant error of the arm's angle
-cancel.
+0.2. Their signs differ, so that the object's rotations and the effects of a constant error of the
+arm's angle cancel over the trials.
 """
 TRIALS = 10
 
@@ -124,7 +124,8 @@ def travel_direction(place: Pose, number: int) -> float:
 
 
 def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[float, float]:
-    """Compute incidence and contact angle (rad) of a strike from ``tip``; NaN if it misses."""
+    """Compute the incidence and the contact angle (rad) of a strike that starts at the tip pose
+    ``tip``; both are NaN if the strike misses."""
     hit = tap.strike(start, tip, striker_speed)
     if bool(hit.missed):
         return math.nan, math.nan

@@ -58,8 +58,8 @@ def slide_estimates(
         width = spread(slide.score, slide.information, runs, seed)
     except ValueError as problem:
         raise RecordError(message) from problem
-    # Also check the Fisher information of the fit, because the bootstrap finds no spread in
-    # noise-free slides without rotation.
+    # In slides without noise and without rotation, the bootstrap finds no spread, although the
+    # slides do not determine the torque factor. Therefore also check the Fisher information.
     expected = np.sqrt(np.diag(np.linalg.inv(slide.information.sum(axis=0))))
     if max(float(np.max(width.std[:2])), float(np.max(expected[:2]))) > _UNKNOWN:
         raise RecordError(message)
@@ -133,9 +133,10 @@ def scatter_estimates(
 ) -> list[Estimate]:
     """Estimate the scatter of launches (speed, spin, direction) and displacements.
 
-    The scatter of distance and rotation includes the model's ``errors``, because a planner must
-    expect both. If small taps scatter more, relative to their size, than large ones, the scatter is
-    divided into a part proportional to the size and a constant floor.
+    The scatter of distance and rotation includes the model's prediction ``errors``, because a
+    planner must expect both scatter and model error. If small taps scatter more, relative to their
+    size, than large ones, the scatter is divided into a part proportional to the size and a
+    constant floor.
     """
     expected = {entry.quantity: entry.total for entry in errors}
     place, angle = _parts(measured, tapped, impact, runs)
@@ -195,7 +196,7 @@ def scatter_estimates(
 def floor_estimates(
     place: Parts | None, angle: Parts | None, content: ObjectFile
 ) -> Iterator[Estimate]:
-    """Yield estimates of the floors of the scatter that the taps determine.
+    """Yield estimates of those floors of the scatter that the taps determine.
 
     A floor that is not significant is given as 0, without an interval.
     """
@@ -216,7 +217,8 @@ def floor_estimates(
 def _parts(
     measured: Launches, tapped: Launches, impact: ImpactFit, runs: Sequence[int]
 ) -> tuple[Parts | None, Parts | None]:
-    """Divide the scatter of position and angle within runs into proportional parts and floors."""
+    """Divide the scatter of position and of angle within runs into parts proportional to the size
+    of the tap and constant floors."""
     labels = np.asarray(runs)
     return (
         scatter_parts(
@@ -232,8 +234,8 @@ def _parts(
 
 
 def _within(off: Array, runs: NDArray[np.int_]) -> Array:
-    """Return the deviations of the taps from the means of their runs, scaled to the variance of a
-    tap."""
+    """Return the deviations of the taps from the means of their runs, scaled so that their variance
+    is that of a tap; NaN for the only tap of a run."""
     made = np.full(off.size, math.nan)
     for run in np.unique(runs):
         own = (runs == run) & np.isfinite(off)

@@ -32,7 +32,7 @@ _WORDS = {
     GAIN: "gain of the striker's speed",
 }
 _UNKNOWN = 0.5  # relative standard deviation above which a parameter is not determined
-_SHARE = 0.3  # components below this fraction of an eigenvector's largest are ignored
+_SHARE = 0.3  # eigenvector components below this fraction of the largest one are ignored
 _LARGE = 1e6
 _TAPS = 10
 _REBOUND_STD = 0.02  # relative standard deviation of a measured striker speed after the impact

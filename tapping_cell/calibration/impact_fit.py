@@ -5,10 +5,10 @@ direction relative to the contact normal. The residuals of the impact model (``m
 are divided by the scatter of a tap. This scatter is estimated together with the parameters.
 
 The data decide which parameters are free. Restitution is free, and contact friction is free if the
-contact slid in enough trials. The scale of B1 (and of B3 if B3 varies) is free only if the Bayesian
-information criterion supports it. B2 and the restitution only act in combination, as (1 + e) / B2.
-Therefore B2 keeps its model value. B2 is fitted instead of the restitution only if no restitution
-from 0 to 1 explains the launches.
+contact slid in enough trials. The scale of B1 (and that of B3, if B3 differs between the trials) is
+free only if the Bayesian information criterion supports it. B2 and the restitution only act in
+combination, as (1 + e) / B2. Therefore B2 keeps its model value. B2 is fitted instead of the
+restitution only if no restitution from 0 to 1 explains the launches.
 """
 
 from __future__ import annotations
@@ -180,7 +180,8 @@ class ImpactModel:
         return np.asarray(np.hypot(size * np.asarray(scatter), self.measured_std()))
 
     def with_known(self, **values: float) -> ImpactModel:
-        """Return a copy in which the given parameters, which are not fitted, have other values."""
+        """Return a copy with other values for the given parameters, which the fit is to keep
+        fixed."""
         return ImpactModel(self.strikes, self._body, self._striker, self.known | values)
 
     def with_strikes(self, strikes: Strikes) -> ImpactModel:
@@ -217,8 +218,9 @@ def _outside(name: str, value: float) -> float:
 def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
     """Fit by weighted least squares, re-estimating the scatter after each pass.
 
-    The weights are fixed during a pass. If the weights followed the parameters, large predicted
-    values would reduce their own weight.
+    The weights are fixed during a pass. If the weights changed with the parameters, the fit could
+    reduce the weighted residuals by predicting larger values, because these have a larger assumed
+    scatter.
     """
     low = np.array([_LOW[name] for name in free])
     high = np.array([_HIGH[name] for name in free])
@@ -284,9 +286,10 @@ def _scatter(
 
 
 def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[str]) -> ImpactModel:
-    """Fix the contact friction, because sticking contacts explain the launches equally well. The
-    file's friction is kept unless it explains the launches worse. The launches give no bound on the
-    friction, because an error elsewhere in the model can make sliding contacts appear to stick.
+    """Fix the contact friction, because contacts that stick explain the launches as well as
+    contacts that slide. The file's friction is kept unless it explains the launches worse than
+    contacts that stick. The launches give no bound on the friction, because an error elsewhere in
+    the model can make sliding contacts appear to stick.
     """
     known = model.known["contact_friction"]
     sentence = (

@@ -32,8 +32,9 @@ Array = NDArray[np.float64]
 
 FEWEST_TAPS = 5
 _DISTANCE, _ROTATION, _SLOPE = 0.05, 0.15, 0.1
-"""Weights of the residuals: relative scatter of distance and of rotation, and an absolute scatter
-of the rotation in rad/m for taps without rotation."""
+"""Standard deviations by which the residuals are divided. ``_DISTANCE`` and ``_ROTATION`` are
+relative to distance and rotation. ``_SLOPE`` is the standard deviation of the rotation per
+distance, in rad/m, for taps that hardly rotate the object."""
 _OUTLIER = 5.0
 """Number of standard deviations above which a tap is an outlier, such as a collision or a miss."""
 _BOUNDS = (np.log([0.01, 0.05]), np.log([2.0, 20.0]))
@@ -186,7 +187,8 @@ def _errors(predicted: Array, measured: Array) -> tuple[Array, Array, Array]:
 
 
 def _parts(predicted: Array, errors: Sequence[Array]) -> tuple[Parts | None, Parts | None]:
-    """Divide the scatter of position and angle into shares and floors."""
+    """Divide the scatter of position and of angle into parts proportional to the size of the tap
+    and constant floors."""
     length, turn = np.hypot(predicted[:, 0], predicted[:, 1]), predicted[:, 2]
     off = np.hypot(turn, _SLOPE / _ROTATION * length) * errors[1]
     return (

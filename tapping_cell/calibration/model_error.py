@@ -7,8 +7,8 @@ deviations that depend on the contact point on the object or on the direction of
 
 Prediction: the error of a new tap has two sources, the scatter of a tap and the model's error at
 the tap's setting. The runs are a sample of the settings, so the two variances are those of a
-one-way random effects model, with Satterthwaite's degrees of freedom. The interval therefore widens
-if the model is wrong.
+one-way random effects model, with Satterthwaite's degrees of freedom. If the model is wrong, the
+second variance is large, and the interval that contains 95 % of new taps is wide.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ _CAUSES = {
 class Misfit:
     """A deviation of ``quantity`` (distance, rotation) that depends on ``cause`` (setting, place,
     direction). ``probability`` is the p-value of the F test, ``size`` the relative standard
-    deviation, and ``inflation`` the ratio of the variances."""
+    deviation, and ``inflation`` the F statistic: the mean square due to the cause divided by that
+    of the scatter."""
 
     quantity: str
     cause: str
@@ -65,8 +66,8 @@ class Misfit:
 @dataclass(frozen=True, slots=True)
 class ModelError:
     """Relative prediction error of a new tap. ``scatter`` is the standard deviation of taps at one
-    setting, ``error`` that of the model's error between settings, and ``half_width`` half the width
-    of the interval that contains 95 % of new taps."""
+    setting, and ``error`` is the standard deviation of the model's error between settings.
+    ``half_width`` is half the width of the interval that contains 95 % of new taps."""
 
     quantity: str
     scatter: float
@@ -115,10 +116,12 @@ def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
         known = np.isfinite(off)
         if known.sum() < _MIN_TRIALS or np.unique(runs[known]).size < 2:
             continue
-        # Fitting p parameters (two here) removes p degrees of freedom from the run means.
+        # Each fitted parameter removes one degree of freedom from the run means. The test ignores
+        # this, so its p-value is slightly too large.
         found.append(_by_setting(quantity, off[known], runs[known]))
-        # A bias towards one sense of rotation increases rotations in this sense and reduces the
-        # others.
+        # A disturbance that rotates the object in one sense increases rotations in this sense and
+        # reduces rotations in the other, so relative deviations are multiplied by the sign of the
+        # rotation.
         sign = np.sign(taps.predicted.rotation) if quantity == "rotation" else 1.0
         for cause, angle, orders in (
             ("place", taps.contact, (1,)),

@@ -5,8 +5,8 @@ distance. The direction and the rotation depend on the offset and angle of the t
 distance on the speed. Three unknowns per tapper (offset of the line to the left in m, angle of the
 line in rad, and logarithm of the speed factor) are fitted to all of its taps by least squares. The
 weights come from the tap's scatter and the camera's noise, and the soft-l1 loss reduces the effect
-of outliers. Taps at one position determine the line there; taps at several positions along it
-determine its angle.
+of outliers. Taps at one position determine the offset of the line there. To determine its angle,
+taps at several positions along the line are needed.
 """
 
 from __future__ import annotations

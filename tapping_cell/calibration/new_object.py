@@ -16,13 +16,14 @@ from tapping_cell.vision.outline.shape import signed_area
 from tapping_cell.vision.outline.tracing import TracedObject
 
 FRICTION = 0.17
-"""Geometric mean of 0.05 (plastic on glass) and 0.6 (rubber feet)."""
+"""Initial friction with the table: the geometric mean of 0.05 (plastic on glass) and 0.6 (rubber
+feet)."""
 TORQUE_FACTOR = 1.8
-"""Geometric mean of 0.8 (weight near the centre) and 4.0 (weight at the rim; the largest value in
-the publication is 3.64)."""
+"""Initial torque factor: the geometric mean of 0.8 (weight near the centre) and 4.0 (weight at the
+rim). The largest value in the paper is 3.64."""
 RESTITUTION, CONTACT_FRICTION = 0.6, 0.2
-"""Values for a hard tip on plastic or soft metal. When the object is learnt, the fitted friction
-compensates for their errors."""
+"""Initial values, for a hard tip on plastic or soft metal. When the object is learnt, their errors
+are compensated by the friction that is fitted."""
 DENSITY = 1500.0
 """Density in kg/m^3, between wood and aluminium, for objects of unknown mass. An error of the mass
 causes an error of the launch speed, which the friction fitted by learning compensates."""

@@ -54,8 +54,8 @@ _MIN_SPEED_ERROR = 0.01  # smallest relative error of the striker's speed that i
 
 
 class SpeedPoint(NamedTuple):
-    """Speed of the tapper at one setting: the draw of its spring (m, NaN if none) or the commanded
-    speed, and the mean and standard deviation of the measured speeds in m/s."""
+    """Mean and standard deviation of the measured speeds of the tapper at one setting, in m/s. The
+    setting is the draw of the tapper's spring in m (NaN if it has none) or the commanded speed."""
 
     draw: float
     commanded: float
@@ -229,7 +229,8 @@ def _striker(experiments: Sequence[Experiment]) -> Striker | None:
 
 
 def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunErrors, ...]:
-    """Compute the relative prediction errors of a fit for each run of other taps.
+    """Compute, for each run of ``experiments`` that were not used in the fit, the relative errors
+    of the fit's predictions.
 
     Raises:
         RecordError: the records cannot be used.
@@ -248,7 +249,7 @@ def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunError
 
 
 def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
-    """Return other taps with the predictions of a fit.
+    """Return the taps of ``experiments`` that were not used in the fit, with the fit's predictions.
 
     Raises:
         RecordError: the records cannot be used, or the impact was not fitted.
@@ -266,7 +267,8 @@ def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
 def _others(
     fit: ObjectFit, used: Sequence[Used], own: SlideFit, experiments: Sequence[Experiment]
 ) -> _Impacts | None:
-    """Apply the fitted impact model to other strikes."""
+    """Apply the fitted impact model to the strikes of experiments that were not used in the fit;
+    None if the impact was not fitted or no header gives the striker."""
     striker = _striker(experiments)
     if fit.impact is None or striker is None:
         return None
@@ -362,7 +364,8 @@ def _strikes(
 
 
 def _speed_known(used: Sequence[Used]) -> float:
-    """Return the relative standard deviation of the factor common to all striker speeds."""
+    """Return the relative standard deviation of the factor common to all striker speeds; inf unless
+    all speeds were measured."""
     measured = [not math.isnan(entry.trial.striker_speed_measured) for entry in used]
     if not all(measured):
         return math.inf

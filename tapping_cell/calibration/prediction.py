@@ -4,8 +4,8 @@ There are four comparisons. For sliding alone, displacements are calculated from
 initial velocities, and vice versa. For the impact alone, initial velocities are calculated from the
 striker's speed and the incidence. For the whole tap, displacements are calculated from these
 velocities. The error is the ratio of the calculated to the measured mean of a run, minus 1.
-Rotations and spins are positive in the direction in which the object turned, so that taps to both
-sides do not cancel.
+Rotations and spins are positive in the direction in which the object turned, so that taps that
+rotate the object in opposite senses do not cancel in the mean.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ def run_errors(
     sliding: Launches,
     tapping: Launches,
 ) -> tuple[RunErrors, ...]:
-    """Compute the errors of every run, in the order of their first trials.
+    """Compute the errors of every run; the runs are in the order of their first trials.
 
     ``sliding`` contains velocities calculated from the measured displacements, and displacements
-    calculated from the measured velocities. ``tapping`` contains both as calculated from the
-    striker's speed and the incidence (NaN if unknown).
+    calculated from the measured velocities. ``tapping`` contains velocities and displacements
+    calculated from the striker's speed and the incidence (NaN if unknown).
     """
     names = np.array(labels)
     found = []

@@ -282,7 +282,8 @@ def _cut_page(
 def marker_loops(dictionary: str, marker_id: int, size: float) -> tuple[Array, ...]:
     """Return the outlines of a marker's black areas: loops (N, 2) in m, with black on their left.
 
-    The origin is the lower left corner. Separate modules would show seams where they touch.
+    The origin is the lower left corner. Adjacent black modules share one outline, because
+    separately drawn modules would show seams where they touch.
     """
     black = ~marker_pattern(dictionary, marker_id)[::-1]
     module = size / black.shape[0]

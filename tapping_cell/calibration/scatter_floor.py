@@ -1,9 +1,10 @@
 """Separation of a scatter into a part proportional to the tap's size and a constant floor.
 
-The deviations of series k at sizes L are normal with the variance (share_k L)^2 + floor^2. Shares
-and floor are maximum likelihood estimates. The floor is kept only if a likelihood ratio test shows
-that it is not zero. As zero is the edge of the floor's range, the p-value is half of that of
-chi-squared with one degree of freedom (Self and Liang, JASA 82, 1987).
+The deviations of series k are assumed to be normally distributed; the variance for a tap of size L
+is (share_k L)^2 + floor^2. Shares and floor are maximum likelihood estimates. The floor is kept
+only if a likelihood ratio test shows that it is not zero. As zero is the edge of the floor's range,
+the p-value is half of that of chi-squared with one degree of freedom (Self and Liang, JASA 82,
+1987).
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ Array = NDArray[np.float64]
 
 MIN_TRIALS = 8
 MIN_RATIO = 2.5
-"""Minimum ratio of large to small sizes (90 % and 10 % quantiles) that determines a floor."""
+"""Minimum ratio of the 90 % quantile of the sizes to the 10 % quantile. With more similar sizes,
+the taps do not determine a floor."""
 SIGNIFICANCE = 0.01
 _TINY = 1e-12
 
@@ -41,8 +43,8 @@ def scatter_parts(series: Sequence[tuple[Array, Array]]) -> Parts | None:
     """Estimate the shares and the common floor of one or more series.
 
     Args:
-        series: deviations and sizes of the taps, a pair of arrays (n,) for each series, in the same
-            unit; the expected deviations are 0.
+        series: for each series, the deviations of the taps, whose expected value is 0, and the
+            sizes of the taps: a pair of arrays (n,) in the same unit.
 
     Returns:
         The estimate, or None if there are too few taps, or if their sizes are too similar to
@@ -85,7 +87,7 @@ def _known(deviation: Array, size: Array) -> tuple[Array, Array]:
 def _relative_error(
     series: Sequence[tuple[Array, Array]], shares: Sequence[float], floor: float
 ) -> float:
-    """Standard error of the logarithm of the floor, from the Fisher information."""
+    """Compute the standard error of the logarithm of the floor from the Fisher information."""
     count = len(shares)
     information = np.zeros((count + 1, count + 1))
     for k, ((_, size), share) in enumerate(zip(series, shares, strict=True)):

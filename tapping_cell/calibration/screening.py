@@ -24,12 +24,12 @@ MIN_RUNS = 2
 MIN_IN_RUN = 3
 MIN_TRIALS = 8
 _MIN_MOTION = 0.0002  # m
-_MIN_SPEED = 0.02  # m/s: corresponds to a displacement of 0.1 mm at a friction of 0.2
+_MIN_SPEED = 0.02  # m/s; slides 0.1 mm at a friction of 0.2
 _FRICTION = (0.005, 5.0)
-# range of spin over rotation, both relative to the translation: 1 + gamma kappa / 4 for torque
-# factors kappa of up to 20, with tolerance for noise
+# range of 2 (spin / speed) / (rotation / distance). This ratio is about 1 + gamma kappa / 4; the
+# range contains it for torque factors kappa of up to 20, with tolerance for noise.
 _SPIN_GAIN = (0.3, 30.0)
-# range of launch speed over striker speed, which is 2 for an elastic impact of a heavy striker
+# range of launch speed over striker speed; the ratio is 2 for an elastic impact of a heavy striker
 _STRIKER_GAIN = (0.01, 2.5)
 _RATE = (0.5, 2.0)
 _SPEED_SHARE, _SPIN_SHARE = 0.03, 0.08  # default relative standard deviations

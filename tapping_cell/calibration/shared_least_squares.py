@@ -125,8 +125,8 @@ def _step(equations: NormalEquations, damping: float, local_only: bool) -> tuple
 
 
 def _solved(equations: NormalEquations, h_local: Array) -> tuple[Array, Array]:
-    """Compute how the local parameters change with the shared parameters (n, p, s) and with their
-    own gradient (n, p)."""
+    """Return inverse(h_local) h_mixed, (n, p, s), and inverse(h_local) g_local, (n, p), of each
+    trial."""
     right = np.concatenate([equations.h_mixed, equations.g_local[:, :, None]], axis=2)
     solved = np.linalg.solve(h_local, right)
     return solved[:, :, :-1], solved[:, :, -1]

@@ -1,11 +1,11 @@
 """Fast computation of slides over time for fits: states of many launches at many times.
 
 The equations and tables are those of ``mechanics.sliding``, arranged for fits, which need a few
-samples of each of many slides while the parameters change. Slides are self-similar, and the ratio
-of spin and speed follows one curve on either side of its terminal value. Therefore one table of
-these curves over the remaining time is sufficient for all launches. There is a table for each
-torque factor of a grid. Between the torque factors of the grid, values are interpolated, which also
-gives the derivative.
+samples of each of many slides while the parameters change. Slides are self-similar: the ratio of
+spin to speed, as a function of the remaining time, follows one of two curves, above or below its
+terminal value. A table of these two curves is therefore sufficient for all launches. There is a
+table for each torque factor of a grid. Between the torque factors of the grid, values are
+interpolated, which also gives their derivatives with respect to the torque factor.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FINE, COARSE = 0.02, 0.12
 """Spacing of the fine and the coarse tables in ln(torque factor). Their interpolation errors are
 3e-5 and 1e-3 of the rotation. A table takes a tenth of a second to compute, so a search starts with
 the coarse tables."""
-# ln of the largest ratio of spin and speed; beyond it, one of the two motions is negligible
+# largest magnitude of ln(R omega / v); beyond it, one of the two motions is negligible
 _FARTHEST = 14.0
 _NEAREST = -20.0  # ln of the smallest distance from the terminal ratio
 _KNOTS = 1000
@@ -63,8 +63,8 @@ class _Curve:
         self._below = self._side(-1.0)
 
     def _side(self, sign: float) -> tuple[Array, Array]:
-        """Tabulate ln(R omega / v) minus its terminal value, on one side of this value, and
-        ln(remaining time).
+        """Tabulate ln(R omega / v) minus its terminal value, against ln(remaining time). ``sign``
+        is the side of the terminal value.
         """
         width = _FARTHEST - sign * self._terminal
         if width < 1e-6:

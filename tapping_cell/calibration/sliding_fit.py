@@ -59,9 +59,9 @@ _NEAR_ONE = 1e-3
 class Motion:
     """Measurements of one trial's slide. SI.
 
-    A motion has either ``slide`` (a track) or measured initial velocities, and always displacement
-    and rotation at rest. ``rotation`` is signed. ``heading`` is the direction of travel in the
-    object frame, NaN if unknown.
+    Displacement and rotation are those between the poses at rest before and after the slide;
+    ``rotation`` is signed. In addition, a motion has either a track (``slide``) or measured initial
+    velocities. ``heading`` is the direction of travel in the object frame, NaN if unknown.
     """
 
     displacement: float
@@ -258,8 +258,8 @@ def _spread(values: Array) -> float:
 
 
 def _between(values: Array, deviations: Array) -> float:
-    """Estimate robustly the standard deviation between trials that the measurement noise does not
-    explain."""
+    """Estimate robustly the part of the standard deviation between trials that the measurement
+    noise does not explain."""
     known = np.isfinite(deviations) & (deviations < 0.5 * _FREE)
     if known.sum() < 4:
         return 0.0
@@ -294,8 +294,10 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
         alike."""
         derivative = np.zeros((rows.size, _LOCAL + _SHARED))
         by_spin = (perturbed - value) / bump[rows]
-        # Twice the launch velocity gives four times the distance in twice the time (Euler's
-        # theorem), and the friction only scales the time.
+        # With launch velocity and time multiplied by c, distance and rotation are multiplied by
+        # c^2. Euler's theorem therefore gives the derivative with respect to the speed. With the
+        # friction multiplied by c, the distance, the rotation and the time until they are reached
+        # are divided by c, which gives the derivative with respect to ln friction.
         by_speed = (2 * value - finite_since * rate - spin[rows] * by_spin) / speed[rows]
         derivative[:, _IMPACT] = np.where(moving, -rate, 0.0)
         derivative[:, _SPEED], derivative[:, _SPIN] = by_speed, by_spin
@@ -323,7 +325,7 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
 def _linearised(problem: _Problem, at: Estimate, prior: float) -> NormalEquations:
     """Linearise the problem.
 
-    ``prior`` is the standard deviation of a trial's ln friction from the shared value.
+    ``prior`` is the prior standard deviation of ln(friction of a trial / shared friction).
     """
     misses, rows, local = _misses(problem, at), problem.samples.rows, at.local
     count = local.shape[0]
@@ -350,9 +352,9 @@ def _turned_by_centre(problem: _Problem, at: Estimate, since: Array, friction: A
     """Compute derivatives (N, 2) of the rotations with respect to the centre of pressure over the
     radius.
 
-    Friction at the centre c accelerates the rotation, d omega / dt = - kappa gamma (mu g / R)
-    (c x v) / v. This rotation decays like all spin, d omega / dt = - p omega (mu g / v), with p =
-    kappa gamma / 4, while sliding dominates over spinning; v decreases linearly.
+    Friction at the centre of pressure c accelerates the rotation, d omega / dt = - kappa gamma (mu
+    g / R) (c x v) / v. This rotation decays like any spin: while sliding dominates over spinning, v
+    decreases linearly and d omega / dt = - p omega (mu g / v), with p = kappa gamma / 4.
     """
     rows = problem.samples.rows
     pull = (friction * problem.gravity)[rows]
@@ -395,7 +397,8 @@ def _limited(trial: Estimate, before: Estimate) -> Estimate:
 def _fitted(
     problem: _Problem, start: Estimate, prior: float, *, local_only: bool = False
 ) -> Estimate:
-    """Solve the least squares problem; ``prior`` as in ``_linearised``."""
+    """Solve the least squares problem; ``prior`` is the prior standard deviation of ln(friction of
+    a trial / shared friction)."""
     return solve(lambda at: _linearised(problem, at, prior), start, _limited, local_only=local_only)
 
 

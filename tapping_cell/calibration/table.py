@@ -83,7 +83,7 @@ def observe_markers(
     dictionary: str,
     known: Sequence[int] | None = None,
 ) -> MarkerView | str:
-    """Detect the markers of an image: those with an id in ``known``, or all if it is None.
+    """Detect the markers of an image: those with an id in ``known``, or all if ``known`` is None.
 
     Return the reason as a string if this fails.
     """
@@ -112,8 +112,8 @@ def _noise(edges: MarkerEdges) -> Array:
 
     The end of a line fitted to n points has 4 / n of the variance of one point. No points are
     measured near the ends of a side, so a corner lies a tenth of the length beyond the points,
-    which increases the factor to 5.3 / n. In addition, the sides are not perpendicular in the
-    image. The factor used, 8 / n, was measured on rendered markers.
+    which increases the factor to 5.3 / n. The factor is even larger because the sides are not
+    perpendicular in the image. The factor used, 8 / n, was measured on rendered markers.
     """
     number = np.maximum(edges.weights.sum(axis=2).mean(axis=1), 4.0)
     return np.asarray(np.sqrt(8.0 / number) * np.maximum(edges.spread, 0.01))
@@ -256,7 +256,8 @@ def _squareness(pose: CameraPose, view: MarkerView, side: Array) -> tuple[Array,
 def _join(
     views: Sequence[MarkerView], starts: Sequence[tuple[CameraPose, Array]]
 ) -> tuple[NDArray[np.intp], Array, list[CameraPose]]:
-    """Join the maps of the images to an initial map: ids, poses (M, 3), camera poses.
+    """Join the maps of the single images to an initial map; return the marker ids, the marker poses
+    (M, 3) and the camera poses.
 
     Raises:
         CalibrationRefused: an image has no marker in common with the others.
@@ -385,8 +386,8 @@ class _Problem:
         return matrix, right, float((residual**2).sum())
 
     def solve(self, poses: Sequence[CameraPose], markers: Array) -> tuple[list[CameraPose], Array]:
-        """Minimise by Levenberg-Marquardt. The frame is not fixed, but hardly moves during the
-        iterations."""
+        """Minimise by the Levenberg-Marquardt method. The common frame of the markers is not held
+        fixed, but it hardly moves during the iterations."""
         poses, damping = list(poses), 1e-6
         matrix, right, cost = self._normal(poses, markers)
         for _ in range(_STEPS):

@@ -7,8 +7,8 @@ the striker's speed from the impact's ratio of launch to striker speed. The fitt
 
 which is the ideal drive (v ~ sqrt(E)) with a smooth deviation g. The deviation g is a Gaussian
 process; its amplitudes and length scales are weighted by the marginal likelihood (Rasmussen and
-Williams, Gaussian Processes for Machine Learning, chapter 5). The level a is thus fitted without a
-prior, and g deviates from zero only as far as the data support it.
+Williams, Gaussian Processes for Machine Learning, chapter 5). The level a has no prior, whereas g
+deviates from zero only as far as the data support it.
 """
 
 from __future__ import annotations
@@ -57,9 +57,10 @@ _AMPLITUDES = (0.08, 0.16, 0.32)
 _NOISES = 32
 """Number of candidate values for the scatter of a tap."""
 _STRETCHES = (0.7, 1.4)
-"""Candidate length scales of the deviation, as fractions of the range of ln E. The amplitudes above
-are relative. Smaller amplitudes are not tried: losses and thresholds affect every drive, and
-assuming too small a deviation costs more accuracy than it gains."""
+"""Candidate length scales of the deviation g, as fractions of the range of ln E. ``_AMPLITUDES``
+are the candidate standard deviations of g. Smaller ones are not tried, because losses and
+thresholds make every drive deviate from the ideal, and assuming too small a deviation costs more
+accuracy than it gains."""
 _ALIKE = 0.02
 """Relative difference up to which energies count as the same energy level."""
 
@@ -109,8 +110,8 @@ class TapperCalibration:
     ``energies`` in J and ``speeds`` in m/s are increasing; ``deviations`` are relative standard
     deviations of the speeds. ``scatter`` is the relative scatter of a tap's speed. ``least_energy``
     in J and ``least_travel`` in m describe the smallest reliable tap. ``by_friction`` is the
-    relative change of all speeds per relative change of the object file's friction,
-    ``by_restitution`` that per unit of its restitution.
+    relative change of all speeds per relative change of the object file's friction, and
+    ``by_restitution`` that per change of the file's restitution by 1.
     """
 
     energies: tuple[float, ...]
@@ -184,8 +185,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     while True:
         curve = _Curve(x[usable], y[usable], seen[usable])
-        # The camera's noise dominates the shortest displacements; this must not cause their
-        # rejection.
+        # The camera's noise dominates the shortest displacements. It is included in the expected
+        # scatter, so that these taps are not rejected.
         off = np.abs(y - curve.at(x)[0]) / np.hypot(1.0, seen / max(curve.noise, _FLOOR))
         spread = max(1.4826 * float(np.median(off[usable])), _FLOOR)
         strange = usable & (off > _OUTLIER * spread)

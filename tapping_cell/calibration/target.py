@@ -126,7 +126,7 @@ class TargetView:
 
 
 def find_target(image: Image, target: Target, name: str) -> TargetView | str:
-    """Detect the target's corners in a grey image; a string is the reason for a failure."""
+    """Detect the target's corners in a grey image. If this fails, return the reason as a string."""
     found = _chessboard(image, target) if target.kind == "chessboard" else _charuco(image, target)
     if isinstance(found, str):
         return found

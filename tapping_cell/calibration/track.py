@@ -14,7 +14,8 @@ from tapping_cell.calibration.trials import Track, Trial
 
 Array = NDArray[np.float64]
 
-# Samples within this fraction of the displacement from its start or its end may be at rest.
+# Samples that are closer to the start or the end of the slide than this fraction of the
+# displacement may be at rest.
 _EDGE = 0.02
 _NOISE = 8.0  # standard deviations
 _MIN_MOTION = 0.0002  # m: minimum displacement
@@ -59,8 +60,8 @@ def slide_of(
 ) -> Slide | TrackProblem:
     """Extract the slide from a trial's track, or return the reason why the track is unusable.
 
-    The standard deviations are the defaults for samples without their own. ``rate`` (Hz) and
-    ``exposure`` (s) are those of the camera.
+    ``position_std`` and ``rotation_std`` apply to samples that contain no standard deviations.
+    ``rate`` (Hz) and ``exposure`` (s) are those of the camera.
     """
     track = trial.track
     if track is None or track.time.size < 4:

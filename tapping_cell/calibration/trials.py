@@ -42,8 +42,8 @@ def _column(name: str, unit: str, low: float, high: float) -> Column:
     return Column(name, unit, low, high, required=False)
 
 
-# The ranges cover any conceivable tapping cell. ``screening`` detects values within them that
-# contradict the rest of their row.
+# The ranges cover any conceivable tapping cell. ``screening`` detects values that are within these
+# ranges but contradict the rest of their row.
 TRIAL_COLUMNS: tuple[Column, ...] = (
     _column("striker_speed", "m/s", 0.001, 20.0),
     _column("striker_speed_measured", "m/s", 0.001, 20.0),

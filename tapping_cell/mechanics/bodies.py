@@ -54,13 +54,13 @@ class Body:
         return self.mass * self.support_radius**2 / self.inertia
 
     def boundary(self, angle: ArrayLike) -> Array:
-        """Points (..., 2) on the boundary, in m, at the angles ``angle`` (rad) about the centre of
-        mass."""
+        """Return the points (..., 2) on the boundary, in m, at the angles ``angle`` (rad) about the
+        centre of mass."""
         raise NotImplementedError
 
     def normal(self, angle: ArrayLike) -> Array:
-        """Outward unit normals (..., 2) at the boundary points of the same angles (see
-        :meth:`boundary`)."""
+        """Return the outward unit normals (..., 2) at the points that :meth:`boundary` returns for
+        these angles."""
         raise NotImplementedError
 
 
@@ -211,20 +211,22 @@ class Polygon(Body):
         return Disk(self.support_radius, self.mass, self.height)
 
     def boundary(self, angle: ArrayLike) -> Array:
-        """Points at which rays from the centre of mass at the angles ``angle`` (rad) leave the
-        face."""
+        """Return the points at which rays from the centre of mass at the angles ``angle`` (rad)
+        leave the face."""
         a = np.asarray(angle, dtype=float)
         ray = np.stack([np.cos(a), np.sin(a)], axis=-1)
         return np.asarray(self._exit(ray)[0][..., None] * ray)
 
     def normal(self, angle: ArrayLike) -> Array:
-        """Outward unit normals of the edges at the points of :meth:`boundary`."""
+        """Return the outward unit normals of the edges at the points that :meth:`boundary`
+        returns."""
         a = np.asarray(angle, dtype=float)
         edge = self._exit(np.stack([np.cos(a), np.sin(a)], axis=-1))[1]
         return np.asarray(self.edge_normals[edge])
 
     def _exit(self, ray: Array) -> tuple[Array, NDArray[np.intp]]:
-        """Distance at which rays from the centre leave the face, and index of the edge."""
+        """Compute the distance at which rays from the centre leave the face, and the index of the
+        edge that they cross."""
         closing = ray @ self.edge_normals.T
         support = np.einsum("ij,ij->i", self.points, self.edge_normals)
         with np.errstate(divide="ignore"):
@@ -287,7 +289,8 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _area_moments(points: Array) -> tuple[float, Array, Array]:
-    """Area, centroid and mean of r r^T about the origin, by sums over the edges' triangles."""
+    """Compute area, centroid and mean of r r^T about the origin, by sums over the triangles between
+    the origin and the edges."""
     following = np.roll(points, -1, axis=0)
     double = _cross(points, following)
     area = float(double.sum() / 2)

@@ -27,7 +27,8 @@ class Contact(NamedTuple):
 
 
 def first_contact(body: Body, tip_radius: float, start: Array, direction: Array) -> Contact:
-    """Contact of a ball of ``tip_radius`` that moves from ``start`` along ``direction``.
+    """Compute the contact of a ball of ``tip_radius`` that moves from ``start`` along
+    ``direction``.
 
     ``start`` and ``direction`` are (..., 2) in the body's frame; ``direction`` has unit length. If
     the ball starts inside the body, the contact is where its line enters the body, so the travel is
@@ -42,8 +43,9 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
 
 
 def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) -> Contact:
-    """Contact with a polygon, found as the first intersection of the ball centre's path with the
-    outline enlarged by the ball's radius (shifted edges and arcs at the corners)."""
+    """Compute the contact with a polygon: the first intersection of the path of the ball's centre
+    with the polygon's outline enlarged by the ball's radius, which consists of shifted edges and
+    arcs about the corners."""
     points, normals, lengths = body.points, body.edge_normals, body.edge_lengths
     from_vertex = start[..., None, :] - points
     closing = direction @ normals.T
@@ -85,7 +87,8 @@ def _contact(hits: NDArray[np.bool_], travel: Array, point: Array, normal: Array
 
 
 def _enter_circle(start: Array, direction: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Travel until a point enters a circle about the origin, and whether it enters the circle."""
+    """Compute the travel until a point enters a circle about the origin, and whether it enters the
+    circle."""
     nearest = -(start * direction).sum(axis=-1)
     offset = start[..., 0] * direction[..., 1] - start[..., 1] * direction[..., 0]
     under = radius * radius - offset * offset

@@ -10,11 +10,12 @@ the striker is, along the normal (compression) and along the tangent (sliding),
 
     B1 = 1/m + c_n^2 / I + striker,  B2 = 1/m + c_t^2 / I + striker,  B3 = c_n c_t / I + striker
 
-where a striker in linear bearings adds (a_t^2, a_n^2, -a_n a_t) / m_s and a free one adds (1, 1, 0)
-/ m_s. Routh's method (Wang and Mason, J. Applied Mechanics 59, 1992) follows the impulse along the
-friction limit until sliding stops (S = 0). It then continues along S = 0 if friction can prevent
-sliding, and otherwise along the opposite limit. Compression ends at C = 0. With Poisson's
-restitution e, the total normal impulse is 1 + e times the normal impulse of the compression.
+where ``striker`` stands for a_t^2 / m_s, a_n^2 / m_s and -a_n a_t / m_s if the striker moves in
+linear bearings, and for 1 / m_s, 1 / m_s and 0 if it is free. Routh's method (Wang and Mason, J.
+Applied Mechanics 59, 1992) follows the impulse along the friction limit until sliding stops (S =
+0). It then continues along S = 0 if friction can prevent sliding, and otherwise along the opposite
+limit. Compression ends at C = 0. With Poisson's restitution e, the total normal impulse is 1 + e
+times the normal impulse of the compression.
 """
 
 from __future__ import annotations
@@ -96,10 +97,11 @@ class Impact:
 
     ``restitution`` is Poisson's coefficient, 0 to 1, and ``friction`` is the friction coefficient
     of the contact. The model can be calibrated for a real device in two ways (section 3.1.1 of the
-    paper fits two constants): ``scale`` multiplies the model's B1, B2 and B3, and ``constants``
-    replaces those for which a fitted value in 1/kg is given instead of None. Without calibration,
-    energy never increases and mirrored impacts have mirrored results; with calibration, neither is
-    guaranteed. Raises :class:`InvalidParameterError` for values out of range.
+    paper fits two constants): ``scale`` contains factors for the model's B1, B2 and B3, and
+    ``constants`` contains values in 1/kg that replace them, or None to keep the model's value.
+    Without calibration, energy never increases and mirrored impacts have mirrored results; with
+    calibration, neither is guaranteed. Raises :class:`InvalidParameterError` for values out of
+    range.
     """
 
     body: Body
@@ -131,10 +133,12 @@ class Impact:
         object.__setattr__(self, "constants", constants)
 
     def largest_impulse_angle(self, contact: ArrayLike) -> Array:
-        """Maximum angle (rad) of the impulse to either side of the normal at ``contact``.
+        """Compute the maximum angle (rad) of the impulse to either side of the normal at
+        ``contact``.
 
         This is the arctangent of the contact friction. It is less if the contact does not slide
-        throughout at any incidence up to ``LARGEST_INCIDENCE``. ``contact`` as for :meth:`strike`.
+        throughout at any incidence up to ``LARGEST_INCIDENCE``. ``contact`` (..., 2) is (c_n, c_t)
+        in m.
         """
         c = np.asarray(contact, dtype=float)
         angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
@@ -147,7 +151,7 @@ class Impact:
     def inverse_inertias(
         self, incidence: ArrayLike, contact: ArrayLike
     ) -> tuple[Array, Array, Array]:
-        """Calibrated B1, B2 and B3 in 1/kg. Arguments as for :meth:`strike`.
+        """Compute the calibrated B1, B2 and B3 in 1/kg. Arguments as for :meth:`strike`.
 
         Raises :class:`InvalidParameterError` if the calibrated values are physically impossible, B1
         B2 <= B3^2.
@@ -209,10 +213,10 @@ class Impact:
         )
 
     def incidence_for(self, impulse_slope: ArrayLike, contact: ArrayLike) -> Array:
-        """Incidence (rad) at which the impulse has P_t / P_n = ``impulse_slope``.
+        """Compute the incidence (rad) at which the impulse has P_t / P_n = ``impulse_slope``.
 
-        The slope must be within the friction cone. ``contact`` as for :meth:`strike`. NaN if no
-        incidence within ``LARGEST_INCIDENCE`` gives the slope.
+        The slope must be within the friction cone. ``contact`` (..., 2) is (c_n, c_t) in m. NaN if
+        no incidence within ``LARGEST_INCIDENCE`` gives the slope.
         """
         bracket = self._bracket(impulse_slope, contact)
         root = np.full(bracket.found.shape, np.nan)
@@ -268,7 +272,8 @@ class Impact:
         return _Bracket(shape, found, straight, other, e_straight, e_other, error)
 
     def _routh(self, incidence: Array, contact: Array) -> tuple[Array, Array, Array]:
-        """Impulses for a striker of unit speed, and the sign of the sliding velocity at the end."""
+        """Compute the impulses for a striker of unit speed, and the sign of the sliding velocity at
+        the end."""
         a_n, a_t = np.cos(incidence), np.sin(incidence)
         b1, b2, b3 = self.inverse_inertias(incidence, contact)
         mu = self.friction
@@ -318,7 +323,8 @@ class _Bracket(NamedTuple):
 def _bracketed_root(
     function: Callable[[Array, Rows], Array], low: Array, high: Array, f_low: Array, f_high: Array
 ) -> Array:
-    """Roots (n,) of a function between ``low`` and ``high``, by Chandrupatla's method (1997).
+    """Find the roots (n,) of a function between ``low`` and ``high``, by Chandrupatla's method
+    (1997).
 
     ``function`` takes values and the rows to which they belong; rows that have converged are
     omitted.

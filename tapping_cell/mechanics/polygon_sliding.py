@@ -11,8 +11,9 @@ over a face of area A
 
 by the divergence theorem, as in Goyal, Ruina and Papadopoulos (Wear 143, 1991). The classic
 Runge-Kutta method integrates the motion over the logarithm of the velocity's magnitude, because a
-slide is smooth in this variable until its end. The accuracy is 1e-4 relative to a brute-force grid
-of friction points (tested at 1e-3, the accuracy of the grid); the inverse is accurate to 1e-11.
+slide is smooth in this variable until its end. The accuracy, relative to a brute-force sum over a
+grid of friction points, is 1e-4; the tests require 1e-3, the accuracy of their grid. The inverse is
+accurate to 1e-11.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ _FAR_POINTS = 4
 _TINY = 1e-300
 _INVERSE_STEPS = 40
 _SIMPLE_STEPS = 400
-# The tolerance of a component is relative to the component itself or, if this is larger, to this
-# fraction of the largest component.
+# The tolerance of a component of a displacement is relative to the component or to this fraction of
+# the largest component, whichever is larger.
 _SMALLEST_SHARE = 1e-3
 
 
@@ -140,7 +141,8 @@ class PolygonSlide:
         return np.stack([x, x, s / self._gyration], axis=1)
 
     def _slide(self, twist: Array) -> tuple[Array, Array]:
-        """Displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and rad/s."""
+        """Compute displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and
+        rad/s."""
         moved, duration = np.empty(twist.shape), np.empty(len(twist))
         for begin in range(0, len(twist), _CHUNK):
             part = slice(begin, begin + _CHUNK)
@@ -150,7 +152,8 @@ class PolygonSlide:
         return moved, duration
 
     def _path(self, twist: Array, times: Array) -> tuple[Array, Array]:
-        """Velocities and displacements, each (n, k, 3), of launches (n, 3) at times (k,)."""
+        """Compute velocities and displacements, each (n, k, 3), of launches (n, 3) at times
+        (k,)."""
         velocity = np.zeros((len(twist), times.size, 3))
         moved = np.zeros_like(velocity)
         final, steps = self._integrate(twist)
@@ -206,7 +209,8 @@ class PolygonSlide:
         return mean_x, mean_y, moment
 
     def _far_friction(self, vx: Array, vy: Array, spin: Array) -> tuple[Array, Array, Array]:
-        """Friction by quadrature, with formulas that remain accurate down to zero spin."""
+        """Compute the friction as :meth:`friction` does, but by quadrature, with formulas that
+        remain accurate down to zero spin."""
         speed = np.hypot(vx, vy)
         q = spin / speed
         ex, ey = vx / speed, vy / speed
@@ -229,7 +233,7 @@ class PolygonSlide:
         return ex * (1 + loss) - ey * turn, ey * (1 + loss) + ex * turn, moment
 
     def rates(self, unit: Array, angle: Array) -> tuple[Array, Array]:
-        """Friction (3, n) on a body, and its component along the velocity.
+        """Compute the friction (3, n) on a body, and its component along the velocity.
 
         ``unit`` is the velocity (vx, vy, gyration * omega), scaled to unit length, in the axes of
         the launch. The body has rotated by ``angle`` since the launch.
@@ -248,8 +252,8 @@ class PolygonSlide:
         return force, (force * unit).sum(axis=0)
 
     def _integrate(self, twist: Array) -> tuple[Array, list[tuple[Array, Array]]]:
-        """Integrate launches to rest: final (dx, dy, dtheta, t), (4, n), and (state, velocity) at
-        each step."""
+        """Integrate launches to rest. Return the final (dx, dy, dtheta, t), (4, n), and the (state,
+        velocity) at each step."""
         scale = np.array([1.0, 1.0, self._gyration])[:, None]
         start = twist.T * scale
         size0 = np.sqrt((start**2).sum(axis=0))
@@ -275,7 +279,8 @@ class PolygonSlide:
             unit = unit + _STEP / 6 * (a + 2 * b + 2 * c + d)
             unit /= np.sqrt((unit**2).sum(axis=0))
             state = state + _STEP / 6 * (p + 2 * q + 2 * r + s)
-        # The last part of the motion, a fraction of 1e-6, is computed with constant friction.
+        # The last part of the motion, a few millionths of the displacement, is computed with
+        # constant friction.
         size = np.exp(-_STEPS * _STEP)
         _, loss = self.rates(unit, state[2])
         time = per_size * size / loss
@@ -340,8 +345,8 @@ def invert(
 
 
 def _quadrature(polygon: Polygon) -> tuple[Array, Array]:
-    """Points (2, k, 1) and weights (k,) for the mean over the face, by Gauss quadrature in the
-    triangles from the centre to the edges."""
+    """Return points (2, k, 1) and weights (k,) for the mean over the face, by Gauss quadrature in
+    the triangles from the centre to the edges."""
     roots, halves = np.polynomial.legendre.leggauss(_FAR_POINTS)
     nodes, weights = (roots + 1) / 2, halves / 2
     a, b = polygon.points, np.roll(polygon.points, -1, axis=0)
@@ -361,7 +366,7 @@ def _twists(speed: Array, spin: Array, direction: Array) -> Array:
 
 
 def _turned(planar: Array, angle: Array) -> tuple[Array, Array]:
-    """x and y of vectors (..., 3) rotated by an angle."""
+    """Return x and y of vectors (..., 3) after a rotation by an angle."""
     cos, sin = np.cos(angle), np.sin(angle)
     x, y = planar[..., 0], planar[..., 1]
     return cos * x - sin * y, sin * x + cos * y

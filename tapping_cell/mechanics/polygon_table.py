@@ -46,7 +46,8 @@ _LAST_LEVEL = LARGEST_SIZE / (LARGEST_SIZE + _SIZE_GRADE)
 _RATIOS = 65
 """Number of values of phi, from pure spin in one direction to pure spin in the other."""
 _DIRECTIONS = 72
-"""Number of values of alpha for a full turn; reduced by the polygon's symmetry."""
+"""Number of values of alpha for a full turn. For a polygon with rotational symmetry, the table
+covers only one period of the symmetry, with fewer values."""
 _FEWEST_DIRECTIONS = 12
 _FINER = 2
 _EDGE = 8
@@ -77,7 +78,7 @@ class PolygonTable:
         self._table = np.ascontiguousarray(self._finer(self._filled(count)).reshape(4, -1).T)
 
     def slide(self, twist: Array) -> tuple[Array, Array]:
-        """Displacements (n, 3) and durations (n,) of launches (n, 3)."""
+        """Compute displacements (n, 3) and durations (n,) of launches (n, 3)."""
         beyond = (twist * twist).sum(axis=1) > LARGEST_SIZE
         if not beyond.any():
             return self._lookup(twist)
@@ -86,7 +87,7 @@ class PolygonTable:
         return moved, duration
 
     def _slide_into(self, twist: Array) -> tuple[Array, Array]:
-        """Displacements (n, 3) and durations (n,) of launches beyond the table."""
+        """Compute displacements (n, 3) and durations (n,) of launches beyond the table."""
         square = (twist * twist).sum(axis=1)
         major = np.sqrt(square)
         length = 0.5 * np.log(square / LARGEST_SIZE)
@@ -103,7 +104,7 @@ class PolygonTable:
         return (before + after).T, major * state[3] + duration
 
     def _lookup(self, twist: Array) -> tuple[Array, Array]:
-        """Displacements (n, 3) and durations (n,) of launches up to ``LARGEST_SIZE``."""
+        """Look up displacements (n, 3) and durations (n,) of launches up to ``LARGEST_SIZE``."""
         vx, vy, spin = twist.T
         speed = np.hypot(vx, vy)
         square = speed * speed + spin * spin
@@ -206,9 +207,9 @@ class PolygonTable:
     ) -> tuple[Array, Array]:
         """Integrate the slide over steps of the logarithm of N.
 
-        Returns the velocity (3, n) afterwards, scaled to unit length and in the axes of the start,
-        and the displacement divided by N^2 and the time divided by N, (4, n). Sizes and steps are
-        scalars or (n,).
+        Returns two arrays: (3, n), the velocity after the steps, scaled to unit length and in the
+        axes of the start; and (4, n), the displacement divided by N^2 and the time divided by N.
+        Sizes and steps are scalars or (n,).
         """
 
         def slope(length: float | Array, unit: Array, state: Array) -> tuple[Array, Array]:
@@ -260,7 +261,7 @@ def _around(table: Array) -> Array:
 
 
 def symmetry(polygon: Polygon) -> int:
-    """Number of rotations, up to a full turn, that map a polygon onto itself."""
+    """Count the rotations, up to a full turn, that map a polygon onto itself."""
     points = polygon.points
     near = 1e-9 * polygon.bounding_radius
     for fold in range(len(points), 1, -1):
@@ -303,7 +304,8 @@ class TabulatedPolygonSlide(PolygonSlide):
         self._unit_time = math.sqrt(rho / deceleration)
 
     def _slide(self, twist: Array) -> tuple[Array, Array]:
-        """Displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and rad/s."""
+        """Compute displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and
+        rad/s."""
         scale = np.array([1.0, 1.0, self._rho]) / self._unit_speed
         moved, duration = np.empty(twist.shape), np.empty(len(twist))
         for begin in range(0, len(twist), _BLOCK):

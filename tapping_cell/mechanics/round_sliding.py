@@ -105,12 +105,12 @@ class RoundSlide:
 def _slow_down(
     table: SlideTable, speed: Array, rim_speed: Array, time: Array
 ) -> tuple[Array, Array]:
-    """Speed and rim speed, each (launches, times), of launches (n,) at reduced times (k,).
+    """Compute speed and rim speed, each (n, k), of launches (n,) at reduced times (k,).
 
-    Reduced times are multiplied by mu g. The ratio of spin to speed depends on the remaining
-    fraction of the duration, according to an autonomous differential equation of their logarithms,
-    which the classic Runge-Kutta method integrates. The magnitude then follows from the remaining
-    time.
+    Reduced times are multiplied by mu g. The logarithm of the ratio of spin to speed, as a function
+    of the logarithm of the remaining fraction of the duration, obeys an autonomous differential
+    equation. The classic Runge-Kutta method integrates it. The magnitude of the velocity then
+    follows from the remaining time.
     """
     total = table.rest_many(speed, rim_speed)[2]
     left = np.maximum(total[:, None] - time, 0.0)
@@ -122,8 +122,8 @@ def _slow_down(
         np.log(np.where(both, s_size, 1.0) / np.where(both, v_size, 1.0)),
         np.log(np.maximum(share, math.exp(_PROFILE_END))),
     )
-    # Speed and rim speed with this ratio and a maximum of 1; they are then scaled to the remaining
-    # time.
+    # Speed and rim speed with this ratio, the larger of which is 1. They are then scaled so that
+    # the slide takes the remaining time.
     v_unit = np.exp(np.minimum(-log_ratio, 0.0))
     s_unit = np.exp(np.minimum(log_ratio, 0.0))
     v_unit = np.where(both[:, None], v_unit, (v_size > 0)[:, None] * 1.0)
@@ -137,8 +137,8 @@ def _slow_down(
 
 
 def _ratio_at(table: SlideTable, start: Array, log_left: Array) -> Array:
-    """ln(R omega / v), (n, k), of launches that start at (n,), at ln(fraction of time
-    remaining)."""
+    """Compute ln(R omega / v), (n, k), of launches with the initial values ``start`` (n,), at
+    ln(remaining fraction of the duration) ``log_left`` (n, k)."""
     steps = max(1, math.ceil(-float(log_left.min(initial=0.0)) / _PROFILE_STEP))
     values = np.empty((steps + 1, start.size))
     rates = np.empty_like(values)

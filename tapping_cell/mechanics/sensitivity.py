@@ -28,8 +28,8 @@ PAPER_JACOBIAN = np.array(
 )
 PAPER_STRIKER_ERROR = (7.5, 7.5, 5.0)
 
-# The steel shaft in figure 1 of the paper appears to be 10 mm thick and 80 mm long. The Jacobian
-# does not depend on the shaft's mass.
+# Mass, in kg, of the steel shaft in figure 1 of the paper, which appears to be 10 mm thick and 80
+# mm long. The Jacobian does not depend on this mass.
 _STRIKER_MASS = 0.05
 # Impact constants B1 and B3 (see impact.py), divided by B2, fitted to the x and theta rows of
 # PAPER_JACOBIAN. The rms residual is 4.5 % of the largest element of each row (0.135 and 0.0251).
@@ -50,7 +50,8 @@ class Sensitivity(NamedTuple):
 
 
 def paper_tap(mirrored: bool = False) -> Tap:
-    """Tap with the aluminium disk, table and striker of sections 3.1, 4 and 5.1 of the paper.
+    """Return the tap with the aluminium disk, table and striker of sections 3.1, 4 and 5.1 of the
+    paper.
 
     Radius 48 mm, height 12 mm, 245.5 g, friction 0.17, torque factor 3.64, restitution 0.86. The
     contact friction of 0.20 is derived from the paper's statement that 10 degrees over 10 mm is
@@ -91,5 +92,6 @@ def sensitivity(tap: Tap, displacement: ArrayLike) -> Sensitivity:
 
 
 def norm(jacobian: ArrayLike) -> Array:
-    """Spectral norm (...,): the largest gain of an error vector, treating mm and degrees alike."""
+    """Compute the spectral norm (...,): the largest gain of an error vector, treating mm and
+    degrees alike."""
     return np.asarray(np.linalg.norm(np.asarray(jacobian), ord=2, axis=(-2, -1)))

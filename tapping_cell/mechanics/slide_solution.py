@@ -21,10 +21,10 @@ the equations are therefore solved by collocation without an initial value. From
 method of order five, which is stable in this direction, continues the solution to pure sliding and
 to pure spinning.
 
-Near tau = 0, y contains powers of tau slightly above one; near tau = 1, a ring's friction contains
-a logarithm. The table is therefore uniform in p, with tau = p^2 / (p^2 + (1 - p)^2). Near both
-ends, p varies like the square root of the distance of tau from the end; computing p from tau takes
-two square roots.
+Near tau = 0, y contains powers of tau with exponents slightly above one. Near tau = 1, a ring's
+friction contains a logarithm. The knots of the table are therefore denser near both ends: they are
+uniformly spaced in p, with tau = p^2 / (p^2 + (1 - p)^2). Near an end, p varies like the square
+root of the distance of tau from that end. Computing p from tau takes two square roots.
 """
 
 from __future__ import annotations
@@ -110,7 +110,8 @@ class SlideSolution:
         return leading - trailing, factors
 
     def _equation(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-        """P, Q and a of the equation P dy/dp = Q (a y - 1), which is regular at both ends."""
+        """Compute P, Q and a of the equation P dy/dp = Q (a y - 1), which is regular at both
+        ends."""
         flow, factors = self._terms(p, spinning)
         square = p * p + (1 - p) ** 2
         return p * flow * square, 2 * (1 - p), factors
@@ -136,7 +137,9 @@ class SlideSolution:
         slopes[:, first + 1] = polynomial @ powers / width
 
     def _march(self, path_p: Array, first: int, values: Array, slopes: Array) -> None:
-        """Take the Radau steps of all intervals simultaneously, then compose their affine maps."""
+        """Compute the Radau steps of all intervals at once. The step of an interval is an affine
+        map from the solution at its start to that at its end; these maps are then applied one after
+        another."""
         count = path_p.size - 1
         interval = np.arange(count)
         outward = interval > first
@@ -169,8 +172,8 @@ class SlideSolution:
             slopes[kind, before] = last[before, 0] * values[kind, before + 1] + last[before, 1]
 
     def _terminal(self, path_p: Array, flow: Array, first: int) -> float:
-        """Limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the speed
-        does."""
+        """Compute the limit of v / (R omega) at the end: inf if the spin vanishes first, 0 if the
+        speed does."""
         if first == 0 and flow[0] <= 0:
             return math.inf
         if first == path_p.size - 2 and flow[-1] >= 0:

@@ -1,10 +1,10 @@
 """Table of all slides for one support and one torque factor, forward and inverse.
 
-It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite pieces over the graded
-variable p. A single slide is computed with Python floats; many slides are computed in blocks that
-fit in the cache, with preallocated work arrays. The inverse looks up an estimate of p in a separate
-table and refines it by Newton steps on the forward table, so that ``launch`` inverts ``rest`` up to
-rounding.
+It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite polynomials between
+knots that are uniformly spaced in p (defined there). A single slide is computed with Python floats;
+many slides are computed in blocks that fit in the cache, with preallocated work arrays. The inverse
+looks up an estimate of p in a separate table and refines it by Newton steps on the forward table,
+so that ``launch`` inverts ``rest`` up to rounding.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ class SlideTable:
     # ---- single slides, with Python floats
 
     def rest(self, speed: float, rim_speed: float) -> tuple[float, float, float]:
-        """Travel, rim travel and time of one slide, with the signs of the arguments."""
+        """Compute travel, rim travel and time of one slide. Travel and rim travel have the signs of
+        speed and rim speed."""
         v, s = abs(speed), abs(rim_speed)
         major, minor = (v, s) if v >= s else (s, v)
         if major == 0.0:
@@ -87,8 +88,8 @@ class SlideTable:
         )
 
     def launch(self, travel: float, rim_travel: float) -> tuple[float, float]:
-        """Launch speed and rim speed of the slide that covers this travel and rim travel; each has
-        the sign of its travel."""
+        """Compute launch speed and rim speed of the slide that covers this travel and rim travel;
+        each has the sign of its travel."""
         x, r = abs(travel), abs(rim_travel)
         if x == 0.0 and r == 0.0:
             return 0.0, 0.0
@@ -195,8 +196,8 @@ class SlideTable:
             )
         np.multiply(x, self._divide, out=spare)
         np.greater(r, spare, out=mask)
-        # With x scaled by ``_divide``, both travels are equal at the boundary of the regimes, so
-        # that min / max is valid in both.
+        # With x scaled by ``_divide``, both travels are equal at the boundary between the regimes.
+        # The smaller scaled travel is therefore the minor one in both regimes.
         np.maximum(spare, r, out=large)
         np.minimum(spare, r, out=small)
         _grade(large, small, t, gathered)
@@ -249,12 +250,14 @@ class SlideTable:
         np.copysign(tau, rim_travel, out=rim_speed)
 
     def travel_ratio(self, spin_ratio: float) -> float:
-        """Ratio of rim travel to travel of a launch with R omega / v = ``spin_ratio``."""
+        """Compute the ratio of rim travel to travel of a launch with R omega / v =
+        ``spin_ratio``."""
         travel, rim_travel, _ = self.rest(1.0, spin_ratio)
         return rim_travel / travel
 
     def ratio_rate(self, log_ratio: Array) -> Array:
-        """d ln(R omega / v) / d ln(time left) at values of ln(R omega / v), a flat array."""
+        """Compute d ln(R omega / v) / d ln(time left) at values of ln(R omega / v), a flat
+        array."""
         root = np.exp(-0.5 * np.abs(log_ratio))
         t = PIECES * root / (root + np.sqrt(1.0 - root * root))
         index = np.empty(t.size, dtype=np.intp)
@@ -264,7 +267,9 @@ class SlideTable:
         return value
 
     def _inverse_guess(self) -> Array:
-        """Table of p over the graded ratio of the travels: Hermite pieces, one half per regime."""
+        """Compute the table of p as a function of the ratio of the travels, graded like tau:
+        coefficients of Hermite polynomials, first of the translating and then of the spinning
+        regime."""
         p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):
@@ -338,8 +343,8 @@ def _grade(major: Array, minor: Array, t: Array, spare: Array) -> None:
 
 
 def _piece(t: Array, mask: NDArray[np.bool_], index: NDArray[np.intp], spare: Array) -> None:
-    """Split t into the row of its piece (in the table's second half if ``mask``) and the position
-    in the piece."""
+    """Split t into the row of its piece and the position in the piece. Where ``mask`` is true, the
+    row is in the second half of the table."""
     np.copyto(index, t, casting="unsafe")
     np.minimum(index, PIECES - 1, out=index)
     t -= index
@@ -358,7 +363,7 @@ def _cubic(rows: Array, index: NDArray[np.intp], t: Array, value: Array, gathere
 def _cubic_and_slope(
     rows: Array, index: NDArray[np.intp], t: Array, value: Array, slope: Array, gathered: Array
 ) -> None:
-    """Value and derivative with respect to p of one cubic piece."""
+    """Compute the value and the derivative with respect to p of one cubic piece."""
     np.take(rows[3], index, out=value, mode="clip")
     np.copyto(slope, value)
     for k in (2, 1, 0):
@@ -391,5 +396,6 @@ def _floats(values: NDArray[np.floating]) -> Array:
 
 @lru_cache(maxsize=32)
 def slide_table(support: str, torque_ratio: float) -> SlideTable:
-    """Table of a support and Lambda = torque factor * m R^2 / I, built once per process."""
+    """Return the table of a support and Lambda = torque factor * m R^2 / I; it is built once per
+    process."""
     return SlideTable(support, torque_ratio)

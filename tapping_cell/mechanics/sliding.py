@@ -38,11 +38,12 @@ class Sliding:
     for uncorrected theory), and ``gravity`` is in m/s^2. Raises :class:`InvalidParameterError` for
     a value that is not finite and positive.
 
-    The accuracy of :meth:`rest`, relative to an integration with tight tolerance, is 1e-9 in
-    distance, rotation and duration for a disk or a ring at torque factors of 0.2 to 5 (tested at
-    1e-8; 2e-8 from 0.05 to 20), for every combination of speed and spin. For a polygon it is 1e-4,
-    relative to a brute-force integration (tested at 1e-3). :meth:`launch` is the inverse of
-    :meth:`rest`: exact up to rounding errors for round bodies, accurate to 1e-11 for polygons.
+    For a disk or a ring, the relative error of :meth:`rest` in distance, rotation and duration is
+    1e-9 at torque factors of 0.2 to 5 (the tests require 1e-8) and 2e-8 at torque factors of 0.05
+    to 20, for every combination of speed and spin. The reference is an integration with tight
+    tolerance. For a polygon the error is 1e-4, relative to a brute-force integration (the tests
+    require 1e-3). :meth:`launch` is the inverse of :meth:`rest`: exact up to rounding errors for
+    round bodies, accurate to 1e-11 for polygons.
     """
 
     body: Body
@@ -106,8 +107,9 @@ class Sliding:
 
         Arguments broadcast; scalars give floats. ``direction`` (rad) is that of the launch in the
         body's frame. It matters only for polygons, whose result also drifts sideways (``lateral``).
-        Distance and rotation have the signs of speed and spin (small values of a polygon may have
-        the other sign). Raises :class:`InvalidParameterError` for values that are not finite.
+        Distance and rotation have the signs of speed and spin. For a polygon, a small distance or
+        rotation may have the opposite sign. Raises :class:`InvalidParameterError` for values that
+        are not finite.
         """
         return self._model.rest(speed, spin, direction)
 
@@ -141,9 +143,9 @@ class Sliding:
         """Compute velocities and displacement at ``times`` (s, from the launch, not negative).
 
         Results have the shape of the broadcast launches followed by that of the times. The accuracy
-        is 1e-7 of the initial values, or 1e-4 for polygons, whose speed and distance are those
-        along ``direction``. Raises :class:`InvalidParameterError` for values that are not finite
-        and for a negative time.
+        is 1e-7 of the initial values, or 1e-4 for polygons. The speed and the distance of a polygon
+        are those along ``direction``. Raises :class:`InvalidParameterError` for values that are not
+        finite and for a negative time.
         """
         v, w, a = np.broadcast_arrays(
             finite("speed", speed, "m/s"),

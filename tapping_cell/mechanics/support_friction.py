@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Quadratic convergence from a complementary modulus of 1e-12 needs eight steps, plus one spare.
+# The mean converges quadratically: from a complementary modulus of 1e-12 in eight steps. One more
+# is made for safety.
 _AGM_STEPS = 9
 _SMALLEST_COMPLEMENT = 1e-12
 
@@ -45,7 +46,7 @@ class SupportFriction(NamedTuple):
 
 
 def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
-    """Friction factors for uniform pressure on a disk.
+    """Compute the friction factors for uniform pressure on a disk.
 
     ``complement`` is 1 - tau^2. It is a separate argument because computing it from tau would lose
     accuracy.
@@ -61,8 +62,8 @@ def disk_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) ->
 
 
 def ring_friction(tau: Array, complement: Array, spinning: NDArray[np.bool_]) -> SupportFriction:
-    """Friction factors for uniform pressure on a thin ring. The formulas of both regimes are the
-    same, with force and torque exchanged."""
+    """Compute the friction factors for uniform pressure on a thin ring. The formulas of the
+    spinning regime are those of the translating regime with force and torque exchanged."""
     del spinning
     b, _, d = _elliptic_bcd(tau, complement)
     return SupportFriction(2 / math.pi * (b + complement * d), 2 / math.pi * b)

@@ -142,7 +142,7 @@ class Tap:
     def outcome(
         self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
     ) -> Array:
-        """Displacements (..., 3) in table axes, m and rad; 0 if the striker misses.
+        """Compute the displacements (..., 3) in table axes, m and rad; 0 if the striker misses.
 
         Arguments as for :meth:`strike`.
         """
@@ -252,8 +252,8 @@ class Tap:
         )
 
     def jacobian(self, displacement: ArrayLike) -> Array:
-        """Derivative (..., 3, 3) of the tap's result with respect to the striker's pose, in m and
-        rad.
+        """Compute the derivative (..., 3, 3) of the tap's result with respect to the striker's
+        pose, in m and rad.
 
         The rows are the displacement x along the planned travel, y to its left, and the rotation.
         The columns are those of section 5.1 of the paper: a displacement i of the ball's centre at
@@ -284,7 +284,8 @@ class Tap:
         return np.asarray(np.stack(columns, axis=-1) / scale)
 
     def _largest_lever(self) -> float:
-        """Maximum distance of an impulse's line of action from the centre of mass, in m."""
+        """Compute the maximum distance of an impulse's line of action from the centre of mass, in
+        m."""
         body = self.body
         if not isinstance(body, Polygon):
             angle = self.impact.largest_impulse_angle((-body.bounding_radius, 0.0))
@@ -297,7 +298,7 @@ class Tap:
         return float(np.abs(_cross(local, lines)).max())
 
     def _plan_in_body(self, wanted: Array) -> TapPlan:
-        """Plans in the object's frame; the incidence is NaN if no contact is feasible."""
+        """Compute plans in the object's frame; the incidence is NaN if no contact is feasible."""
         twist, line, slope = self._line_of_action(wanted)
         body, normal = self.body, line.normal
         speed = np.hypot(twist[..., 0], twist[..., 1])
@@ -400,7 +401,7 @@ def _turn(planar: Array, angle: Array) -> Array:
 
 
 def _in_frame(normal: Array, vector: Array) -> Array:
-    """Components along n and along t, which is n rotated by +90 degrees."""
+    """Return the components along n and along t, which is n rotated by +90 degrees."""
     return np.stack([(normal * vector).sum(axis=-1), _cross(normal, vector)], axis=-1)
 
 

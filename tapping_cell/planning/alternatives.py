@@ -24,9 +24,9 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 LEAST = 80
-"""Minimum number of safe candidates that are checked together in the first chunk, if there are so
-many. Each further chunk has twice as many, because the computing time depends little on their
-number."""
+"""Minimum number of safe candidates in the first chunk, unless fewer are left. All candidates of a
+chunk are checked together. The minimum is doubled for each further chunk, because the computing
+time depends little on the number."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function of poses (n, 3) and displacements (n, 3) that returns which of them are possible."""
@@ -53,7 +53,8 @@ def alternative_taps(
     The candidates cover all directions, several distances (shares of the method's own choice
     ``first`` and of the largest tap) and several rotations (shares of the cone). They are ranked by
     the number of taps that the method needs afterwards, computed with the length of the path around
-    obstacles. One tap is added if the goal is near but no possible tap leads there directly.
+    obstacles. One tap is added to this number if, after the candidate, the goal is near enough for
+    one tap but that tap is not possible.
     ``visited``: poses from which the object was tapped before and whose costs were underestimated.
     ``safe``: function that returns which displacements (n, 3) may be commanded. ``possible``:
     function that returns which of these the striker can make. Each slower check is applied only to
@@ -81,7 +82,7 @@ def alternative_taps(
             cost += visited.extra(made.after[part], cost)
         waiting = np.concatenate([waiting, part])
         waiting_cost = np.concatenate([waiting_cost, cost])
-        # Candidates that are better than every candidate not checked yet.
+        # Candidates are ready if none that is still unchecked can be better.
         following = order[start : start + 1]
         ready = waiting_cost <= made.cost[following].min(initial=np.inf)
         rank = np.argsort(waiting_cost[ready], kind="stable")
@@ -99,7 +100,7 @@ class Ranked(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Candidates that can replace the tap chosen by the method, m for each pose.
+    """Candidates that can replace the tap chosen by the method; m is their number for each pose.
 
     commanded: displacements, (..., m, 3). after: poses after the taps, (..., m, 3). cost: lower
     bound of the number of taps after each candidate, (..., m); infinite if no path leads from there
@@ -120,10 +121,10 @@ def candidate_taps(
     path: Callable[[Array], Array],
     tap: Tap,
 ) -> Candidates:
-    """Candidates for ``alternative_taps``, for poses, goals and first choices (..., 3).
+    """Return the candidates for ``alternative_taps``, for poses, goals and first choices (..., 3).
 
-    number: ``Gains.value``, (..., 6). path: function that returns the path lengths from points
-    (..., m, 2) to the goal, m.
+    number: ``Gains.value``, (..., 6). path: function that returns the lengths, in metres, of the
+    paths from m points per pose, (..., m, 2), to the goal.
     """
     settings = planner.settings
     length = np.hypot(first[..., 0], first[..., 1]) * number[..., 0]
@@ -160,9 +161,9 @@ def candidate_taps(
 
 
 def _through_edges(tap: Tap, body: Polygon, orientation: Array) -> Array:
-    """Directions of travel, rad in `table`, that suit a polygon's edges best: each edge's normal,
-    and directions half a friction angle to either side of it; (..., directions) for orientations
-    (...)."""
+    """Return the directions of travel, rad in `table`, that suit a polygon's edges best: each
+    edge's normal, and the directions half a friction angle to either side of it. Orientations (...)
+    give (..., directions)."""
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0])
     aside = 0.5 * math.atan(tap.impact.friction) * np.array([-1.0, 0.0, 1.0])
     return np.asarray(orientation[..., None] + (inward[:, None] + aside).ravel())

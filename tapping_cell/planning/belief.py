@@ -1,13 +1,14 @@
 """A bank of Kalman filters that is robust to a wrong prior, to outliers and to lasting changes.
 
 Each filter of the bank starts from a prior of a different width (static multiple models: Magill,
-IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects; with the wide priors,
-a very different object needs only one more measurement. A measurement may be an outlier (a bumped
-object, a striker that missed). Each filter weights measurements by the probability that they are
-valid (probabilistic data association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may
-also change permanently. An additional filter, the candidate, assumes that the true values changed
-at the last measurement. If the next measurement agrees with the candidate, it outweighs the other
-filters and replaces them.
+IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects. Thanks to the wide
+priors, the estimate for an object that differs greatly from the expected values needs only one
+additional measurement. A measurement may be an outlier (a bumped object, a striker that missed).
+Each filter weights measurements by the probability that they are valid (probabilistic data
+association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may also change permanently.
+An additional filter, the candidate, assumes that the true values changed at the last measurement.
+If the next measurement agrees with the candidate, the candidate outweighs the other filters and
+replaces them.
 """
 
 from __future__ import annotations
@@ -83,13 +84,14 @@ class Belief:
         self.covariance[rows] = other.covariance
 
     def expected(self) -> Array:
-        """Expected numbers (..., numbers) over all filters except the candidate."""
+        """Return the expected numbers (..., numbers), over all filters except the candidate."""
         main = self.weight[..., :-1]
         share = main / main.sum(axis=-1, keepdims=True)
         return np.asarray(np.einsum("...h,...hi->...i", share, self.mean[..., :-1, :]))
 
     def deviation(self) -> Array:
-        """Standard deviations (..., numbers) about ``expected``, without the candidate."""
+        """Return the standard deviations (..., numbers) about ``expected``, over all filters except
+        the candidate."""
         main = self.weight[..., :-1]
         share = main / main.sum(axis=-1, keepdims=True)
         off = self.mean[..., :-1, :] - self.expected()[..., None, :]
@@ -97,8 +99,8 @@ class Belief:
         return np.asarray(np.sqrt(np.einsum("...h,...hi->...i", share, own + off * off)))
 
     def quantile(self, slope: ArrayLike, probability: float, noise: ArrayLike = 0.0) -> Array:
-        """Quantile (...,) of the sum of slope . numbers and noise, over all filters with the
-        candidate.
+        """Compute a quantile (...,) of the scalar product slope . numbers plus noise, over all
+        filters including the candidate.
 
         slope: (..., numbers). noise: standard deviation of the added noise, (...,).
         """

@@ -13,14 +13,15 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.two_tap import two_tap_choice
 
 ERROR_LINE = 0.3
-"""Relative error of the rotation that plans allow for: twice the standard deviation of 15 %
-(section 3.1.1)."""
+"""Relative error of the rotation that plans allow for: twice the standard deviation, which is 15 %
+(section 3.1.1 of the paper)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConservativePlanner:
-    """Aims further inside the reachable region, with a larger first tap, so that the goal can be
-    reached despite the first tap's error (the error line)."""
+    """Makes a larger first tap than an exact plan, to a subgoal further inside the region from
+    which one tap reaches the goal. The second tap then reaches the goal despite the error of the
+    first tap's rotation (the error line)."""
 
     settings: PlannerSettings
     name: str = "conservative"
@@ -31,5 +32,5 @@ class ConservativePlanner:
         return two_tap_choice(distance, rotation, self.settings, line)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Number of taps of a plan without errors."""
+        """Return the number of taps that would be needed if taps had no errors."""
         return nominal_taps(distance, rotation, self.settings)

@@ -35,7 +35,8 @@ class Coverage(NamedTuple):
     """Coverage at points of the working area.
 
     points: (n, 2), m. reached: (n, tappers), whether the tapper can tap an object there at every
-    orientation. dead: (n,), whether an object there cannot be tapped inward at some orientation."""
+    orientation. dead: (n,), whether there is an orientation at which an object there cannot be
+    tapped inward."""
 
     points: Array
     reached: BoolArray
@@ -71,7 +72,8 @@ def coverage(space: FixedStrikeSpace) -> Coverage:
 
 
 def _widest_gap(heading: Array, usable: BoolArray) -> Array:
-    """Widest angle between neighbouring usable directions, rad: (...,) for (..., tappers)."""
+    """Return the widest angle between neighbouring usable directions, rad. Directions (...,
+    tappers) give (...,)."""
     angle = np.where(usable, heading % (2.0 * math.pi), math.inf)
     ordered = np.sort(angle, axis=-1)
     some = np.isfinite(ordered)

@@ -25,5 +25,5 @@ class ExactPlanner:
         return two_tap_choice(distance, rotation, self.settings, error_line=0.0)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Number of taps of a plan without errors."""
+        """Return the number of taps that would be needed if taps had no errors."""
         return nominal_taps(distance, rotation, self.settings)

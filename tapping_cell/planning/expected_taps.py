@@ -42,7 +42,8 @@ def expected_taps(
     sizes: Array,
     turns: Array,
 ) -> Array:
-    """Expected taps that follow a tap, (directions, sizes, turns); infinite outside the cone.
+    """Return the expected number of taps that follow a tap, (directions, sizes, turns); infinite
+    outside the cone.
 
     Args:
         solution: plan that is followed after the tap.
@@ -79,15 +80,16 @@ def expected_taps(
 
 
 def normal_nodes(count: int) -> Array:
-    """Conditional means of N(0, 1) over intervals of equal probability, (count,)."""
+    """Return the conditional means of N(0, 1) over ``count`` intervals of equal probability,
+    (count,)."""
     edges = ndtri(np.arange(1, count) / count)
     density = np.exp(-0.5 * edges**2) / math.sqrt(2.0 * math.pi)
     return np.asarray(-count * np.diff(density, prepend=0.0, append=0.0))
 
 
 def _radial_weights(grid: Array, lengths: Array, box: float) -> tuple[Array, Array]:
-    """Mean weights for linear interpolation of lengths (n, nodes) on a grid, (n, grid), and the
-    part of these weights due to lengths inside the box, (n, grid up to the box)."""
+    """Return the mean weights for linear interpolation of lengths (n, nodes) on a grid, (n, grid),
+    and the part of these weights due to lengths inside the box, (n, grid up to the box)."""
     rows, nodes = lengths.shape
     index, share = bracket(grid, lengths)
     at = np.arange(rows)[:, None] * grid.size + index

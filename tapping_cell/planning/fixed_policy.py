@@ -41,8 +41,8 @@ class Grading(NamedTuple):
 
     @property
     def _limits(self) -> tuple[float, float]:
-        """Point from which the steps are constant: its distance, and its coordinate asinh(distance
-        / fine)."""
+        """Distance from the goal beyond which the steps are constant, and asinh(distance / fine) of
+        this distance."""
         distance = math.sqrt(max((self.widest / self.step) ** 2 - self.fine**2, 0.0))
         return distance, math.asinh(distance / self.fine)
 
@@ -78,7 +78,7 @@ class Grid(NamedTuple):
         return along, along, turn
 
     def coordinates(self, remaining: Array) -> Array:
-        """Fractional grid indices, (3, ...), of states (..., 3)."""
+        """Return the fractional grid indices, (3, ...), of states (..., 3)."""
         return np.stack(
             [
                 self.along.steps(remaining[..., 0]) + self.size[0],
@@ -88,7 +88,7 @@ class Grid(NamedTuple):
         )
 
     def states(self) -> Array:
-        """Errors (object minus goal) at the grid points, (n, n, m, 3)."""
+        """Return the errors (object minus goal) at the grid points, (n, n, m, 3)."""
         along = self.along.value(np.arange(-self.size[0], self.size[0] + 1))
         turn = self.turn.value(np.arange(-self.size[1], self.size[1] + 1))
         return np.stack(np.meshgrid(along, along, turn, indexing="ij"), axis=-1)
@@ -103,16 +103,16 @@ class Solution:
     value: Array
 
     def taps_to_go(self, error: ArrayLike) -> Array:
-        """Expected taps for errors (..., 3), object minus goal, if at least one more tap must be
-        made."""
+        """Return the expected number of taps for errors (..., 3), object minus goal, if at least
+        one more tap must be made."""
         e = np.asarray(error, dtype=float)
         where = self.grid.coordinates(e)
         return np.asarray(map_coordinates(self.value, where, order=1, mode="constant", cval=LOST))
 
 
 def scatter_points(count: int) -> Array:
-    """Equally likely deviations of a tap, (count, 3): distance, rotation and direction, in standard
-    deviations."""
+    """Return equally likely deviations of a tap, (count, 3): distance, rotation and direction, in
+    standard deviations."""
     # Roberts' additive recurrence: evenly distributed in the cube and deterministic.
     root = 1.2207440846057596
     steps = np.outer(np.arange(1, count + 1), 1.0 / root ** np.arange(1, 4))
@@ -123,8 +123,8 @@ def scatter_points(count: int) -> Array:
 def states_after(
     error: Array, heading: Array, slope: Array, length: Array, scatter: Scatter, points: Array
 ) -> Array:
-    """Errors (object minus goal) after taps, at every scatter point: (..., k, p, 3) for lengths
-    (..., k)."""
+    """Compute the errors (object minus goal) after taps, at every scatter point. Lengths (..., k)
+    give errors (..., k, p, 3)."""
     length, turn = length[..., None], (length * slope)[..., None]
     size = length + scatter.along(length) * points[:, 0]
     turned = heading[..., None] + scatter.across(length) / length * points[:, 2]
@@ -140,7 +140,8 @@ def states_after(
 
 
 def expected_taps(table: Array, grid: Grid, box: tuple[float, float], after: Array) -> Array:
-    """Mean W over the states after a tap at its scatter points, (..., p, 3); W is 0 in the box."""
+    """Return the mean of W, which is 0 in the box, over ``after`` (..., p, 3): the states after a
+    tap at its p scatter points."""
     where = grid.coordinates(after)
     value = map_coordinates(table, where, order=1, mode="constant", cval=LOST)
     inside = (np.hypot(after[..., 0], after[..., 1]) <= box[0]) & (np.abs(after[..., 2]) <= box[1])

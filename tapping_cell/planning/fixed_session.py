@@ -61,8 +61,8 @@ table and off the keep-outs."""
 
 RETRIEVABLE = 1.5
 """Size of the uncertainty bound, in standard deviations, within which another tap must be able to
-bring the object back. For an object that was never tapped, this bound is 1.4 times the slide
-predicted from its file."""
+bring the object back. For an object that was never tapped, the upper bound of a slide is then 1.4
+times the slide predicted from its file."""
 
 WAY = np.linspace(0.25, 1.0, 4)
 """Fractions of a slide at which the object's distance to the keep-outs is checked."""
@@ -207,7 +207,7 @@ class FixedTapperSession(GoalSession):
         return self._strike(pose, left, self._missed | self._skipped)
 
     def skip(self, strike: Strike) -> None:
-        """See ``GoalSession.skip``."""
+        """Reject a tap that the operator did not want (see ``GoalSession.skip``)."""
         self._skipped |= {self._index(strike)}
 
     def _strike(self, pose: Array, left: Array, missed: frozenset[int]) -> Strike | Refusal:
@@ -293,9 +293,9 @@ class FixedTapperSession(GoalSession):
         return np.asarray(safe)
 
     def _way(self, pose: Array, commanded: Array, expected: Array, deviations: float) -> Array:
-        """Points on slides whose length and direction deviate by ``deviations`` standard
-        deviations, for displacements (tappers, n, 3): (tappers, n, 3 directions, points, 2), m in
-        `table`."""
+        """Return points on slides whose length and direction deviate by ``deviations`` standard
+        deviations. Displacements (tappers, n, 3) give points (tappers, n, 3 directions, points, 2),
+        m in `table`."""
         spread = self.gains.spread(commanded, self.settings.scatter, deviations)
         size = np.hypot(expected[..., 0], expected[..., 1])
         heading = np.arctan2(expected[..., 1], expected[..., 0])
@@ -351,8 +351,8 @@ def _displacement(heading: ArrayLike, slope: ArrayLike, length: ArrayLike) -> Ar
 def _lengths(
     left: Array, heading: Array, slope: Array, least: Array, most: Array, gain: Array
 ) -> Array:
-    """Lengths to compare, (tappers, n): a geometric progression and lengths that end near the
-    goal."""
+    """Return the lengths to compare, (tappers, n): a geometric progression and lengths that end
+    near the goal."""
     row = least[:, None] * (most / least)[:, None] ** np.linspace(0.0, 1.0, LENGTHS)
     nearest = (left[0] * np.cos(heading) + left[1] * np.sin(heading)) / gain[0]
     true_slope = slope * gain[1]

@@ -33,8 +33,8 @@ STROKE_MARGIN = 0.003
 """Minimum remaining stroke at the contact, m."""
 
 BESIDES_FLIGHT_S = 0.40
-"""Mean time of a tap, s, without the striker's flight to the object: messages to the board, the
-slide, the images of the object at rest and the decision."""
+"""Mean time of a tap, s, that is not the striker's flight to the object: the messages to the board,
+the slide, the images of the object at rest and the decision."""
 
 MEAN_TAP_S = 0.65
 """Mean time of a tap, s: the unit of W (see ``fixed_policy``) if the objective is time."""
@@ -77,20 +77,20 @@ class WorkingArea:
     radius: float
 
     def outline(self, edges: int = 72) -> Array:
-        """Edges of the disc, (edges, 2 ends, 2), for drawing, m in `table`."""
+        """Return the edges of the disc for drawing, (edges, 2 ends, 2), m in `table`."""
         angles = np.linspace(0.0, 2.0 * math.pi, edges + 1)
         ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         corners = np.array([self.x, self.y]) + self.radius * ring
         return np.stack([corners[:-1], corners[1:]], axis=1)
 
     def clearance(self, points: ArrayLike) -> Array:
-        """Distance of points (..., 2) to the area's edge, negative outside, m."""
+        """Return the distance of points (..., 2) to the area's edge, m, negative outside."""
         p = np.asarray(points, dtype=float)
         return np.asarray(self.radius - np.hypot(p[..., 0] - self.x, p[..., 1] - self.y))
 
 
 def tap_seconds(travel: ArrayLike, reach: ArrayLike, length: ArrayLike) -> Array:
-    """Durations of taps, s. travel, reach: see ``Lines``; length: displacement, m."""
+    """Return the durations of taps, s. travel, reach: as in ``Lines``. length: displacement, m."""
     flight = np.asarray(travel) * np.sqrt(np.asarray(reach) / np.asarray(length))
     return np.asarray(BESIDES_FLIGHT_S + flight)
 
@@ -194,8 +194,8 @@ class FixedStrikeSpace:
         return made
 
     def _clear_strokes(self) -> BoolArray:
-        """Return which tappers avoid all keep-outs along the whole stroke; a striker that misses
-        the object makes the whole stroke."""
+        """Return which tappers avoid all keep-outs along the whole stroke, because a striker that
+        misses the object makes the whole stroke."""
         clear = []
         for tapper in self.tappers:
             way = np.linspace(0.0, tapper.stroke, WAY_POINTS)

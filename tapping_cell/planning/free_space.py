@@ -35,7 +35,7 @@ WIDEST_GAP = math.radians(150.0) + 1e-9
 """Largest allowed angle between neighbouring directions of possible taps, below 180 degrees."""
 
 TURNS = (-0.7, 0.0, 0.7)
-"""Rotations of the taps tried, as fractions of the cone's slope."""
+"""Rotations per distance of the taps tried, as fractions of the cone's slope."""
 
 TYPICAL_TAP = 0.010
 """Distance of the taps tried, m. The choice is arbitrary because the pose of a strike depends only
@@ -126,14 +126,15 @@ class FreeSpace:
         return np.asarray(found & (clearance >= self._space.object_radius - 1e-9))
 
     def outline(self) -> Array:
-        """Edges between tappable and other cells, (edges, 2 ends, 2), for drawing, m in `table`."""
+        """Return the edges between tappable and other cells for drawing, (edges, 2 ends, 2), m in
+        `table`."""
         padded = np.pad(self.tappable, 1)
         corner = self._origin - CELL / 2
         edges = []
         for axis in (0, 1):
             i, j = np.nonzero(np.diff(padded, axis=axis))
-            # The map is padded by one cell, so the boundary behind padded cell i is the boundary
-            # before cell i.
+            # The map is padded by one cell, so padded cell i + 1 is cell i of the map, and the
+            # boundary between padded cells i and i + 1 is the lower boundary of cell i.
             first = np.stack([i, j], axis=-1).astype(float)
             first[:, 1 - axis] -= 1.0
             along = np.eye(2)[1 - axis]
@@ -141,8 +142,8 @@ class FreeSpace:
         return np.asarray(corner + CELL * np.concatenate(edges))
 
     def nearest_cells(self, points: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """Tappable cell nearest to each point (flat index), and its distance, m; inf if there is
-        none.
+        """Return the flat index of the tappable cell nearest to each point, and its distance, m,
+        which is inf if there is none.
 
         Accurate to the size of a cell: all points in one cell have the same nearest cell.
         """
@@ -171,7 +172,8 @@ class FreeSpace:
         return PathLengths(self, np.asarray(goal, dtype=float)[:2])
 
     def cell_lengths(self, goal: Array) -> Array:
-        """Path length from every cell to the goal's cell (flat), m; inf if there is no path."""
+        """Return the path length from every cell (flat) to the goal's cell, m; inf if there is no
+        path."""
         cell, offset = self.nearest_cells(goal)
         if not np.isfinite(offset):
             return np.full(self.tappable.size, np.inf)
@@ -179,8 +181,8 @@ class FreeSpace:
 
 
 class PathLengths:
-    """Path lengths to one goal: the straight distance where it is free, else that around
-    obstacles."""
+    """Path lengths to one goal: the straight distance where the straight line is free, else the
+    length of the path around obstacles."""
 
     def __init__(self, free: FreeSpace, goal: Array) -> None:
         self._free = free
@@ -194,7 +196,8 @@ class PathLengths:
         return bool(np.isfinite(offset) and np.isfinite(self._lengths[cell]))
 
     def length(self, points: ArrayLike) -> Array:
-        """Path length from the points (..., 2) to the goal, m; inf if there is no path."""
+        """Return the path length from the points (..., 2) to the goal, m; inf if there is no
+        path."""
         p = np.asarray(points, dtype=float)
         straight: Array = np.hypot(p[..., 0] - self._goal[0], p[..., 1] - self._goal[1])
         if self._open:
@@ -206,7 +209,8 @@ class PathLengths:
 
 
 def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
-    """Largest gap between directions of possible taps for objects at ``centres`` (..., 2), rad.
+    """Return the largest gap between directions of possible taps for objects at ``centres`` (...,
+    2), rad.
 
     The gap is computed for taps that rotate the object to the left, to the right and not at all;
     the largest of the three is returned. Only the arm's reach and the clearance of the tool are
@@ -236,8 +240,8 @@ def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolA
 
 
 def _tool_in(area: KeepOut, space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
-    """Return which taps would put the tip or the bar into this area or its margin; shape as for
-    ``_blocked``."""
+    """Return which taps would put the tip or the bar into this area or its margin: (turns, cells x,
+    cells y, directions)."""
     shape = (*centres.shape[:-1], DIRECTIONS)
     round_area = area if isinstance(area, CircleArea) else _around(area)
     offset = (np.array([round_area.x, round_area.y]) - centres).reshape(-1, 2).astype(np.float32)
@@ -306,7 +310,8 @@ def _has_long_run(blocked: NDArray[np.uint32]) -> BoolArray:
 
 
 def _tips_around(space: StrikeSpace) -> list[Array]:
-    """Tip poses at rest around an object at the origin, (directions, 3), one array per turn.
+    """Return the tip poses at rest around an object at the origin, (directions, 3), one array per
+    turn.
 
     The poses for round bodies follow from their mechanics. Polygons can be tapped in only a few
     directions at a given orientation; they are represented by taps through the centre of the
@@ -327,8 +332,8 @@ def _tips_around(space: StrikeSpace) -> list[Array]:
 
 
 def _largest_run(missing: BoolArray) -> Array:
-    """Angle, rad, between the two directions on either side of the longest run of missing
-    directions.
+    """Return the angle, rad, between the two directions on either side of the longest run of
+    missing directions.
 
     ``missing``: flags (..., DIRECTIONS). Returns (...,).
     """
@@ -341,7 +346,8 @@ def _largest_run(missing: BoolArray) -> Array:
 
 
 def _neighbour_graph(tappable: BoolArray) -> coo_array:
-    """Symmetric graph of tappable cells; an edge's weight is the distance of the centres."""
+    """Return the symmetric graph of tappable cells; the weight of an edge is the distance between
+    the centres of its cells."""
     columns, rows = tappable.shape
     # SciPy before 1.12 accepts only 32-bit indices for a graph.
     index = np.arange(columns * rows, dtype=np.int32).reshape(columns, rows)
@@ -362,7 +368,7 @@ def _neighbour_graph(tappable: BoolArray) -> coo_array:
 
 
 def _nearest_cells(tappable: BoolArray) -> NDArray[np.intp]:
-    """Flat index of the tappable cell nearest to each cell; 0 if no cell is tappable."""
+    """Return the flat index of the tappable cell nearest to each cell; 0 if no cell is tappable."""
     if not np.any(tappable):
         return np.zeros(tappable.size, dtype=np.intp)
     nearest = distance_transform_edt(~tappable, return_distances=False, return_indices=True)

@@ -8,11 +8,12 @@ A tap commanded as (d, turn, direction) and measured as (d', turn', direction') 
 
 The unknowns of each equation are estimated separately. u is the direction of travel in the object's
 frame. o is an offset with two components, for an object whose centre of mass or of friction is not
-at its middle: the rotation per distance (rad/m) that a tap through the middle causes. The rotation
-is divided by the measured distance because friction scales both equally; G therefore describes only
-the torque of the friction. Each estimate is a ``Belief``. Its prior is a mixture of a narrow
-distribution, for an accurate object file, and wide ones. Measurements are weighted by the tap's
-scatter and the camera's noise, and outliers are distinguished from lasting changes.
+at its middle: the rotation per distance (rad/m) that a tap through the middle causes. An error of
+the friction coefficient changes distance and rotation by the same factor. The rotation is therefore
+divided by the measured distance, so that G describes only the torque of the friction. Each estimate
+is a ``Belief``. Its prior is a mixture of a narrow distribution, for an accurate object file, and
+wide ones. Measurements are weighted by the tap's scatter and the camera's noise, and outliers are
+distinguished from lasting changes.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ DISTANCE = Prior(
     change=1,
     span=4.0,
 )
-"""Prior of ln(distance gain): standard deviation of 4 % for an object that matches its file, else
-friction within a factor of 4."""
+"""Prior of ln(distance gain), a mixture: a standard deviation of 4 % for an object that matches its
+file, and one that allows for a friction that differs from the file by a factor of up to 4."""
 
 ROTATION = Prior(
     weight=np.array([0.60, 0.20, 0.12, 0.08]),
@@ -165,9 +166,9 @@ class Gains:
         """Convert residuals (..., 3), dx, dy (m) and rotation (rad), to the input of a planning
         method.
 
-        Returns the distance (m), the rotation (rad) divided by its gain, so that the cone of
-        possible taps has its nominal slope, and the heading (rad). The distance is not scaled, so
-        that the stopping box and the smallest tap keep their size.
+        Returns the distance (m), the rotation (rad) and the heading (rad). The rotation is divided
+        by its gain, so that the cone of possible taps has its nominal slope. The distance is not
+        scaled, so that the stopping box and the smallest tap keep their size.
         """
         left = np.asarray(remaining, dtype=float)
         turn = left[..., 2] / self.value[..., 1]
@@ -304,7 +305,7 @@ class Gains:
     def predicted_covariance(
         self, commanded: ArrayLike, orientation: float, scatter: Scatter
     ) -> Array:
-        """Covariance (3, 3), m and rad, of the displacement caused by one command (3,).
+        """Compute the covariance (3, 3), m and rad, of the displacement caused by one command (3,).
 
         Half the width of the interval with a probability of 68 % is used as the standard deviation,
         because the belief has heavier tails than a normal distribution.
@@ -410,7 +411,7 @@ def prediction_of(number: Array, commanded: ArrayLike, orientation: ArrayLike) -
 
 
 def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None:
-    """Replace the narrowest prior by saved numbers, and give it a higher weight, ``KEPT``."""
+    """Replace the narrowest prior by saved numbers, with the weight ``KEPT``."""
     belief.weight[1:] *= (1.0 - KEPT) / belief.weight[1:].sum()
     belief.weight[0] = KEPT
     belief.mean[0] = np.asarray(mean)
@@ -418,11 +419,13 @@ def _replace_main(belief: Belief, mean: ArrayLike, deviation: ArrayLike) -> None
 
 
 def _directions(travel: Array) -> tuple[Array, Array]:
-    """Coefficients of o_x and o_y for directions of travel (rad) in the object's frame."""
+    """Return the coefficients of o_x and o_y for directions of travel (rad) in the object's
+    frame."""
     return -np.sin(travel), np.cos(travel)
 
 
 def _across(number: Array, travel: Array) -> Array:
-    """Rotation per distance (rad/m) due to the offset, for directions in the object's frame."""
+    """Return the rotation per distance (rad/m) due to the offset, for directions in the object's
+    frame."""
     first, second = _directions(travel)
     return np.asarray(number[..., 4] * first + number[..., 5] * second)

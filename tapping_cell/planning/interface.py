@@ -34,7 +34,7 @@ class Planner(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the method in use now (a fallback is in use while a plan is being solved)."""
+        """Name of the method that is in use now: a fallback while a plan is being solved."""
         ...
 
     @property
@@ -62,6 +62,7 @@ class TapValues(Protocol):
         is infinite outside the cone. Return None while no solution is available.
 
         distance, rotation: residual before the tap, m and rad. aside: directions of the tap
-        relative to the direction of the goal, rad. sizes: m, above 0. turns: rad.
+        relative to the direction of the goal, rad. sizes: lengths of the tap, m, above 0.
+        turns: rotations of the tap, rad.
         """
         ...

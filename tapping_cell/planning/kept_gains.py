@@ -19,8 +19,8 @@ from tapping_cell.planning.gains import Gains
 
 
 def gains_file(object_name: str, cell: str) -> Path:
-    """Path of the file for an object's gains in a cell. ``cell`` must be a valid file name;
-    ``object_name`` may contain any characters."""
+    """Return the path of the file for an object's gains in a cell. ``cell`` must be a valid file
+    name; ``object_name`` may contain any characters."""
     root = os.environ.get("XDG_STATE_HOME") or os.path.join(
         os.path.expanduser("~"), ".local", "state"
     )

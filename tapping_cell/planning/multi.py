@@ -1,10 +1,11 @@
 """Multi-tap plans: cones chained backwards from the stopping box (Huang and Mason, section 4.3).
 
-Cone 0 is the box. A state belongs to cone i if some tap moves it into the cones below i for every
-possible rotation of the tap. These rotations form the error line of the tap: its rotation times 1
-+- ``error_line``. At a distance r, a cone is an interval |theta| <= h_i(r), because the error lines
-of all rotations from 0 to the largest cover the interval. With s = ``error_line`` and the slope k
-of the cone of a tap,
+Cone 0 is the box. A state belongs to cone i if there is a tap that moves it into the cones below i,
+whatever the error of the tap's rotation. The possible rotations of a tap form its error line: from
+the commanded rotation times 1 - ``error_line`` to that times 1 + ``error_line``. At each distance
+r, the states of cone i form an interval |theta| <= h_i(r); it has no gaps, because commanded
+rotations can have any value from 0 to the largest. With s = ``error_line`` and the slope k of the
+cone of a tap,
 
     h_i(r) = largest over taps d of  H + (1 - s) min(k |d|, H / s),   H = h_(i-1)(|r - d|)
 
@@ -69,7 +70,8 @@ class MultiPlanner:
         -1 where a cone is empty."""
 
     def planned_taps(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Number of the state's cone, which is the number of planned taps; 0 inside the box."""
+        """Return the number of the state's cone, which is the number of planned taps; 0 inside the
+        box."""
         r, theta = np.broadcast_arrays(
             np.asarray(distance, dtype=float), np.abs(np.asarray(rotation, dtype=float))
         )
@@ -85,8 +87,8 @@ class MultiPlanner:
         return np.where((r <= box.distance) & (theta <= box.rotation), 0, level)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Number of planned taps plus a term that grows with the path length and ranks the states
-        within a cone."""
+        """Return the number of planned taps plus a term that grows with the path length and ranks
+        the states within a cone."""
         settings = self.settings
         r = np.asarray(distance, dtype=float)
         path = np.maximum(r, np.abs(rotation) / settings.cone_slope)

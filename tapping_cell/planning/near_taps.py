@@ -117,8 +117,8 @@ def _sizes(settings: PlannerSettings, distance: float, own: float) -> Array:
 
 
 def _strikes_to_goal(pose: Array, left: Array, space: StrikeSpace) -> Array:
-    """Approximate tip poses (n, 3) at rest for tapping objects at ``pose`` (n, 3) straight towards
-    the goal; ``left``: residuals (n, 3)."""
+    """Return approximate tip poses (n, 3) at rest for tapping objects at ``pose`` (n, 3) straight
+    towards the goal; ``left``: residuals (n, 3)."""
     far = space.object_radius + space.tip_radius + space.settings.standoff
     heading = np.arctan2(left[:, 1], left[:, 0])
     place = pose[:, :2] - far * np.stack([np.cos(heading), np.sin(heading)], axis=-1)

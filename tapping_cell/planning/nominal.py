@@ -1,4 +1,4 @@
-"""Number of taps of a plan without errors, used by several methods to rank states."""
+"""Number of taps that would be needed if taps had no errors; several methods rank states by it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from tapping_cell.planning.settings import PlannerSettings
 
 
 def nominal_taps(distance: ArrayLike, rotation: ArrayLike, settings: PlannerSettings) -> Array:
-    """Number of taps if they have no errors: 0 in the box, 1 in the cone, 2 or more outside the
-    cone.
+    """Return the number of taps that would be needed if taps had no errors: 0 in the box, 1 in the
+    cone, 2 or more outside the cone.
 
     Far from the goal the number grows with the path length, which is the larger of the distance and
     the rotation divided by the cone's slope. A small share of this length is added, so that the

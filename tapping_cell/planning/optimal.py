@@ -16,8 +16,8 @@ from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35
-"""Largest difference of the taps at neighbouring grid points that are interpolated, as a share of
-the longest of them."""
+"""Taps at neighbouring grid points are interpolated if they differ by at most this share of the
+longest of them."""
 
 
 class OptimalPolicy:
@@ -51,9 +51,10 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps for these residuals: 0 inside the box. Beyond the grid, one tap is added
-        for each length of the largest tap."""
-        # Rotations divided by the learnt gain may exceed half a turn.
+        """Return the expected number of taps for these residuals, 0 inside the box. Beyond the
+        grid, one tap is added for each length of the largest tap."""
+        # Rotations are divided by the learnt gain and may therefore exceed half a turn, where the
+        # grid ends.
         most = self.settings.largest_distance
         far = np.asarray(distance, dtype=float) - self._solution.distances[-1]
         turned = np.abs(np.asarray(rotation, dtype=float)) - self._solution.rotations[-1]
@@ -68,7 +69,7 @@ class OptimalPolicy:
     def taps_after(
         self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
     ) -> Array:
-        """See ``interface.TapValues``."""
+        """Return the expected number of further taps after a tap; see ``interface.TapValues``."""
         return expected_taps(self._solution, self.settings, distance, rotation, aside, sizes, turns)
 
     def _cell(
@@ -85,8 +86,9 @@ class OptimalPolicy:
 class OptimalPlanner:
     """The optimal method: its plan is loaded from the cache, or solved now or in the background.
 
-    While a plan is solved in the background, ``fallback`` (by default exact two-tap plans) is used,
-    then the plan on the coarse grid. ``name`` contains the method in use.
+    While a plan is solved in the background, ``fallback`` (by default exact two-tap plans) is used
+    until the plan on the coarse grid is ready, and that plan until the plan on the fine grid is
+    ready. ``name`` contains the method in use.
     """
 
     def __init__(
@@ -144,13 +146,15 @@ class OptimalPlanner:
         return (self._policy or self._fallback).choose(distance, rotation)
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Expected taps, or the estimate of the fallback method while the plan is being solved."""
+        """Return the expected number of taps, or the estimate of the fallback method while the plan
+        is being solved."""
         return (self._policy or self._fallback).taps_to_go(distance, rotation)
 
     def taps_after(
         self, distance: float, rotation: float, aside: Array, sizes: Array, turns: Array
     ) -> Array | None:
-        """See ``interface.TapValues``; None while the fallback is in use."""
+        """Return the expected number of further taps (see ``interface.TapValues``); None while the
+        fallback is in use."""
         policy = self._policy
         if policy is None:
             return None

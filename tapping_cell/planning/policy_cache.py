@@ -31,13 +31,13 @@ _log = logging.getLogger(__name__)
 
 
 def cache_folder() -> Path:
-    """Folder of the solved plans (XDG base directory specification)."""
+    """Return the folder of the solved plans, according to the XDG base directory specification."""
     root = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     return Path(root) / "tapping_cell" / "policies"
 
 
 def policy_file(settings: PlannerSettings) -> Path:
-    """Path of the file with the plan for these settings."""
+    """Return the path of the file with the plan for these settings."""
     digest = hashlib.sha256(
         f"format={FORMAT};grid={RATIO},{FINE_STEPS};{settings.key()}".encode()
     ).hexdigest()

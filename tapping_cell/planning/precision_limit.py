@@ -16,8 +16,8 @@ tap away from the goal."""
 
 
 def smallest_tap_share(settings: PlannerSettings) -> float:
-    """Share of the smallest taps that end in the stopping box if they start exactly their own
-    length from the goal and point straight towards it."""
+    """Compute the share of the smallest taps that end in the stopping box if the object's distance
+    from the goal is exactly the length of the tap and the tap points straight towards the goal."""
     least, scatter, camera = settings.smallest_distance, settings.scatter, settings.camera
     # Two observations contribute noise: one for aiming the tap and one for judging its result.
     camera_noise = 2.0 * camera.position**2
@@ -31,7 +31,7 @@ def smallest_tap_share(settings: PlannerSettings) -> float:
 
 
 def precision_limit(settings: PlannerSettings) -> str:
-    """Return why taps cannot meet this tolerance, with the limiting number, or an empty string.
+    """Return why taps cannot meet this tolerance, with the figures, or an empty string if they can.
 
     The accuracy of the camera is checked for each observation (see ``stopping``).
     """

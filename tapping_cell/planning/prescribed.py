@@ -112,7 +112,8 @@ class PrescribedSession:
         """Do nothing, because a prescribed tap has no alternative."""
 
     def predicted_covariance(self, strike: Strike, pose: Pose) -> Array:
-        """Covariance (3, 3), m and rad, of the pose after the tap of an object at ``pose``."""
+        """Compute the covariance (3, 3), m and rad, of the pose after the tap of an object at
+        ``pose``."""
         return self.gains.predicted_covariance(strike.commanded, pose.theta, MODEL_DEVIATION)
 
     def decide(
@@ -125,7 +126,7 @@ class PrescribedSession:
 
         Args:
             object_pose: x, y, theta in `table`, m and rad.
-            covariance: unused; present as in a positioning session.
+            covariance: unused; accepted because other sessions require it.
             in_view: points (n, 2) of the table in the camera's view, m; the object's centre must
                 stay in their convex hull, all of which is in view. None means no limit.
         """
@@ -179,7 +180,7 @@ class PrescribedSession:
         )
 
     def edge_warning(self, pose: ArrayLike) -> str:
-        """See ``goal.edge_warning``."""
+        """Return a warning if the object is close to an edge or over it, else an empty string."""
         return edge_warning(pose, self._space)
 
     def use_free_space(self, space: StrikeSpace, free: FreeSpace) -> None:
@@ -189,7 +190,8 @@ class PrescribedSession:
         self._free = free
 
     def _contacts(self, pose: Array, wanted: float) -> Array:
-        """Poses (n, 3) of the tip at contacts with the prescribed incidence, in `table`."""
+        """Return the poses (n, 3) of the tip at contacts with the prescribed incidence, in
+        `table`."""
         body = self._space.tap.body
         if isinstance(body, Polygon):
             points = (
@@ -212,7 +214,7 @@ class PrescribedSession:
         )
 
     def _deflection(self) -> float:
-        """Angle from the contact normal to the travel of a round body."""
+        """Compute the angle from the contact normal to the travel of a round body."""
         body = self._space.tap.body
         back = body.bounding_radius + self._space.tip_radius
         tip = (-back, 0.0, self.prescription.incidence)

@@ -54,10 +54,11 @@ UNKNOWN = 1.6
 first. For an object that matches its file, the ratio is 1.2 after one tap."""
 
 JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
-"""Criteria for refusing an object that does not rotate: from this number of explained taps on, the
-rotation gain must be below its least value with this probability. The second criterion is weaker,
-because more taps hardly narrow the estimate of a gain slightly below the least value, and the goal
-would end only at the maximum number of taps."""
+"""Criteria (number of taps, probability) for refusing an object that does not rotate. After this
+number of taps that are not outliers, the object is refused if its rotation gain is below the least
+gain with this probability. The second criterion is weaker, because further taps hardly improve the
+estimate of a gain slightly below the least gain. Without it, such a goal would end only at the
+maximum number of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
@@ -189,17 +190,19 @@ class GoalSession(ABC):
         is chosen if one is possible."""
 
     def predicted_covariance(self, strike: Strike, pose: Pose) -> Array:
-        """Covariance (3, 3), m and rad, of the pose after a tap of an object at ``pose``."""
+        """Compute the covariance (3, 3), m and rad, of the pose after a tap of an object at
+        ``pose``."""
         return self.gains.predicted_covariance(strike.commanded, pose.theta, self.settings.scatter)
 
     def residual(self, object_pose: ArrayLike) -> Array:
-        """Goal minus object: (dx, dy, dtheta) in `table`, with the shorter sense of rotation."""
+        """Return goal minus object: (dx, dy, dtheta) in `table`, with the rotation in the shorter
+        sense."""
         left: Array = self.goal - np.asarray(object_pose, dtype=float)
         left[2] = wrap_angle(left[2])
         return left
 
     def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
-        """Stopping box for an observation with this covariance, (3, 3) in m and rad."""
+        """Return the stopping box for an observation with this covariance, (3, 3) in m and rad."""
         settings = self.settings
         noise = settings.camera if covariance is None else noise_of(covariance)
         return stopping_box(
@@ -408,7 +411,7 @@ class PositioningSession(GoalSession):
         return self._strike(pose, left, self._missed + self._skipped)
 
     def skip(self, strike: Strike) -> None:
-        """See ``GoalSession.skip``."""
+        """Reject a tap that the operator did not want (see ``GoalSession.skip``)."""
         heading = math.atan2(strike.commanded.y, strike.commanded.x)
         self._skipped = (*self._skipped, heading)
 
@@ -443,7 +446,7 @@ class PositioningSession(GoalSession):
         )
 
     def edge_warning(self, pose: ArrayLike) -> str:
-        """See ``goal.edge_warning``."""
+        """Return a warning if the object is close to an edge or over it, else an empty string."""
         return edge_warning(pose, self._space)
 
     def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
@@ -642,14 +645,14 @@ class PositioningSession(GoalSession):
         )
 
     def _longest_factor(self) -> float:
-        """Ratio of the longest possible slide, within the bounds of the uncertainty, to the
-        predicted slide."""
+        """Return the ratio of the longest possible slide, within the bounds of the uncertainty, to
+        the predicted slide."""
         spread = self._spread([1.0, 0.0, 0.0])
         return 1.0 if spread is None else float(spread.longest)
 
     def _longest_tap(self) -> float:
-        """Length of the longest tap allowed now, m. After an outlier the length is reduced, so that
-        an object that has changed slides no farther than the largest tap."""
+        """Return the length of the longest tap allowed now, m. After an outlier the length is
+        reduced, so that an object that has changed slides no farther than the largest tap."""
         settings = self.planner.settings
         if not bool(self.gains.surprised):
             return settings.largest_distance
@@ -683,9 +686,10 @@ class PositioningSession(GoalSession):
         )
 
     def _ends_well(self, pose: Array, commanded: Array, *, trusting: bool = False) -> BoolArray:
-        """Return which displacements (n, 3) are acceptable, (n,). The slide must be safe within the
-        bounds of all uncertainty and, within those of the scatter alone, must end at a tappable
-        place. ``trusting``: ignore the uncertainty of the gains."""
+        """Return which displacements (n, 3) are acceptable, (n,). The slide must be safe for all
+        deviations within the bounds of the whole uncertainty, and it must end at a tappable place
+        for all deviations within the bounds of the scatter. ``trusting``: ignore the uncertainty of
+        the gains."""
         expected = self.gains.predict(commanded, pose[2])
         end = self._space.footprint(pose, expected)[..., -1, :]
         tappable = np.all(self._free.contains(end), axis=-1)

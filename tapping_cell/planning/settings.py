@@ -48,19 +48,22 @@ class Scatter:
     angle_floor: float = 0.0
 
     def along(self, distance: ArrayLike) -> Array:
-        """Standard deviations of the end along the tap, m, for taps of these distances in m."""
+        """Return the standard deviations, m, of the end position along the tap, for taps of these
+        distances in m."""
         return np.hypot(self.distance * np.asarray(distance), self.position_floor)
 
     def across(self, distance: ArrayLike) -> Array:
-        """Standard deviations of the end across the tap, m, for taps of these distances in m."""
+        """Return the standard deviations, m, of the end position across the tap, for taps of these
+        distances in m."""
         return np.hypot(self.direction * np.asarray(distance), self.position_floor)
 
     def turning(self, rotation: ArrayLike) -> Array:
-        """Standard deviations of the rotation for taps with these rotations, rad."""
+        """Return the standard deviations of the rotation, for taps with these rotations, rad."""
         return np.hypot(self.rotation * np.asarray(rotation), self.angle_floor)
 
     def at_least(self, other: Scatter) -> Scatter:
-        """Return the larger of both values for each standard deviation."""
+        """Return, for each standard deviation, the larger of the values of this scatter and of
+        ``other``."""
         return Scatter(*(max(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
     def __post_init__(self) -> None:
@@ -102,9 +105,10 @@ class PlannerSettings:
     cone_slope: largest rotation per distance of a tap, rad/m.
     smallest_distance, largest_distance: limits of the distance of one tap, m.
     tolerance_position, tolerance_angle: allowed final error, m and rad.
-    box: share of the tolerance used for planning and for stopping, independent of the camera's
-        noise. None stops by the probability of being within the tolerance and plans for the box in
-        which a long observation stops.
+    box: size of the stopping box as a share of the tolerance, independent of the camera's noise,
+        for planning and stopping. With None, the session stops by the probability of being within
+        the tolerance, and plans are made for the box within which a long observation confirms the
+        goal.
     variant: two-tap plan of ``exact`` and ``conservative``: "retreat" first taps away from the
         goal, "overshoot" first taps past it.
     error_line: half length of a tap's error line as a share of its rotation, for ``conservative``
@@ -153,7 +157,7 @@ class PlannerSettings:
 
     @classmethod
     def for_tap(cls, tap: Tap, **others: Any) -> PlannerSettings:
-        """Settings with the cone and the smallest distance of an object's mechanics.
+        """Return a copy with the cone and the smallest distance of an object's mechanics.
 
         The cone is made slightly narrower, so that a tap on its edge is not rejected because of
         rounding errors.

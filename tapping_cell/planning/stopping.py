@@ -31,9 +31,8 @@ MARGIN = 2.5758293035489004
 
 LONG_OBSERVATION = 9
 """Number of nominal observations that are fused in a long observation. An observation takes much
-less time than a tap. If the tolerance is 0.1 mm and 0.1 degrees and the noise a tenth of it, long
-observations of 9 instead of 4 nominal observations save 0.25 taps and need 0.6 more
-observations."""
+less time than a tap. With a tolerance of 0.1 mm and 0.1 degrees, and noise of a tenth of that,
+fusing 9 instead of 4 nominal observations saves 0.25 taps and costs 0.6 more observations."""
 
 SMALLEST_SHARE = 0.25
 """Smallest box as a share of the tolerance; a smaller box would need too many taps."""
@@ -43,8 +42,8 @@ _REACH = 6.0
 
 _NODES, _ROUND_NODES = 241, 41
 """Numbers of quadrature nodes. An isotropic position covariance needs fewer nodes, because the
-integration can run across the residual, where the length of the chord changes slowly. Both numbers
-give an accuracy of 1e-8 (tested)."""
+integration can then run in any direction. At a right angle to the residual, the integrand changes
+slowly. Both numbers give an accuracy of 1e-8 (tested)."""
 
 
 class StoppingBox(NamedTuple):
@@ -57,7 +56,8 @@ class StoppingBox(NamedTuple):
 
 
 def stopping_share(relative_noise: float) -> float:
-    """Share of the tolerance, in [0, 1], within which an observation of one axis confirms the goal.
+    """Return the share of the tolerance, in [0, 1], within which an observation of one axis
+    confirms the goal.
 
     ``relative_noise``: standard deviation of the observation as a share of the tolerance.
     """
@@ -90,7 +90,8 @@ def stopping_box(
 def inside_probability(
     residual: ArrayLike, covariance: ArrayLike, tolerance_position: float, tolerance_angle: float
 ) -> Array:
-    """Lower bound of the probability that the true residual is within the tolerance, (...,).
+    """Compute a lower bound of the probability that the true residual is within the tolerance,
+    (...,).
 
     Args:
         residual: measured dx, dy (m) and rotation (rad), (..., 3).
@@ -121,8 +122,9 @@ def inside_probability(
 
 
 def _inside_circle(left: Array, axes: Array, deviation: Array, radius: float) -> Array:
-    """Probability (n,) of being in the circle about the origin, for normal distributions with means
-    ``left`` (n, 3), principal axes (n, 2, 2) and standard deviations (n, 2) in ascending order."""
+    """Compute the probability (n,) of being in the circle about the origin, for normal
+    distributions with means ``left`` (n, 3), principal axes (n, 2, 2) and standard deviations (n,
+    2) in ascending order."""
     centre = np.einsum("nij,ni->nj", axes, left[:, :2])
     nodes = _NODES
     if np.all(deviation[:, 1] <= deviation[:, 0] * (1.0 + 1e-9)):

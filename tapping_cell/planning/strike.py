@@ -140,9 +140,10 @@ class StrikeSpace:
     def footprint(
         self, object_pose: ArrayLike, displacement: ArrayLike, spread: Spread | None = None
     ) -> Array:
-        """Possible positions of the object's centre during and after a slide, m in `table`.
+        """Return the possible positions of the object's centre during and after a slide, m in
+        `table`.
 
-        The result, (..., rays, points, 2), consists of points on rays, for displacements (..., 3),
+        For displacements (..., 3), the result has the shape (..., rays, points, 2): points on rays
         from the start to the end of the longest slide. ``spread`` bounds the rays' direction and
         length; with None, the bounds are ``settings.footprint`` standard deviations of the scatter
         alone.
@@ -186,7 +187,7 @@ class StrikeSpace:
         return np.asarray(np.all(clearance >= needed[..., None, None], axis=(-2, -1)))
 
     def tool_points(self, tip_poses: ArrayLike, count: int = 8) -> Array:
-        """Points on the axis of the bar behind the tips: (..., count, 2), m."""
+        """Return points on the axis of the bar behind the tips: (..., count, 2), m."""
         poses = np.asarray(tip_poses, dtype=float)
         behind = np.linspace(self.settings.tool_start, self.settings.tool_length, count)
         points = np.stack([-behind, np.zeros_like(behind)], axis=-1)
@@ -217,7 +218,7 @@ class StrikeSpace:
         return np.asarray(gap >= self.settings.clearance)
 
     def rest_pose(self, contact_pose: ArrayLike) -> Array:
-        """Tip poses ``standoff`` before the contact, (..., 3)."""
+        """Return the tip poses ``standoff`` before the contact, (..., 3)."""
         contact = np.asarray(contact_pose, dtype=float)
         back = self.settings.standoff
         return np.stack(

@@ -27,11 +27,11 @@ class TapTimes(Protocol):
         ...
 
     def to_strikes(self, tip: ArrayLike, strikes: ArrayLike) -> Array:
-        """Time (n,), s, of the arm's motion from the tip pose (x, y, height, yaw) to strike poses
-        (n, 3); infinite for unreachable poses."""
+        """Return the time (n,), s, of the arm's motion from the tip pose (x, y, height, yaw) to
+        strike poses (n, 3); infinite for unreachable poses."""
         ...
 
     def between(self, strikes: ArrayLike, following: ArrayLike) -> Array:
-        """Time (n,), s, of the arm's motion from the retreat poses after ``strikes`` (n, 3) to the
-        strikes ``following`` (n, 3); the mean time for unreachable poses."""
+        """Return the time (n,), s, of the arm's motion from the retreat poses after ``strikes`` (n,
+        3) to the strikes ``following`` (n, 3). For unreachable poses, this is the mean time."""
         ...

@@ -28,12 +28,12 @@ def two_tap_choice(
 ) -> Taps:
     """Choose the tap to the goal if one tap suffices, else the first tap of a two-tap plan.
 
-    The error line of a subgoal is the rotation of the first tap times 1 +- ``error_line``. The
-    subgoal is the nearest one for which a second tap, in the opposite direction, reaches the goal
-    from every point of the error line. An ``error_line`` s of 0 gives the exact two-tap plan (Huang
-    and Mason, sections 4.1 and 4.2). The variant "retreat" first taps away from the goal by a, so
-    that the distance r + a remains. The variant "overshoot" first taps past the goal by b, so that
-    the distance b remains:
+    The error line of a subgoal contains the possible rotations of the first tap: the commanded
+    rotation times 1 +- ``error_line``. The subgoal is the nearest one for which a second tap, in
+    the opposite direction, reaches the goal from every point of the error line. Below, s is
+    ``error_line``; s = 0 gives the exact two-tap plan (Huang and Mason, sections 4.1 and 4.2). The
+    variant "retreat" first taps away from the goal by a, so that the distance r + a remains. The
+    variant "overshoot" first taps past the goal by b, so that the distance b remains:
 
         retreat:    theta - k a (1 - s) = k (r + a)  ->  a = (theta - k r) / (k (2 - s))
         overshoot:  theta - k (r + b)(1 - s) = k b   ->  b = (theta - k r (1 - s)) / (k (2 - s))
@@ -64,8 +64,8 @@ def two_tap_choice(
         second = subgoal
     turn = _first_rotation(theta, k * np.abs(first), k * second, error_line)
 
-    # If the plan needs taps above the limit, rotate by as much as one tap can, and stay near the
-    # goal.
+    # If the plan needs a tap above the limit, make the largest tap in the direction of the goal,
+    # with as much of the rotation as it can cause.
     too_large = ~direct & (np.maximum(np.abs(first), second) > most)
     tap = np.where(direct, np.clip(r, least, most), np.where(too_large, most, first))
     turn = np.where(direct, np.minimum(theta, k * r) * most / np.maximum(r, most), turn)
@@ -74,8 +74,9 @@ def two_tap_choice(
 
 
 def _first_rotation(theta: Array, most: Array, reach: Array, error_line: float) -> Array:
-    """Rotation of the first tap: half of theta, limited so that for every error on the error line
-    the remaining rotation is within ``reach``, which the second tap can correct."""
+    """Compute the rotation of the first tap: half of theta, limited so that for every error on the
+    error line the rotation that remains is at most ``reach``, the largest rotation that the second
+    tap can correct."""
     least = np.clip((theta - reach) / (1.0 - error_line), 0.0, most)
     largest = np.clip((theta + reach) / (1.0 + error_line), 0.0, most)
     return np.asarray(np.maximum(least, np.minimum(theta * 0.5, largest)))

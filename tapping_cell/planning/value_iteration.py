@@ -15,7 +15,7 @@ scatter of a tap. It is therefore stored on a product grid and interpolated line
 tap, r' and theta' are independent. The expectations for all taps from a state are therefore two
 matrix products,
 
-    E = P_r W P_t^T - (the same over the part inside the box).
+    E = P_r W P_t^T - (the part of this product from values inside the box).
 
 A row of P_r or P_t contains the expected weights of linear interpolation, as exact integrals over
 the distribution. The solver uses policy iteration: each improvement compares all taps of the action
@@ -44,7 +44,7 @@ RATIO = 1.1
 """Ratio of neighbouring grid values far from the box, for states and for taps."""
 
 COARSE_RATIO = 1.3
-"""The same ratio for the coarse grid."""
+"""Ratio of neighbouring values of the coarse grid far from the box."""
 
 FINE_STEPS = 5
 """Number of grid steps from the goal to the edge of the box."""
@@ -236,7 +236,8 @@ def state_grid(
 def interpolation_weights(
     grid: Array, cumulative: Array, box: int, at_box: Array
 ) -> tuple[Array, Array]:
-    """Expected weights of linear interpolation, from the integral of the distribution function.
+    """Compute the expected weights of linear interpolation from the integral of the distribution
+    function.
 
     ``cumulative``: I(z) = integral of F from 0 to z at the grid points (last axis); ``at_box``: F
     at the edge of the box. The weight of node k is the expectation of its hat function; integration
@@ -254,8 +255,8 @@ def interpolation_weights(
 
 
 def folded_weights(grid: Array, mean: Array, deviation: Array) -> tuple[Array, Array]:
-    """Weights for |N(mean, deviation)|: I(z) = H(z) + H(-z) - 2 H(0), where H is the integral of
-    the normal distribution function."""
+    """Compute the weights for |N(mean, deviation)|: I(z) = H(z) + H(-z) - 2 H(0), where H is the
+    integral of the normal distribution function."""
     box = FINE_STEPS
 
     def integral(z: Array) -> Array:
@@ -298,7 +299,7 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
 
 
 def _normal_quantiles(count: int) -> Array:
-    """Conditional means of |N(0, 1)| over ``count`` intervals of equal probability."""
+    """Return the conditional means of |N(0, 1)| over ``count`` intervals of equal probability."""
     edges = ndtri(0.5 + 0.5 * np.arange(count) / count)
     density = np.append(np.exp(-0.5 * edges**2), 0.0) / math.sqrt(2.0 * math.pi)
     return np.asarray(2.0 * count * -np.diff(density))

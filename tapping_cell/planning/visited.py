@@ -3,9 +3,9 @@
 The ranking of alternative taps looks only one tap ahead. If the path assumed by this ranking is not
 possible, for example because a polygon cannot be struck in its direction, the best tap may lead to
 a pose whose best tap leads back. Learning real-time A* (Korf, Artificial Intelligence 42, 1990)
-avoids this: for each visited pose, the estimated cost of its best tap is stored, and a tap that
-would end near the pose costs at least as much. Every further visit raises this cost, until another
-tap is cheaper.
+avoids this: for each visited pose, the estimated cost of its best tap is stored, and every tap that
+would end near the pose is assigned at least this cost. Every further visit raises this cost, until
+another tap is cheaper.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.se2 import wrap_angle
 
 RADIUS = 0.008
-"""Distance from a visited pose, m, within which its cost applies. A slide of 80 mm scatters by half
-of this distance."""
+"""Distance from a visited pose, m, within which its cost applies. For comparison, the end of a
+slide of 80 mm scatters by half of this distance."""
 
 SHARE = 0.5
 """Upper limit of ``RADIUS`` as a share of the pose's distance from the goal, so that taps close to

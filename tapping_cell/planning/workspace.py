@@ -33,15 +33,15 @@ class CircleArea:
             )
 
     def distance(self, points: ArrayLike) -> Array:
-        """Distance from the points to the area, negative inside."""
+        """Return the distance from the points to the area, negative inside."""
         p = np.asarray(points, dtype=float)
         return np.asarray(np.hypot(p[..., 0] - self.x, p[..., 1] - self.y) - self.radius)
 
 
 @dataclass(frozen=True, slots=True)
 class PolygonArea:
-    """A polygonal keep-out, convex or not. The corners, in m, are in order around the area;
-    ``name`` as for a circle."""
+    """A polygonal keep-out, convex or not. The corners, in m, are in order around the area.
+    ``name``: name of the object if the keep-out is an object."""
 
     vertices: tuple[tuple[float, float], ...]
     name: str = ""
@@ -55,7 +55,8 @@ class PolygonArea:
             )
 
     def distance(self, points: ArrayLike) -> Array:
-        """Distance from the points to the area, negative inside (even-odd rule)."""
+        """Return the distance from the points to the area, negative inside (by the even-odd
+        rule)."""
         p = np.asarray(points, dtype=float)
         x, y = p[..., 0], p[..., 1]
         nearest = np.full(x.shape, np.inf)
@@ -108,14 +109,15 @@ class Workspace:
                 )
 
     def edge_distance(self, points: ArrayLike) -> Array:
-        """Distance to the nearest edge of the table, negative beyond it."""
+        """Return the distance to the nearest edge of the table, negative beyond it."""
         p = np.asarray(points, dtype=float)
         return np.asarray(
             np.minimum(self.length / 2 - np.abs(p[..., 0]), self.width / 2 - np.abs(p[..., 1]))
         )
 
     def keep_out_distance(self, points: ArrayLike) -> Array:
-        """Distance to the nearest keep-out, negative inside; infinite if there is no keep-out."""
+        """Return the distance to the nearest keep-out, negative inside; infinite if there is no
+        keep-out."""
         p = np.asarray(points, dtype=float)
         nearest = np.full(p.shape[:-1], np.inf)
         for area in self.keep_outs:
@@ -123,20 +125,20 @@ class Workspace:
         return nearest
 
     def nearest_keep_out(self, point: ArrayLike) -> str:
-        """Description of the keep-out nearest to a point (2,), or an empty string."""
+        """Describe the keep-out nearest to a point (2,) in words; empty if there is none."""
         if not self.keep_outs:
             return ""
         nearest = min(self.keep_outs, key=lambda area: float(area.distance(point)))
         return f"the object '{nearest.name}'" if nearest.name else "a keep-out area"
 
     def others(self) -> str:
-        """Names, for use in messages, of the keep-outs that are objects, such as "'a', 'b'"; empty
-        if there are none."""
+        """Return the names, for use in messages, of the keep-outs that are objects, such as "'a',
+        'b'"; empty if there are none."""
         return ", ".join(f"'{area.name}'" for area in self.keep_outs if area.name)
 
     def object_clearance(self, points: ArrayLike) -> Array:
-        """Largest radius with which an object centred at the points keeps the margins to the edges
-        and the keep-outs."""
+        """Return the largest radius with which an object centred at the points keeps the margins to
+        the edges and the keep-outs."""
         return np.asarray(
             np.minimum(
                 self.edge_distance(points) - self.edge_margin,
@@ -145,7 +147,8 @@ class Workspace:
         )
 
     def striker_clearance(self, points: ArrayLike) -> Array:
-        """Largest allowed radius of a part of the striker centred at the points."""
+        """Return the largest allowed radius of a part of the striker that is centred at the
+        points."""
         return np.asarray(
             np.minimum(
                 self.edge_distance(points) + self.overhang,

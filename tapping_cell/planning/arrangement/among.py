@@ -38,8 +38,8 @@ class AmongOthers:
         return self._maps[key]
 
     def path(self, body: Body, others: Iterable[CircleArea], start: Pose, end: Pose) -> float:
-        """Length of the path through tappable places between two poses, m; inf if there is no
-        path."""
+        """Return the length of the path through tappable places between two poses, m; inf if there
+        is no path."""
         areas = frozenset(others)
         key = (body.free, areas, end.x, end.y)
         if key not in self._paths:
@@ -66,7 +66,7 @@ class AmongOthers:
         return bool(np.isfinite(offset) and free.regions[cell] == int(np.argmax(counts)))
 
     def places(self, body: Body, others: Iterable[CircleArea], pose: Pose) -> Array:
-        """Centres (n, 2) of the tappable cells that can be reached from a pose."""
+        """Return the centres (n, 2) of the tappable cells that can be reached from a pose."""
         free = self.map(body, others)
         cell, offset = free.nearest_cells(np.array([pose.x, pose.y]))
         if not np.isfinite(offset):
@@ -76,7 +76,7 @@ class AmongOthers:
 
 
 def gap(first: CircleArea, second: CircleArea) -> float:
-    """Gap between two bounding circles, m; negative if they overlap."""
+    """Return the gap between two bounding circles, m; negative if they overlap."""
     apart = float(np.hypot(first.x - second.x, first.y - second.y))
     return apart - first.radius - second.radius
 

@@ -38,7 +38,8 @@ def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
 
 
 def check_goals(bodies: Sequence[Body], standing: Mapping[str, Pose] = NOWHERE) -> Refusal | None:
-    """Return a refusal if a goal is impossible wherever the movable objects are now, else None.
+    """Return a refusal if a goal is impossible regardless of where the movable objects are now,
+    else None.
 
     Each goal is checked alone, then against the other goals and against the poses ``standing`` of
     unmovable objects.

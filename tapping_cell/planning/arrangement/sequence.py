@@ -1,12 +1,13 @@
 """The built-in arrangement planner: it fills free goals first, then moves objects out of the way.
 
 A move to a goal is possible if the goal is free, a path through tappable places leads to it between
-the other objects, and every remaining goal can still be reached afterwards (``stuck_goals``). The
-cheapest possible move is chosen. Its cost is the number of extra taps for the detour around other
-objects, minus a bonus for each goal that it frees. If no such move is possible (occupied goals,
-swaps, cycles, blocked paths), an object in the way is moved to a buffer place: a reachable place,
-clear of every unfinished goal and close to the object's own path. Each such move opens a goal or a
-path, so the sequence ends. If there is no buffer place, the planner refuses.
+the other objects, and every other unfinished goal can still be reached afterwards
+(``stuck_goals``). The cheapest possible move is chosen. Its cost is the number of extra taps for
+the detour around other objects, minus a bonus for each goal that it frees. If no such move is
+possible (occupied goals, swaps, cycles, blocked paths), an object in the way is moved to a buffer
+place: a reachable place, clear of every unfinished goal and close to the object's own path. Each
+such move opens a goal or a path, so the sequence ends. If there is no buffer place, the planner
+refuses.
 """
 
 from __future__ import annotations
@@ -47,8 +48,9 @@ CLOSEST = 3
 possible."""
 
 AGAIN = 1.0
-"""Extra cost, in taps, for each earlier move of the same object out of the way, because it did not
-help enough. Close to the earlier buffer place the cost is doubled."""
+"""Extra cost, in taps, of moving an object out of the way, for each time that it was moved out of
+the way before: these moves did not help enough. Close to an earlier buffer place the extra cost is
+doubled."""
 
 NARROW = 0.03
 """Gap to another object, m, below which a buffer place has an extra cost of up to one tap."""
@@ -150,9 +152,9 @@ class SequencePlanner:
     def _in_the_way(self, scene: Scene, blocked: Body) -> list[str]:
         """Return the names of the objects that block ``blocked``.
 
-        These are the objects each of which alone, if removed, would open the path. If there are
-        none, these are the objects on the goal or, if the goal is free, all objects, ordered by
-        distance from the straight line to the goal."""
+        An object blocks the path if removing it alone would open the path. If there is no such
+        object, the objects on the goal or, if the goal is free, all objects count as blocking,
+        ordered by distance from the straight line to the goal."""
         goal, pose = blocked.goal, scene.poses[blocked.name]
         assert goal is not None
         others = [body for body in scene.bodies if body is not blocked]
@@ -230,8 +232,8 @@ class SequencePlanner:
         if not any(gap(area, blocked.area(blocked.goal)) < _margin(blocked) for area in areas):
             path = self._maps.path(blocked, areas, poses[blocked.name], blocked.goal)
             return math.isfinite(path) and self._maps.fits(blocked, areas, blocked.goal)
-        # Other objects occupy the goal as well. The move helps if this object
-        # occupies part of the goal.
+        # Other objects occupy the goal as well, so the move alone does not open it. It helps if
+        # this object occupies part of the goal.
         before = gap(body.area(scene.poses[body.name]), blocked.area(blocked.goal))
         return before < _margin(blocked)
 
@@ -264,7 +266,7 @@ def _open(scene: Scene) -> list[Body]:
 
 
 def _due(scene: Scene) -> list[Body]:
-    """Return the objects that may go to their goals now."""
+    """Return the unfinished objects that need not wait for other objects (``Scene.later``)."""
     return [body for body in _open(scene) if body.name not in scene.later]
 
 
@@ -273,7 +275,7 @@ def _margin(body: Body) -> float:
 
 
 def _from_line(place: Pose, start: Pose, end: Pose) -> float:
-    """Distance of a place from the line segment between two poses, m."""
+    """Return the distance of a place from the line segment between two poses, m."""
     dx, dy = end.x - start.x, end.y - start.y
     along = ((place.x - start.x) * dx + (place.y - start.y) * dy) / (dx * dx + dy * dy or 1.0)
     share = min(1.0, max(0.0, along))

@@ -371,8 +371,8 @@ def swapped_goals(starts: Sequence[Pose], rng: np.random.Generator) -> list[Pose
 
 
 def _grid(kinds: Sequence[Kind], between: float) -> list[Pose]:
-    """Goals in a square grid about the middle of the tappable places, with gaps of ``between``
-    m."""
+    """Return goals in a square grid about the middle of the tappable places, with gaps of
+    ``between`` m."""
     radius = max(kind.free.space.object_radius for kind in kinds)
     pitch, middle = 2.0 * radius + between, middle_of(kinds[0].free)
     places = preset_places("grid", len(kinds), pitch, middle)

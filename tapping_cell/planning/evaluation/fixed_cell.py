@@ -1,4 +1,5 @@
-"""Trials of a cell with fixed tappers; each is a complete session, and they run one by one."""
+"""Trials of a cell with fixed tappers. Each trial is a complete session, and the trials run one
+after another."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Trials on a table with edges, keep-outs and an arm; each is a complete session, and they run one
-by one."""
+"""Trials on a table with edges, keep-outs and an arm. Each trial is a complete session, and the
+trials run one after another."""
 
 from __future__ import annotations
 

@@ -122,8 +122,8 @@ def observe_longer(
 ) -> NDArray[np.bool_]:
     """Return which objects in ``rows`` are at their goals with the required confidence.
 
-    Objects that may or may not be there are observed again, at most ``LONG_OBSERVATION`` times in
-    total; ``seen`` is overwritten with the mean of the observations."""
+    While this is uncertain, an object is observed again, up to ``LONG_OBSERVATION`` observations in
+    total. ``seen`` is overwritten with the mean of the observations."""
     camera_noise = settings.camera.deviations
     tolerance = settings.tolerance_position, settings.tolerance_angle
     if settings.box is not None:

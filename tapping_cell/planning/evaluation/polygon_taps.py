@@ -1,5 +1,5 @@
-"""Vectorised choice of taps on polygons; taps that are impossible with every contact are
-replaced."""
+"""Vectorised choice of taps on polygons. A tap that is impossible with every contact is replaced by
+an alternative."""
 
 from __future__ import annotations
 
@@ -112,7 +112,8 @@ class _Ranking:
         return chosen
 
     def _total(self, rows: NDArray[np.intp], some: NDArray[np.intp]) -> Array:
-        """Total cost of the candidates ``some`` (n, k); infinite for impossible candidates."""
+        """Return the total cost of the candidates ``some`` (n, k); infinite for impossible
+        candidates."""
         made, at = self._made, rows[:, None]
         total = made.cost[at, some]
         reached = self._tap.reachable(made.commanded[at, some], self._pose[at])
@@ -130,8 +131,9 @@ class _Ranking:
 
 
 def _passed_on(tap: Tap, pose: Array, commanded: Array) -> NDArray[np.bool_]:
-    """Return which displacements (n, m, 3) lie in the friction cone of some edge. Others are
-    impossible, because a polygon that slides like a disk moves in the direction of the impulse."""
+    """Return which displacements (n, m, 3) lie in the friction cone of some edge. All others are
+    impossible for a polygon that slides like a disk: it moves in the direction of the impulse,
+    which lies in the friction cone of the edge."""
     body = tap.body
     assert isinstance(body, Polygon)
     inward = np.arctan2(-body.edge_normals[:, 1], -body.edge_normals[:, 0]) + pose[:, 2:]

@@ -19,8 +19,8 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
     Trials that were refused before the first tap are excluded from ``success_rate`` and ``taps``.
     ``success_rate``: share of trials that ended at the goal according to the session.
     ``truly_inside_rate``: share of these whose true pose is within the full tolerance.
-    ``planned_taps``: number of taps of the method's plan, for methods that guarantee it;
-    ``within_planned_rate`` is then added.
+    ``planned_taps``: number of taps of the method's plan, for methods that guarantee it.
+    ``within_planned_rate``: share of trials that ended at the goal within this number.
     """
     began = results.end != End.REFUSED_BEFORE
     done = results.end == End.DONE
@@ -53,7 +53,8 @@ def summarise(results: Results, planned_taps: int | None = None) -> dict[str, An
 
 
 def tap_figures(taps: np.ndarray[Any, np.dtype[np.int64]]) -> dict[str, Any]:
-    """Mean with its 95 % confidence interval, percentiles, maximum and histogram of tap counts."""
+    """Compute the mean with its 95 % confidence interval, percentiles, maximum and histogram of tap
+    counts."""
     if taps.size == 0:
         return {"mean": math.nan, "mean_interval": [math.nan] * 2, "histogram": {}}
     mean = float(np.mean(taps))

@@ -44,9 +44,10 @@ class Evaluation:
     off_centre: standard deviation of both components of the offset in ``Gains``, rad/m.
     probe: begin with a probe of the object (only on a table).
     objective: "taps" or "time"; "time" requires a table and a ``clock``.
-    clock: factory of the clock that computes the durations of taps; None does not compute times.
-    mean_tap: mean duration of a tap of the cell's arm, s, with which trials on an open table are
-        timed, because an arm has no place there; NaN does not compute times.
+    clock: factory of the clock that computes the durations of taps. With None, no durations are
+        computed.
+    mean_tap: mean duration of a tap of the cell's arm, s. It is used for trials on an open table,
+        where the arm has no place. With NaN, no durations are computed.
     space: factory of the table, arm and striker for trials with starts and goals all over a table.
         It must be picklable, because every process calls it. None means an open table.
     """
@@ -144,7 +145,7 @@ class Results(NamedTuple):
 
 
 def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
-    """Displacements from start to goal, (count, 3)."""
+    """Draw the displacements from start to goal, (count, 3)."""
     if evaluation.random_tasks is None:
         return np.tile(np.asarray(evaluation.goal, dtype=float), (count, 1))
     far, turn = evaluation.random_tasks

@@ -44,7 +44,8 @@ class PhysicsWorld:
     truth: the true mechanics.
     standoff: distance from the tip at rest to the contact, m.
     round_position, round_angle: the tip's pose at rest is rounded to multiples of these (m, rad) in
-        the table frame, as in section 5 of the paper; 0 means no rounding. The planner ignores it.
+        the table frame, as in section 5 of the paper; 0 means no rounding. The planner
+        ignores the rounding.
     speed_factor: ratio of the true to the commanded speed of the striker.
     """
 
