@@ -29,7 +29,7 @@ from tapping_cell.hardware.dialect import (
     LineCounters,
     StraightMove,
 )
-from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.hardware.line_quality import ReceivedBytes
 from tapping_cell.hardware.motion import Waypoint, check_limits, move_duration
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
@@ -284,6 +284,9 @@ class ArmDriver:
         self._begin_call()
         first = self._fault
         must_unlock = self._stopped.is_set() or first is not None
+        if must_unlock:
+            self._homed = False
+            self._confirmed = None
         self._fault = None
         self._transport.release()
         self._stopped.clear()
@@ -298,7 +301,10 @@ class ArmDriver:
             if fault.reason is FaultReason.NEEDS_PERSON:
                 self.close()
             noted = self._noted(fault)
-            if must_unlock:
+            if must_unlock and noted.reason in LINE_LOST:
+                # The next connect ends the loss of the line; an earlier fault stays latched.
+                self._fault = first
+            elif must_unlock:
                 # A fault that could not be cleared stays latched.
                 self._fault = first or noted
             raise noted from fault.__cause__

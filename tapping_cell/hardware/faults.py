@@ -33,6 +33,10 @@ class FaultReason(Enum):
     NEEDS_PERSON = "needs_person"
 
 
+LINE_LOST = (FaultReason.DISCONNECTED, FaultReason.PORT_MISSING, FaultReason.PORT_BUSY)
+"""Faults of a line that is connected again without a person."""
+
+
 class HardwareFault(RuntimeError):
     """Failed device call. ``reason`` is for decisions in code; ``str()`` returns the message for
     people.

@@ -17,13 +17,13 @@ from typing import Any
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.arm_settings import HomingStrategy
-from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.hardware.motion import MotionSettings, Waypoint, check_limits
 from tapping_cell.hardware.scara import Joints, ScaraGeometry, TipPose
 from tapping_cell.logic import arm_jobs, enabling, permit, tap_commands
 from tapping_cell.logic.arm_jobs import MotionEnd, Reading
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
-from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
+from tapping_cell.logic.device import DeviceLogic, patience_after
 from tapping_cell.logic.effects import (
     Answer,
     Effect,
@@ -552,14 +552,14 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _job_failed(self, name: str, fault: HardwareFault, now: Now) -> None:
         if name == "connect":
             self.patience = patience_after(self.patience, fault)
-        if self.state is S.INACTIVE and fault.reason not in LOST:
+        if self.state is S.INACTIVE and fault.reason not in LINE_LOST:
             return
         if fault.reason is FaultReason.UNREACHABLE and self.state is S.PLACING:
             # No motion command was sent, so the arm has not moved and there is no fault to clear.
             self._set_error(of_arm(fault), fault.sentence)
             self._give_up(now)
             return
-        if fault.reason in LOST:
+        if fault.reason in LINE_LOST:
             target = S.DISCONNECTED
         else:
             target = S.NOT_HOMED if fault.reason in UNHOMED else S.FAULT

@@ -51,7 +51,6 @@ MUTE = (
     FaultReason.PROTOCOL,
     FaultReason.NEEDS_PERSON,
 )
-LOST = (FaultReason.DISCONNECTED, FaultReason.PORT_MISSING, FaultReason.PORT_BUSY)
 CONTINUE = (ErrorCode.NONE, "")
 
 State = TypeVar("State", bound=Enum)

@@ -15,13 +15,13 @@ from typing import Any
 
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.energy import EnergyCurve
-from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.hardware.tapper import FireOutcome
 from tapping_cell.hardware.tapper_protocol import Reply
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import enabling, permit, tap_commands, tapper_jobs
 from tapping_cell.logic.clock import Now, to_nanoseconds, to_stamp
-from tapping_cell.logic.device import LOST, DeviceLogic, patience_after
+from tapping_cell.logic.device import DeviceLogic, patience_after
 from tapping_cell.logic.effects import (
     Call,
     JobEnded,
@@ -129,7 +129,7 @@ WIRE = {
 }
 """Value of ``tapper_state`` for each state."""
 SERVING = frozenset({S.WAITING, S.CHARGING, S.CHARGED, S.FIRING, S.DISCHARGING})
-LOST_BOARD = (*LOST, FaultReason.TIMEOUT, FaultReason.PROTOCOL, FaultReason.BOARD_RESET)
+LOST_BOARD = (*LINE_LOST, FaultReason.TIMEOUT, FaultReason.PROTOCOL, FaultReason.BOARD_RESET)
 """Faults after which the node opens a new session with the board."""
 OF_THE_TAP = (
     FaultReason.INTERLOCK,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tapping_cell.hardware.arm_settings import ArmSettings, HomingStrategy
-from tapping_cell.hardware.faults import FaultReason, HardwareFault
+from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.simulation.fault_layer import Direction, FaultKind, LineFault
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.grbl_machine import GrblMachine, default_settings
@@ -71,6 +71,31 @@ def test_a_stop_in_mid_move_is_told_as_a_stop_and_ends_with_homing(name: str) ->
     driver.home(HomingStrategy.FIRMWARE)
     driver.move_to((0.1, 1.4, -0.01, 0.1))
     assert np.allclose(cell.truth(), (0.1, 1.4, -0.01, 0.1), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("back", [True, False])
+def test_an_unplug_before_a_stop_is_cleared_ends_with_homing(name: str, back: bool) -> None:
+    """``back``: whether the port is present again when the stop is cleared."""
+    cell = ControllerCell(name)
+    driver = cell.ready()
+    driver.stop()
+    cell.unplug(0.3)
+    if back:
+        cell.wait(0.5)
+    with pytest.raises(HardwareFault) as caught:
+        driver.clear_fault(0.1)
+    assert caught.value.reason in LINE_LOST
+    cell.wait(1.0)
+    driver.connect()
+    with pytest.raises(HardwareFault) as caught:
+        driver.move_to(HOME)
+    assert caught.value.reason is FaultReason.NOT_HOMED
+    if name == "grbl-mega-5x":
+        # A person moves the axis without a home switch to its mark.
+        cell.emulator.push(cell.truth()._replace(tool=0.0), cell.clock.now)  # type: ignore[union-attr]
+    driver.home(HomingStrategy.FIRMWARE)
+    assert driver.homed and driver.fault is None
 
 
 @pytest.mark.parametrize("name", NAMES)
