@@ -203,7 +203,8 @@ def _inconsistent(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
         reason = ""
         if abs(centred[index]) > _OUTLIER * width_each[index]:
             reason = (
-                f"its friction differs by {100 * math.expm1(centred[index]):+.0f} % from the others"
+                f"its friction differs by {100 * math.expm1(centred[index]):+.0f} % from that of "
+                "the other trials"
             )
         elif slide.misfit[index] > _MISFIT * usual:
             what = "track" if entry.motion.slide is not None else "launch"

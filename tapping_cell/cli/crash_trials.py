@@ -133,7 +133,8 @@ class Observed:
             silent = at - max((stamp for stamp in self.settled if stamp <= at), default=-math.inf)
             if silent > SILENCE_MARGIN_S:
                 self.unsafe.append(
-                    f"the object was struck {silent:.2f} s after the arm was in position"
+                    f"the object was struck {silent:.2f} s after the arm last reported that it "
+                    "was in position"
                 )
             latest = RELEASE_AFTER_SILENCE_S + (self._flight(at) if self.frozen else 0.0)
             for node, began, ended in self.frozen:

@@ -109,8 +109,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("D", "R"),
-        help="constant errors of the distance and the rotation of all taps of a trial, in percent, "
-        "with random signs for each trial (default: 0 0)",
+        help="systematic errors of distance and rotation in percent. They are the same for all "
+        "taps of a trial; their signs are drawn for each trial (default: 0 0)",
     )
     numbers(
         "--unknown",
@@ -118,8 +118,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(1.0, 1.0),
         metavar=("D", "R"),
-        help="largest factors by which the true displacements by taps differ from the assumed ones "
-        "(D: distance, R: rotation per distance); each trial draws the factors from 1/D to D and "
+        help="limits D and R of the factors by which the true distance and the true rotation per "
+        "distance differ from the assumed ones. Each trial draws its factors from 1/D to D and "
         "from 1/R to R (default: 1 1)",
     )
     numbers(

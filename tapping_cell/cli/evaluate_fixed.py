@@ -44,8 +44,9 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=(10.0, 30.0, 90.0),
         metavar="DEG",
-        help="largest angles between start pose and goal pose, in degrees; each value gives one "
-        "row of the table (only for a cell with fixed tappers; default: 10 30 90)",
+        help="maximum angle between start pose and goal pose, in degrees. Several values may be "
+        "given; each gives one row of the table (only for a cell with fixed tappers; default: "
+        "10 30 90)",
     )
     numbers(
         "--goal-pose",

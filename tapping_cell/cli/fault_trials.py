@@ -389,7 +389,8 @@ class TrialCell:
         if not self.firing or shot != self.shot:
             why = f"shot {shot} was fired while shot {self.shot} was in progress"
         elif now > self.release_by:
-            why = f"{1e3 * (now - self.release_by):.1f} ms after the end of the window"
+            late = 1e3 * (now - self.release_by)
+            why = f"released {late:.1f} ms after the end of the firing window"
         elif moving:
             why = "the arm was moving"
         elif self.goal is None or not self._near(truth, self.goal):

@@ -190,7 +190,11 @@ class ArmSection:
         "maximum joint accelerations: rad/s^2, rad/s^2, m/s^2, rad/s^2", "", 0.001, 1000.0
     )
     singularity_margin: float = quantity(
-        "minimum angle of the elbow from the stretched and the folded position", "rad", 0.0, 0.5
+        "minimum angle by which the elbow stays away from the stretched and from the folded "
+        "position",
+        "rad",
+        0.0,
+        0.5,
     )
     strike_height: float = quantity(
         "height of the tip above the table during a strike", "m", 0.001, 0.2
@@ -243,7 +247,7 @@ class ArmSection:
         default=(0.0,) * 4,
     )
     near_height: float = quantity(
-        "height above the strike pose below which the striker is lowered at near_speed",
+        "distance above the strike pose; closer to it, the striker is lowered at near_speed",
         "m",
         0.0,
         0.2,

@@ -16,6 +16,7 @@ from tapping_cell.configuration.fixed_conflicts import fixed_conflicts
 from tapping_cell.configuration.schema import ConfigurationError
 from tapping_cell.mechanics import MechanicsError
 from tapping_cell.planning import FreeSpace, PlanningError, make_planner, planner_names
+from tapping_cell.planning.free_space import WIDEST_GAP
 
 MIN_TAPPABLE = 0.5
 """A warning is reported if the arm can tap objects in less than this fraction of the usable
@@ -186,10 +187,10 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
     share = float(np.count_nonzero(free.tappable)) / float(np.count_nonzero(fits))
     if share == 0.0:
         return [
-            f"{cell.path}: the arm can tap the object at no place on the table: everywhere, "
-            "half or more of the directions of taps are impossible; check 'arm.base', the "
-            "links and the "
-            "joint limits"
+            f"{cell.path}: the arm can tap the object nowhere on the table: at every "
+            "place, the directions of possible taps have a gap of more than "
+            f"{math.degrees(WIDEST_GAP):.0f} degrees; check 'arm.base', the links and the joint "
+            "limits"
         ], []
     if share < MIN_TAPPABLE:
         return [], [

@@ -49,7 +49,7 @@ GRBL_HAL = GrblController(
 FLUID_NC = GrblController(
     "FluidNC",
     hold_setting="$/stepping/idle_ms",
-    store_note="; write idle_ms: 255 under stepping: in config.yaml as well",
+    store_note="; also set idle_ms to 255 in the section stepping of config.yaml",
     has_files=True,
     alarms={
         10: "the spindle did not answer",

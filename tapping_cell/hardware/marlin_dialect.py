@@ -543,7 +543,11 @@ class MarlinDialect:
 
     def _still_busy(self) -> HardwareFault:
         self.counters.timeouts += 1
-        return HardwareFault(FaultReason.TIMEOUT, "the controller still reports that it is busy")
+        return HardwareFault(
+            FaultReason.TIMEOUT,
+            "the controller still reports that it is busy: wait until its motion has ended, then"
+            " try again; if it stays busy, restart the controller",
+        )
 
     def _dead(self, what: str) -> HardwareFault:
         self.counters.timeouts += 1

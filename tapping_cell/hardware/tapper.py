@@ -715,8 +715,8 @@ class TapperDriver:
             which = f"of channel {', '.join(away)}" if away else "released last"
             reason, text = (
                 FaultReason.STRIKER_AWAY,
-                f"according to its switch, the striker {which} did not leave its mount or is not"
-                " back there: free the striker, check its return spring and its switch",
+                f"according to its switch, the striker {which} did not leave its mount, or has"
+                " not returned to it: free the striker, check its return spring and its switch",
             )
         elif reply.state is State.UNHOMED:
             reason, text = (

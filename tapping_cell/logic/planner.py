@@ -658,7 +658,7 @@ class PlannerLogic:
             self._log(
                 LogLevel.WARNING,
                 f"{', '.join(map(repr, names))} moved although another object was tapped; "
-                "making a new plan",
+                "the next move is planned again",
             )
 
     def _exhausted(self, task: Task) -> CodedError | None:

@@ -31,7 +31,7 @@ class PlannerSettings:
         "maximum wait for an operator to confirm a tap", "s", 1.0, 3600.0, default=120.0
     )
     others_memory: float = quantity(
-        "time after which an obstacle that is no longer seen is assumed to have been removed",
+        "time after which an obstacle that is no longer detected is assumed to have been removed",
         "s",
         0.2,
         3600.0,
@@ -71,7 +71,7 @@ class PlannerSettings:
         default=0.002,
     )
     turned_limit: float = quantity(
-        "maximum rotation of the object from the pose for which the tap was planned",
+        "maximum rotation of the object since the tap was planned",
         "rad",
         0.001,
         3.2,

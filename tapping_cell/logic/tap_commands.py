@@ -50,8 +50,8 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> CodedError | Non
     if not 0 < command.tap_id <= largest:
         return (
             ErrorCode.COMMAND_INVALID,
-            f"its tap id {command.tap_id} is outside 1 to {largest}; use the clock's whole"
-            " seconds, and an id above the last id",
+            f"its tap id {command.tap_id} is outside 1 to {largest}; use the clock's"
+            " time in whole seconds; the id must be greater than the last id",
         )
     if command.tap_id <= last_tap_id:
         return (

@@ -638,10 +638,10 @@ class PositioningSession(GoalSession):
             )
         return Refusal(
             RefusalReason.NO_STRIKE,
-            f"no tap is possible with the object at {place}: each would push it off the table, "
-            "into a keep-out or to a place from which it cannot be tapped back, or is out of the "
-            f"arm's reach (the preferred tap: {first}); move the object by hand towards the middle"
-            + others_text(self._space),
+            f"no tap is possible with the object at {place}: every tap is out of the "
+            "arm's reach, or would move the object off the table, into a keep-out or to a place "
+            f"from which it cannot be tapped back (the preferred tap: {first}); move the object by "
+            "hand towards the middle" + others_text(self._space),
         )
 
     def _longest_factor(self) -> float:

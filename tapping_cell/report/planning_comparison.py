@@ -64,8 +64,8 @@ def method_settings(method: Method, settings: PlannerSettings) -> PlannerSetting
 def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
     """Return a Markdown table of the results, with one row per method."""
     lines = [
-        "| method | mean taps (95 % interval) | 99 % within | most | done within 5 | done "
-        "| truly inside |",
+        "| method | mean taps (95 % interval) | 99 % within (taps) | most taps "
+        "| done within 5 taps | done | truly inside |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for label, figures in rows.items():
@@ -142,7 +142,10 @@ def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
         tap = _planner(method, settings).choose(1e-3 * distance, math.radians(turn))
         place, angle = 1e3 * float(tap.distance), math.degrees(float(tap.rotation))
         left.plot([0.0, place], [0.0, angle], marker="o", markersize=4, lw=1.0, label=method.label)
-    left.set_title("blue: reachable by one tap; red: one tap is left to the goal", fontsize=9)
+    left.set_title(
+        "blue: reachable by one tap\nred: subgoals from which one more tap reaches the goal",
+        fontsize=9,
+    )
     left.set_ylim(-2.0, max(1.3 * turn, 12.0))
     left.legend(fontsize=7, loc="upper left")
     _draw_chain(right, settings, distance, turn)

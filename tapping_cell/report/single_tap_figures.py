@@ -90,8 +90,11 @@ def _runs(figure: Figure, report: SingleTapReport) -> None:
         Line2D([], [], marker="+", color=INK, ls="", ms=9),
         Line2D([], [], marker="o", mfc="white", mec=INK, mew=2.2, ls="", ms=10),
     ]
-    labels += ["calculated from the other plot, each trial", "predicted from the striker, mean"]
-    figure.legend(handles, labels, loc=_BELOW, ncols=6, fontsize=8, frameon=False)
+    labels += [
+        "calculated from the quantity in the other plot, for each trial",
+        "mean prediction from the striker's motion",
+    ]
+    figure.legend(handles, labels, loc=_BELOW, ncols=4, fontsize=8, frameon=False)
 
 
 def _profiles(figure: Figure, report: SingleTapReport) -> None:
@@ -107,7 +110,7 @@ def _profiles(figure: Figure, report: SingleTapReport) -> None:
     labels = [
         "measured (velocities: differences of frames)",
         "predicted from the displacement",
-        "the same with a torque factor of 1",
+        "predicted with a torque factor of 1",
     ]
     figure.legend(handles, labels, loc=_BELOW, ncols=3, fontsize=8, frameon=False)
 

@@ -14,6 +14,24 @@ from tapping_cell.verification.host import HostClock
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
+_ARM_STATES = {
+    ArmState.DISCONNECTED: "DISCONNECTED",
+    ArmState.NOT_HOMED: "NOT_HOMED",
+    ArmState.HOMING: "HOMING",
+    ArmState.IDLE: "IDLE",
+    ArmState.MOVING: "MOVING",
+    ArmState.IN_POSITION: "IN_POSITION",
+    ArmState.WITHDRAWING: "WITHDRAWING",
+    ArmState.FAULT: "FAULT",
+    ArmState.STOPPED: "STOPPED",
+}
+_OUTCOMES = {
+    TapperState.NONE: "NONE",
+    TapperState.FIRED: "FIRED",
+    TapperState.NOT_FIRED: "NOT_FIRED",
+    TapperState.UNKNOWN: "UNKNOWN",
+}
+
 WINDOW_S = 0.1
 """Maximum time from an event that forbids a release to this release, s. FIRE may already have been
 sent, so this maximum is the board's longest firing window."""
@@ -477,7 +495,7 @@ class InvariantChecker:
                 self.violate(
                     "empty promise",
                     f"the arm promised to stand still for tap {request.tap_id} while it was in"
-                    f" state {self._arm[0]} for tap {self._arm[1]}",
+                    f" state {_ARM_STATES.get(self._arm[0], self._arm[0])} for tap {self._arm[1]}",
                 )
             self.promises[request.tap_id] = end
             self.promised_to[request.tap_id] = request.key
@@ -494,8 +512,9 @@ class InvariantChecker:
             if TapperState.UNKNOWN not in (before, message.outcome) and before != message.outcome:
                 self.violate(
                     "other outcome",
-                    f"tap {message.tap_id} was reported with outcome {before}, now with"
-                    f" {message.outcome}",
+                    f"tap {message.tap_id} was reported with outcome"
+                    f" {_OUTCOMES.get(before, before)}, now with"
+                    f" {_OUTCOMES.get(message.outcome, message.outcome)}",
                 )
             self.outcomes[message.tap_id] = message.outcome
             if message.outcome == TapperState.FIRED and not fired:

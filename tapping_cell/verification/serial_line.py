@@ -134,7 +134,7 @@ class SerialLine:
         self._stopped = False
 
     def _wait_until(self, time: float) -> None:
-        assert self.fiber is not None, "a driver waits outside its fiber"
+        assert self.fiber is not None, "a driver called a blocking function outside its fiber"
         self.fiber.wait_until(time)
 
     def _require(self) -> None:

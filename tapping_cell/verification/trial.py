@@ -478,7 +478,8 @@ class Trial:
             if planner.starts == starts:
                 self.checker.violate(
                     "goal without an end",
-                    f"goal {number} has not ended; state {planner.logic.state}",
+                    f"goal {number} has not ended {GOAL_SLACK_S:g} s after its time limit; the "
+                    f"planner is in state {planner.logic.state.value}",
                 )
             self._result = PositionObject.Result(error_code=-1, error_msg="its planner was lost")
         in_time = self.scheduler.now < began + self.settings.goal_time_limit

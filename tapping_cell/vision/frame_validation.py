@@ -53,7 +53,7 @@ class FrameValidator:
             return (
                 Problem.FROZEN_FRAME,
                 "the frame is identical to a recent frame, even in its noise: the camera repeats "
-                "frames",
+                "frames; check the camera's driver",
             )
         self._seen.append(signature)
         sample = image[::16, ::16]

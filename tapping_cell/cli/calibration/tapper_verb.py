@@ -199,7 +199,7 @@ def lines(found: dict[str, Any]) -> list[str]:
     )
     if not math.isclose(found["by_friction"], 0.5, abs_tol=0.02):
         rows.append(
-            "the speeds are proportional to the object's friction coefficient to the power of "
-            f"{found['by_friction']:.2f}"
+            "a different friction in the object file would change all speeds: they are "
+            f"proportional to friction ** {found['by_friction']:.2f}"
         )
     return [*rows, *(f"note: {text}" for text in found["notes"]), f"written: {found['output']}"]

@@ -67,8 +67,10 @@ class ArmPoseClient(GoalClient):
             return ["the arm's driver is not running"]
         if self.arm_state.state != ArmState.IDLE:
             return [f"the arm is not idle ({self.arm_state.error_msg or 'busy'})"]
-        if self.joints() is None or not self.arm_state.homed:
-            return ["the arm's joints have not been read back yet: is the arm homed?"]
+        if not self.arm_state.homed:
+            return ["the arm is not homed; home the arm"]
+        if self.joints() is None:
+            return ["the arm's joint positions have not been received yet"]
         if self.object_state is None:
             return ["camera_pose has not reported the object yet"]
         return []

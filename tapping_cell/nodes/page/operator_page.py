@@ -130,8 +130,8 @@ class Parameters:
         "TCP port of the page's STOP; 0 for any free port", "", 0, 65535, default=9010
     )
     token: str = text(
-        "token that a browser must present; if empty, one is generated when the page is reachable "
-        "from the network",
+        "token that a browser must present; if empty, the node generates one, provided that "
+        "`address` makes the page reachable from the network",
         default="",
     )
     host_names: str = text(
@@ -139,7 +139,9 @@ class Parameters:
         default="",
     )
     runs: str = text(
-        "folder of the recorded runs; the same as run_recorder's parameter folder", default="runs"
+        "folder of the recorded runs; must have the same value as the parameter folder of "
+        "run_recorder",
+        default="runs",
     )
     picture_rate: float = quantity("maximum rate of images", "Hz", 0.1, 60.0, default=10.0)
     picture_quality: int = quantity("JPEG quality of the images", "", 10, 100, default=80)
@@ -648,8 +650,8 @@ class OperatorPage(CellNode[Parameters]):
                 _answer(
                     "cancel",
                     False,
-                    "no goal that was sent through an action is active; a goal from the topic "
-                    "goal_pose is ended by a stop or by another goal",
+                    "there is no goal to cancel: only goals sent through an action can be "
+                    "canceled; a stop or another goal ends a goal from the topic goal_pose",
                 )
             )
 

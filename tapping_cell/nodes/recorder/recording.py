@@ -84,7 +84,10 @@ def new_folder(
             f"no run folder can be made in {parent} ({error.strerror}); set the parameter "
             "'folder' to a writable path"
         ) from error
-    raise CannotRecord(f"{parent} has a folder for every name like {name}; choose another name")
+    raise CannotRecord(
+        f"every name from {name} to {name}_{most_runs + 1} is taken in {parent}; choose another "
+        "name"
+    )
 
 
 def check_disk_space(folder: Path, least_free: float) -> None:

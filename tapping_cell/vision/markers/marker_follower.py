@@ -85,7 +85,8 @@ class MarkerFollower(ObjectFollower):
             self.forget()
             self.failure = (
                 Problem.DUPLICATE_MARKER,
-                f"marker {self.marker.id} of the object is seen more than once; cover the others",
+                f"marker {self.marker.id} of the object is seen more than once; cover the other "
+                "copies",
             )
         elif self._detected is not None:
             self.failure = None

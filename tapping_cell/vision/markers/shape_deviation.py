@@ -120,8 +120,8 @@ class ShapeWarnings:
             self._reported = reported = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * reported[0] * 1e3
         return (
-            f"{self._described(*reported)}: the object may be lifted (by {lifted:.0f} mm?) or "
-            "tilted, or its size or height in the object file may be wrong; the reported "
+            f"{self._described(*reported)}: the object may be lifted (possibly by {lifted:.0f} mm) "
+            "or tilted, or its size or height in the object file may be wrong; the reported "
             "uncertainty includes this"
         )
 

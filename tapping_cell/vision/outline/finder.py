@@ -119,7 +119,7 @@ class OutlineFinder:
             )
             self._refused = (
                 Problem.DUPLICATE_OBJECT,
-                f"the object's outline is seen more than once, at {places}; remove the others",
+                f"the object's outline is seen more than once, at {places}; remove all but one",
             )
             return self._refused
         if found:

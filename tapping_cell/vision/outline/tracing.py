@@ -283,7 +283,7 @@ def _object(
     ]
     if not found:
         raise NotTraced(
-            f"no area of at least {2e3 * _MIN_REACH:.0f} mm differs from the table by "
+            f"no area at least {2e3 * _MIN_REACH:.0f} mm wide differs from the table by "
             f"{_MIN_CONTRAST:.0f} grey levels: put the object on the table; if it is there, put "
             "a plain sheet of contrasting brightness under it"
         )

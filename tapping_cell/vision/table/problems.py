@@ -53,7 +53,7 @@ def table_notice(table: TableTracker, doubled: list[int], missed: list[int]) -> 
         return f"reference marker {names} is not at its position in the table file; it is ignored"
     if doubled:
         names = ", ".join(map(str, doubled))
-        return f"reference marker {names} is seen more than once; cover the others"
+        return f"reference marker {names} is seen more than once; cover the other copies"
     names = ", ".join(map(str, sorted(int(table.ids[row]) for row in missed)))
     return f"reference marker {names} is not seen; uncover it" if missed else ""
 

@@ -104,7 +104,7 @@ def test_two_things_on_the_table_are_refused() -> None:
 def test_an_empty_table_and_a_picture_of_none_are_refused() -> None:
     marker = ObjectMarker("apriltag_36h11", 7, 0.025, 0.012)
     scene = SceneRenderer(CAMERA, POSE, REFERENCES, disk(0.04), marker)
-    with pytest.raises(NotTraced, match="no area of at least 12 mm differs"):
+    with pytest.raises(NotTraced, match="no area at least 12 mm wide differs"):
         trace_object(scene.render((2.0, 2.0, 0.0)), CAMERA, REFERENCES, 0.012)
     with pytest.raises(NotTraced, match="table is not seen"):
         trace_object(
