@@ -97,7 +97,7 @@ def cell(request: pytest.FixtureRequest) -> Cell:
     return made
 
 
-def test_it_homes_by_itself_and_reports_joints_only_then(cell: Cell) -> None:
+def test_the_arm_homes_automatically_and_reports_joints_only_afterwards(cell: Cell) -> None:
     unhomed = [s for s in cell.states if s.state in (ArmState.DISCONNECTED, ArmState.NOT_HOMED)]
     assert not any(state.homed for state in unhomed)
     assert cell.last.homed and cell.last.clear_of_camera
@@ -178,7 +178,7 @@ def test_a_tap_id_is_served_once(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
-def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> None:
+def test_an_emergency_stop_during_a_move_stops_the_arm_and_requires_homing(cell: Cell) -> None:
     cell.command(100, Pose(0.15, -0.1, 0.0))
     cell.wait(cell.moving, "the arm moves")
     cell.publish("emergency_stop", Bool(data=True))
@@ -261,7 +261,7 @@ def test_an_arm_that_is_not_homed_does_not_clear_the_view() -> None:
     assert not cell.moves(0.5) and cell.last.state == ArmState.NOT_HOMED
 
 
-def test_an_inactive_arm_is_still(cell: Cell) -> None:
+def test_an_inactive_arm_does_not_move(cell: Cell) -> None:
     cell.process.lifecycle(Deactivated())
     cell.wait_state(ArmState.FAULT)
     cell.withdraw(0)
@@ -401,7 +401,7 @@ def test_a_deactivated_arm_comes_to_a_stand_and_says_what_it_needs(cell: Cell) -
     cell.wait_state(ArmState.IN_POSITION)
 
 
-def test_a_stop_outlives_its_node_and_homes_nothing(cell: Cell) -> None:
+def test_a_stop_survives_a_node_restart_and_prevents_homing(cell: Cell) -> None:
     """After a stop, an arm whose node was killed and restarted must not home by itself."""
     assert cell.call("~/stop").success
     cell.wait_state(ArmState.STOPPED)
@@ -423,7 +423,7 @@ def test_nothing_homes_by_itself_unless_an_option_says_so() -> None:
     cell.wait_state(ArmState.IDLE)
 
 
-def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
+def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> None:
     """If the panel that stopped the cell disappears, a person must confirm that they have checked
     it before the stop can be cleared."""
     cell.network.publish("panel", "emergency_stop", Bool(data=True))

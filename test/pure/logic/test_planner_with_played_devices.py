@@ -280,7 +280,9 @@ def test_a_faulted_arm_ends_the_goal_with_the_arms_own_words(actors: Actors) -> 
     assert (end.error_code, end.error_msg) == actors.arm_error
 
 
-def test_an_unknown_outcome_is_looked_at_and_never_fired_again(actors: Actors) -> None:
+def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeated(
+    actors: Actors,
+) -> None:
     actors.tapper_answers = TapperState.UNKNOWN
     actors.send()
     assert actors.end().state == PlanState.REACHED

@@ -125,7 +125,7 @@ def cell() -> Cell:
     return Cell()
 
 
-def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
+def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     cell.command(100)
     cell.run(0.2)
     assert cell.shots() == []
@@ -306,7 +306,7 @@ charged."""
 @pytest.mark.parametrize(
     "lost", ["planner", "arm", "camera", "pictures", "usable pictures"], ids=lambda name: name
 )
-def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
+def test_the_striker_is_discharged_if_a_peer_falls_silent(lost: str) -> None:
     """The delay until the striker is discharged is measured with real processes by
     benchmarks/disarm.py."""
     cell = Cell(SLOW)
@@ -340,7 +340,7 @@ def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
     assert cell.shots() == []
 
 
-def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_heard(
+def test_the_striker_is_not_charged_while_the_planner_is_silent(
     cell: Cell,
 ) -> None:
     cell.command(100)
@@ -371,7 +371,7 @@ def test_another_program_may_command_taps_while_the_planner_is_idle(cell: Cell) 
     assert cell.shots() == [100, 101, 102]
 
 
-def test_a_planner_that_was_restarted_does_not_fire_the_tap_of_the_one_before(cell: Cell) -> None:
+def test_a_restarted_planner_does_not_fire_the_tap_of_the_previous_planner(cell: Cell) -> None:
     cell.command(100)
     cell.wait(lambda: cell.last.tap_id == 100, "taken")
     cell.publish("plan_state", PlanState(state=PlanState.PLACING))
@@ -410,7 +410,7 @@ def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> N
     ],
     ids=["request", "frame", "NaN", "expires in a day", "from the future"],
 )
-def test_a_command_that_makes_no_sense_is_refused_in_words_and_blocks_nobody(
+def test_an_invalid_command_is_refused_with_a_message_and_blocks_no_other(
     cell: Cell, change: dict[str, float], code: int
 ) -> None:
     message = TapCommand(request=int(change.get("request", TapCommand.TAP)), tap_id=100)
@@ -426,7 +426,7 @@ def test_a_command_that_makes_no_sense_is_refused_in_words_and_blocks_nobody(
     assert cell.shots() == [101]
 
 
-def test_deactivating_in_mid_draw_lets_the_striker_down() -> None:
+def test_deactivation_during_charging_discharges_the_striker() -> None:
     cell = Cell(SLOW)
     cell.command(100)
     cell.publish_until(
@@ -442,7 +442,7 @@ def test_deactivating_in_mid_draw_lets_the_striker_down() -> None:
     assert cell.device.state in DISCHARGED and cell.shots() == []
 
 
-def test_a_stop_published_before_the_node_was_there_holds() -> None:
+def test_a_stop_published_before_the_node_started_is_held() -> None:
     cell = Cell(started=False)
     cell.publish("emergency_stop", Bool(data=True))
     cell.run(1.0)
@@ -455,7 +455,7 @@ def test_a_stop_published_before_the_node_was_there_holds() -> None:
 
 @pytest.mark.parametrize("withdrawn", ["before", "meanwhile", "never"])
 @pytest.mark.parametrize("moment", range(0, 20, 2))
-def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, moment: int) -> None:
+def test_a_frozen_tapper_recovers_automatically(withdrawn: str, moment: int) -> None:
     """The board has discharged by itself, so the state is known to be safe and nobody needs to
     clear a fault."""
     cell = Cell(SLOW)
@@ -485,7 +485,7 @@ def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, momen
     assert cell.device.state in DISCHARGED and cell.shots() == []
 
 
-def test_a_tapper_that_was_frozen_in_a_shot_tells_unknown_once_and_is_ready_again() -> None:
+def test_a_tapper_frozen_during_a_shot_reports_unknown_once_and_becomes_ready() -> None:
     """FIRE was sent and the board's answer was lost. The next tap needs no confirmation by a
     person."""
     cell = Cell()

@@ -116,7 +116,7 @@ def test_an_emergency_stop_ends_the_goal_and_latches_both_devices(cell: Scenario
 
 
 @pytest.mark.parametrize("node", ["tap_planner", "camera_pose"])
-def test_nothing_is_drawn_while_a_node_hangs_and_the_tap_goes_on_after_it(
+def test_the_striker_is_not_charged_while_a_node_hangs_and_the_tap_continues_afterwards(
     cell: ScenarioCell, node: str
 ) -> None:
     cell.begin()
