@@ -93,7 +93,7 @@ def test_an_echoed_request_is_no_reply(command: Command, session: int, sequence:
 
 @settings(max_examples=1000)
 @given(st.binary(max_size=400))
-def test_any_bytes_are_survived_and_used_up(data: bytes) -> None:
+def test_any_bytes_are_tolerated_and_consumed(data: bytes) -> None:
     while data:
         decoded = protocol.decode(data)
         if decoded.frame is None:

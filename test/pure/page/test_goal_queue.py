@@ -73,7 +73,7 @@ def test_a_goal_that_failed_holds_the_queue_and_says_why() -> None:
     assert queue.held == "" and queue.next(False, "") == RequestedGoal(Pose(2.0, 0.0, 0.0))
 
 
-def test_what_does_not_fit_is_refused_in_words() -> None:
+def test_an_incompatible_description_is_refused_with_a_message() -> None:
     queue, names = GoalQueue(), NamedGoals()
     for number in range(MAX_WAITING):
         queue.add(RequestedGoal(Pose(0.0, 0.0, 0.0)))
