@@ -192,7 +192,7 @@ def test_a_planner_that_has_ended_serves_nothing() -> None:
         context.try_shutdown()
 
 
-def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
+def test_the_goal_is_reached_with_working_devices(actors: Actors) -> None:
     actors.send()
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg

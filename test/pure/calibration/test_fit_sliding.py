@@ -132,7 +132,7 @@ def test_trials_that_determine_nothing_have_no_interval():
         spread(np.zeros((8, 2)), information, [1] * 8)
 
 
-def test_an_off_centre_pressure_is_estimated_without_widening_the_torque_factor():
+def test_an_off_centre_pressure_is_estimated_without_widening_the_torque_factor_interval():
     """The pressure in the simulated world is off-centre by 1 % of the radius towards +x and 0.75 %
     towards -y."""
     body, random = DISK.body(), np.random.default_rng(6)

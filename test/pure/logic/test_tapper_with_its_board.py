@@ -154,7 +154,9 @@ def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     ],
     ids=["another tap", "moving", "faulted", "stale", "from the future"],
 )
-def test_it_does_not_fire_on_doubt(cell: Cell, arm: dict[str, object], code: int) -> None:
+def test_the_tapper_does_not_fire_if_a_condition_is_not_met(
+    cell: Cell, arm: dict[str, object], code: int
+) -> None:
     cell.command(100, valid=1.0)
     cell.keep_publishing(1.2, **arm)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
@@ -224,7 +226,7 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
     assert cell.shots() == [101]
 
 
-def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Cell) -> None:
+def test_no_shot_is_fired_unless_the_arm_promises_to_stand_still(cell: Cell) -> None:
     """The arm's state IN_POSITION alone does not permit a shot."""
     cell.arm_holds = False
     cell.command(100)
@@ -248,7 +250,7 @@ def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Ce
     ],
     ids=["turned", "moved", "hidden"],
 )
-def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
+def test_an_object_away_from_its_planned_pose_is_not_struck(
     cell: Cell, pose: Pose, visible: bool, code: int
 ) -> None:
     """An object that was turned, moved or hidden after planning is not struck."""
@@ -266,7 +268,7 @@ def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
     assert words.get(code, "has not been seen") in cell.last.error_msg
 
 
-def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read() -> None:
+def test_the_state_of_the_active_tap_is_never_overwritten_by_a_read() -> None:
     """Regression test: SAFE was reported while charging, and a second tap was accepted."""
     cell = Cell(SLOW)
     for number in range(4):
@@ -288,7 +290,7 @@ def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read() -> None:
     assert cell.shots() == []
 
 
-def test_an_id_that_cannot_be_refuses_no_tap_after_it(cell: Cell) -> None:
+def test_an_invalid_id_does_not_cause_later_taps_to_be_refused(cell: Cell) -> None:
     """An invalid id must not block later taps."""
     cell.command(2**64 - 1)
     cell.command(2**63)
@@ -383,7 +385,7 @@ def test_a_restarted_planner_does_not_fire_the_tap_of_the_previous_planner(cell:
     assert cell.shots() == []
 
 
-def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> None:
+def test_a_foreign_command_does_not_affect_the_active_tap(cell: Cell) -> None:
     cell.command(100)
     cell.wait(lambda: cell.last.tap_id == 100, "taken")
     cell.command(999)
@@ -514,7 +516,7 @@ def test_a_tapper_frozen_during_a_shot_reports_unknown_once_and_becomes_ready() 
     assert cell.shots() == [100, 101]
 
 
-def test_a_restarted_tapper_does_not_report_an_id_that_its_board_has_used_as_not_fired(
+def test_a_restarted_tapper_does_not_report_an_id_used_by_its_board_as_not_fired(
     cell: Cell,
 ) -> None:
     """The tap may have been fired before the restart."""
@@ -530,7 +532,7 @@ def test_a_restarted_tapper_does_not_report_an_id_that_its_board_has_used_as_not
     assert cell.shots() == [100]
 
 
-def test_a_shot_that_the_board_refuses_carries_the_boards_reason(cell: Cell) -> None:
+def test_a_shot_refused_by_the_board_is_reported_with_the_boards_reason(cell: Cell) -> None:
     """The guard is opened between the last check and FIRE."""
     cell.command(100)
     cell.process.on_asked = lambda process, job, answer: (
