@@ -33,7 +33,7 @@ def tapper(state: int, outcome: int = TapperState.NONE) -> TapperState:
     return TapperState(state=state, outcome=outcome, fixed_mounts=True)
 
 
-def test_a_tap_is_told_by_what_tapper_and_object_did() -> None:
+def test_a_tap_is_described_by_the_activities_of_tapper_and_object() -> None:
     bag = Recorded(
         ("plan_state", 0.0, PlanState(state=PlanState.LOOKING)),
         ("object_state", 0.1, ObjectState(visible=True, at_rest=True)),
