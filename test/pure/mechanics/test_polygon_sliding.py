@@ -93,7 +93,7 @@ def test_rest_agrees_with_brute_force_integration(name, kappa, speed, spin, dire
     assert rest.lateral == pytest.approx(expected[3], abs=1e-3 * abs(expected[0]))
 
 
-def test_the_drift_is_significant():
+def test_the_lateral_drift_is_significant():
     rest = Sliding(TRIANGLE, 0.17).rest(0.05, 20.0, 2.0)
     assert abs(rest.lateral) > 0.1 * rest.distance
 
