@@ -22,11 +22,11 @@ def test_a_codecs_properties_hold_for_any_bytes(name: str, data: bytes) -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(data=st.one_of(st.binary(max_size=120), NOISY_LINES))
-def test_the_emulated_boards_stand_any_bytes_and_talk_sense(data: bytes) -> None:
+def test_the_emulated_boards_tolerate_any_bytes_and_reply_correctly(data: bytes) -> None:
     boards(data)
 
 
 @pytest.mark.parametrize("name", ["grbl-in", "marlin-in", "tapper-in"])
-def test_the_seeds_themselves_hold(name: str) -> None:
+def test_the_codec_properties_hold_for_the_seed_inputs(name: str) -> None:
     for seed in SEEDS:
         TARGETS[name](seed)

@@ -17,7 +17,7 @@ TIMEOUT_S = 900
 
 
 @pytest.mark.timeout(TIMEOUT_S + 60)
-def test_two_objects_exchange_their_places_without_a_contact(tmp_path: Path) -> None:
+def test_two_objects_swap_places_without_contact(tmp_path: Path) -> None:
     folder = tmp_path / "exchange"
     command = [sys.executable, "-m", "tapping_cell", "demo", "--out", str(folder)]
     command += ["--objects", "2", "--goals", "swap", "--seed", "20"]

@@ -86,7 +86,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
     assert children_of(tmp_path / "101") == {}, "a node was left behind"
 
 
-def test_the_demo_reaches_a_goal_and_tells_the_truth(folder: Path) -> None:
+def test_the_demo_reaches_a_goal_and_reports_it_correctly(folder: Path) -> None:
     process = start(folder, "--seed", "5", "--move", "-25", "15", "-12")
     output, _ = process.communicate(timeout=280)
     assert process.returncode == 0, output
@@ -137,7 +137,7 @@ def check_bag(folder: Path, taps: int) -> None:
     assert size < 10e6 * max(1.0, taps / 3)
 
 
-def test_ctrl_c_in_a_goal_leaves_its_record(folder: Path) -> None:
+def test_ctrl_c_during_a_goal_keeps_its_record(folder: Path) -> None:
     process = start(folder, "--move", "100", "0", "90")
     wait_for_nodes(folder, process)
     wait_for_record(folder, process)
@@ -181,7 +181,7 @@ def test_ctrl_c_ends_every_node_of_a_background_job(folder: Path) -> None:
     assert json.loads((folder / "summary.json").read_text())["reached"] is False
 
 
-def test_a_crashing_node_ends_the_run_with_its_name(folder: Path) -> None:
+def test_a_crashing_node_ends_the_run_and_is_named(folder: Path) -> None:
     process = start(folder, "--move", "100", "0", "90")
     os.kill(wait_for_nodes(folder, process)["camera_pose"], signal.SIGKILL)
     output, _ = process.communicate(timeout=150)
@@ -191,7 +191,7 @@ def test_a_crashing_node_ends_the_run_with_its_name(folder: Path) -> None:
     assert content["error_code"] != 0 and "camera_pose" in content["error_msg"]
 
 
-def test_killing_the_demo_itself_leaves_no_node(folder: Path) -> None:
+def test_killing_the_demo_leaves_no_node_running(folder: Path) -> None:
     process = start(folder, "--move", "100", "0", "90")
     nodes = wait_for_nodes(folder, process)
     process.kill()
@@ -202,7 +202,7 @@ def test_killing_the_demo_itself_leaves_no_node(folder: Path) -> None:
         time.sleep(0.1)
 
 
-def test_a_goal_over_the_edge_of_the_table_is_refused_in_words(folder: Path) -> None:
+def test_a_goal_beyond_the_table_edge_is_refused_with_a_message(folder: Path) -> None:
     process = start(folder, "--goal", "290", "0", "0")
     output, _ = process.communicate(timeout=200)
     assert process.returncode == 1
@@ -220,7 +220,7 @@ def test_a_goal_over_the_edge_of_the_table_is_refused_in_words(folder: Path) -> 
     ],
     ids=["unknown key", "malformed"],
 )
-def test_a_wrong_object_file_is_refused_before_any_node(
+def test_an_invalid_object_file_is_refused_before_any_node_starts(
     folder: Path, tmp_path: Path, old: str, new: str, word: str
 ) -> None:
     from tapping_cell.configuration.files import shared_folder

@@ -192,7 +192,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
         yield made
 
 
-def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
+def test_an_idle_cell_is_shown_with_its_camera_image_and_nodes(page: Page) -> None:
     page.ready()
     names = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
     # On a busy machine a node may warn that it cannot keep up. The page must show the node's own
@@ -233,7 +233,7 @@ def test_an_idle_cell_is_shown_with_its_picture_and_nodes(page: Page) -> None:
     assert complaints == []
 
 
-def test_the_dragged_ghost_is_the_goal_and_the_taps_are_told(page: Page) -> None:
+def test_the_dragged_ghost_sets_the_goal_and_the_taps_are_listed(page: Page) -> None:
     page.wait(lambda: page.element("ghost-outline").is_displayed(), "the ghost")
     page.wait(lambda: math.isfinite(page.fields()[0]), "the ghost's numbers")
     seen = page.client.object_pose()
@@ -286,7 +286,7 @@ def test_the_run_is_downloaded(page: Page) -> None:
 
 
 @demanding
-def test_every_tap_is_asked_for_where_a_person_wants_that(page: Page) -> None:
+def test_every_tap_is_confirmed_if_the_operator_enables_it(page: Page) -> None:
     page.ready()
     page.element("ask").click()
     page.wait(lambda: "is on" in page.text("settings-answer"), "the planner asks from now on")
@@ -313,7 +313,7 @@ def test_every_tap_is_asked_for_where_a_person_wants_that(page: Page) -> None:
 
 
 @demanding
-def test_the_goals_of_a_queue_are_reached_one_after_the_other(page: Page) -> None:
+def test_queued_goals_are_reached_in_order(page: Page) -> None:
     page.ready()
     seen = page.client.object_pose()
     for step in (20, -15):
@@ -332,7 +332,7 @@ def test_the_goals_of_a_queue_are_reached_one_after_the_other(page: Page) -> Non
 
 
 @demanding
-def test_a_named_goal_is_there_again_after_a_reload(page: Page) -> None:
+def test_a_named_goal_is_restored_after_a_reload(page: Page) -> None:
     page.ready()
     page.element("more").find_element("tag name", "summary").click()
     page.type_goal("12.5", "-7.5", "33")
@@ -348,7 +348,7 @@ def test_a_named_goal_is_there_again_after_a_reload(page: Page) -> None:
 
 
 @demanding
-def test_a_second_page_shows_the_same_and_may_stop(page: Page) -> None:
+def test_a_second_page_shows_the_same_state_and_can_stop(page: Page) -> None:
     page.ready()
     first = page.driver.current_window_handle
     page.driver.switch_to.new_window("window")
@@ -363,7 +363,7 @@ def test_a_second_page_shows_the_same_and_may_stop(page: Page) -> None:
     page.way_back()
 
 
-def test_wrong_input_is_answered_in_words_and_nothing_moves(page: Page) -> None:
+def test_invalid_input_is_answered_with_a_message_and_nothing_moves(page: Page) -> None:
     page.ready()
     page.type_goal("abc", 0, 0)
     page.element("send").click()
@@ -375,7 +375,7 @@ def test_wrong_input_is_answered_in_words_and_nothing_moves(page: Page) -> None:
     assert page.mode() == "ready"
 
 
-def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
+def test_stop_takes_one_click_and_recovery_is_confirmed(page: Page) -> None:
     seen = page.client.object_pose()
     page.type_goal(1e3 * seen.x - 60, 1e3 * seen.y, 0)
     page.element("send").click()
@@ -405,7 +405,7 @@ def test_stop_takes_one_click_and_the_way_back_is_confirmed(page: Page) -> None:
     assert page.fields() == typed, "what was typed stays"
 
 
-def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
+def test_a_lost_server_is_reported_and_reconnected_automatically(page: Page) -> None:
     page.ready()
     os.kill(page.graph.process_ids["operator_page"], signal.SIGKILL)
     end = time.monotonic() + 90
@@ -429,7 +429,7 @@ def test_a_lost_server_is_said_and_found_again_by_itself(page: Page) -> None:
     assert not page.element("banner").is_displayed() and page.element("stop").is_enabled()
 
 
-def test_a_phone_shows_everything_in_its_width(page: Page) -> None:
+def test_the_page_fits_the_width_of_a_phone(page: Page) -> None:
     page.driver.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride",
         {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True},
@@ -481,7 +481,7 @@ def test_set_up_mode_moves_only_while_the_key_is_held(tmp_path: Path) -> None:
         page.wait(lambda: not page.client.arm_state.enabled, "it is released", 5.0)
 
 
-def test_the_page_file_names_no_other_place() -> None:
+def test_the_page_file_references_no_other_host() -> None:
     static = Path(__file__).resolve().parents[2] / "tapping_cell" / "nodes" / "page" / "static"
     for file in static.iterdir():
         foreign = file.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")

@@ -75,7 +75,7 @@ def a_second_cell_is_refused(folder: Path) -> None:
     assert "namespace '/left'" in words
 
 
-def test_goals_of_a_graph_that_stays_are_recorded(folder: Path) -> None:
+def test_goals_of_a_running_graph_are_recorded(folder: Path) -> None:
     """While this graph runs, no second cell can be started in the same domain and namespace."""
     status, words = goal("-25", "0", "0")
     assert status == 0 and "goal reached" in words, words

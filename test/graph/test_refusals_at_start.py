@@ -31,7 +31,7 @@ def wrong_cell(tmp_path: Path, old: str, new: str) -> Path:
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_an_unknown_key_in_the_cell_file_is_refused_by_file_and_key(
+def test_an_unknown_key_in_the_cell_file_is_refused_with_file_and_key(
     node: str, tmp_path: Path
 ) -> None:
     path = wrong_cell(tmp_path, "upper_arm: 0.425", "upper_leg: 0.425")
@@ -51,7 +51,7 @@ def test_an_unknown_key_in_the_cell_file_is_refused_by_file_and_key(
     ],
     ids=["malformed", "type", "range", "missing file"],
 )
-def test_a_wrong_cell_file_is_refused_with_value_and_range(
+def test_an_invalid_cell_file_is_refused_with_value_and_range(
     old: str, new: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
     path = wrong_cell(tmp_path, old, new)
@@ -71,7 +71,7 @@ def test_a_wrong_cell_file_is_refused_with_value_and_range(
     ],
     ids=["unknown", "type", "range", "method"],
 )
-def test_a_wrong_parameter_is_refused_with_value_and_range(
+def test_an_invalid_parameter_is_refused_with_value_and_range(
     arguments: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
     ended = run_node("tap_planner", *arguments)

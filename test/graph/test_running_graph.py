@@ -137,7 +137,7 @@ def test_the_graph_has_the_names_of_the_design(cell: Cell) -> None:
     ],
     ids=["NaN", "frame", "off the table"],
 )
-def test_a_bad_goal_on_the_topic_is_refused_in_words_and_moves_nothing(
+def test_an_invalid_goal_on_the_topic_is_refused_with_a_message_and_moves_nothing(
     cell: Cell, pose: Pose, frame: str, code: int
 ) -> None:
     received, commanded = len(cell.plans), len(cell.commands)
@@ -149,7 +149,7 @@ def test_a_bad_goal_on_the_topic_is_refused_in_words_and_moves_nothing(
     assert len(cell.commands) == commanded
 
 
-def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
+def test_every_image_arrives_at_the_pose_node(cell: Cell) -> None:
     """The default transport of DDS loses best-effort images of 1.3 MB; the transport profile of
     this repository does not."""
     counts: dict[str, list[tuple[float, int]]] = {"/sim_world": [], "/camera_pose": []}
@@ -182,7 +182,7 @@ def test_every_picture_arrives_at_the_pose_node(cell: Cell) -> None:
     assert min(ahead[len(ahead) // 2 :]) - min(ahead) <= 4, counts
 
 
-def test_a_bad_goal_of_the_action_gets_its_code_as_the_result(cell: Cell) -> None:
+def test_an_invalid_action_goal_returns_its_error_code(cell: Cell) -> None:
     finished = cell.run_action(Pose(2.0, 0.0, 0.0))
     assert finished.error_code == ErrorCode.GOAL_OFF_TABLE
     assert "2000.0 mm" in finished.error_msg
@@ -206,7 +206,7 @@ def test_canceling_withdraws_the_arm_and_disarms_the_tapper(cell: Cell) -> None:
     assert before.distance_to(cell.client.true_pose) < 1e-6
 
 
-def test_the_emergency_stop_ends_the_goal_and_latches_every_actor(cell: Cell) -> None:
+def test_the_emergency_stop_ends_the_goal_and_latches_every_device(cell: Cell) -> None:
     """This must be the last test of the graph, because the graph stays stopped."""
     cell.place(Pose(-0.05, 0.0, 0.0))
     cell.client.send(Pose(0.05, 0.0, 1.0))

@@ -34,7 +34,7 @@ def end(process: subprocess.Popen[str], patience: float = 150.0) -> tuple[int, s
     return process.returncode, output, errors
 
 
-def test_an_experiment_is_stopped_resumed_and_read(tmp_path: Path) -> None:
+def test_an_experiment_is_stopped_resumed_and_read_back(tmp_path: Path) -> None:
     process = start(*TINY, *SLOW, "--runs-folder", str(tmp_path))
     deadline = time.monotonic() + 120
     while not (found := list(tmp_path.glob("*/run_01.csv"))):
@@ -121,7 +121,7 @@ def own_signals() -> Iterator[None]:
         "nothing to resume",
     ],
 )
-def test_what_cannot_be_measured_is_refused_before_anything_starts(
+def test_an_experiment_that_cannot_be_measured_is_refused_before_it_starts(
     tmp_path: Path,
     options: tuple[str, ...],
     word: str,

@@ -51,7 +51,7 @@ def arm_terminals() -> dict[int, str]:
 
 
 @pytest.mark.parametrize("names", [("", ""), ("left", "right")], ids=["domains", "namespaces"])
-def test_two_cells_of_one_account_reach_their_own_goals(
+def test_two_cells_of_one_user_account_reach_their_own_goals(
     names: tuple[str, str], tmp_path: Path
 ) -> None:
     """The cells run in two domains, or in two namespaces of one domain."""

@@ -17,7 +17,7 @@ an error, but never with a wrong result."""
 
 
 @pytest.mark.skipif(bool(networks.why_not()), reason=networks.why_not() or "possible")
-def test_a_goal_is_truly_reached_over_three_computers(tmp_path: Path) -> None:
+def test_a_goal_is_reached_across_three_computers(tmp_path: Path) -> None:
     own = {"ROS_DOMAIN_ID": str(own_domain().number)}
     ends = []
     with two_computers.cell(tmp_path, own) as desk:

@@ -33,7 +33,7 @@ def outcome(client: GoalClient, graph: Graph, goal: Pose) -> Finished:
 
 
 @pytest.mark.timeout(2 * TIMEOUT_S + 180)
-def test_an_object_without_a_file_is_seen_and_goals_go_around_it(tmp_path: Path) -> None:
+def test_an_object_without_a_file_is_detected_and_avoided(tmp_path: Path) -> None:
     truth = safe_load((shared_folder() / "truth" / "default.yaml").read_text())
     truth["object_start"], truth["further_starts"] = [*START], [[*BETWEEN]]
     truth["camera"] = {**truth.get("camera", {}), "shows_arm": True}

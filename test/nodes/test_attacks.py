@@ -204,7 +204,7 @@ def flood(cell: Cell, kind: type, topic: str, make: Callable[[], Any], qos: Any)
         thread.join()
 
 
-def test_a_hundred_foreign_messages_a_second_neither_fire_nor_move_anything(cell: Cell) -> None:
+def test_a_hundred_foreign_messages_per_second_fire_and_move_nothing(cell: Cell) -> None:
     def safe(outcome: int) -> TapperState:
         return TapperState(state=TapperState.SAFE, tap_id=cell.tap_id, outcome=outcome)
 
@@ -231,7 +231,7 @@ def test_a_hundred_foreign_messages_a_second_neither_fire_nor_move_anything(cell
 
 
 @pytest.mark.parametrize("node", ["scara_arm", "tapper_trigger"])
-def test_a_node_that_is_deactivated_while_charged_neither_fires_nor_carries(
+def test_a_node_deactivated_while_charged_neither_fires_nor_moves_the_arm(
     tmp_path: Path, node: str
 ) -> None:
     with attacked_cell(tmp_path, SLOW) as cell:
@@ -260,7 +260,7 @@ def deactivated_while_charged(cell: Cell, node: str) -> None:
     assert cell.releases == [(cell.tap_id, False)]
 
 
-def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
+def test_an_answer_of_another_cells_arm_does_not_permit_firing(cell: Cell) -> None:
     def grant(request: HoldStill.Request, response: HoldStill.Response) -> HoldStill.Response:
         response.granted, response.duration = True, request.duration
         return response
@@ -283,7 +283,7 @@ def test_the_answer_of_another_cells_arm_is_no_permit(cell: Cell) -> None:
     assert cell.releases == [(cell.tap_id, False)]
 
 
-def test_no_line_that_somebody_injects_on_the_arms_port_fires_at_a_moving_arm(cell: Cell) -> None:
+def test_no_line_injected_on_the_arm_port_causes_firing_while_the_arm_moves(cell: Cell) -> None:
     """Inject a forged line before each output of the arm's controller. One forged line is a copy of
     a real report from an earlier tap: the arm is at its strike pose."""
     said, forged, honest = list[bytes](), [b""], cell.mechanics.take_output

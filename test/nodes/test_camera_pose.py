@@ -111,7 +111,7 @@ def cell() -> Iterator[Cell]:
         yield Cell(b, states, poses, renderer)
 
 
-def test_a_resting_object_is_measured_and_every_picture_is_answered(cell: Cell) -> None:
+def test_an_object_at_rest_is_measured_and_every_image_gets_a_result(cell: Cell) -> None:
     answers = cell.show(60)
     seen = sum(state.visible for state in answers)
     assert seen >= 58
@@ -127,7 +127,7 @@ def test_a_resting_object_is_measured_and_every_picture_is_answered(cell: Cell) 
     assert np.all(deviation > 0) and deviation[0] < 0.0002
 
 
-def test_where_the_camera_is_turns_a_pixel_into_a_place_on_the_table(cell: Cell) -> None:
+def test_the_camera_pose_maps_a_pixel_to_a_table_position(cell: Cell) -> None:
     received = cell.bench.listen(PoseStamped, "camera/pose", LATCHED)
     cell.show(20)
     cell.bench.wait(lambda: received, "camera/pose")
@@ -138,14 +138,14 @@ def test_where_the_camera_is_turns_a_pixel_into_a_place_on_the_table(cell: Cell)
     assert np.hypot(*(view.on_plane(pixel, height) - (TRUE.x, TRUE.y))) < 0.001
 
 
-def test_a_moving_object_is_not_called_at_rest(cell: Cell) -> None:
+def test_a_moving_object_is_not_reported_at_rest(cell: Cell) -> None:
     cell.show(30)
     moving = [cell.show(1, TRUE @ Pose(0.0005 * step, 0.0, 0.0))[0] for step in range(20)]
     assert not any(state.at_rest for state in moving[4:])
 
 
 @pytest.mark.parametrize("problem", ["encoding", "size", "bytes"])
-def test_an_unusable_picture_is_refused_in_words(cell: Cell, problem: str) -> None:
+def test_an_unusable_image_is_refused_with_a_message(cell: Cell, problem: str) -> None:
     cell.show(5)
     picture = images.to_message(cell.renderer.render(TRUE), "mono8")
     if problem == "encoding":
@@ -159,7 +159,7 @@ def test_an_unusable_picture_is_refused_in_words(cell: Cell, problem: str) -> No
     assert not refused.visible and len(refused.error_msg) > 20
 
 
-def test_a_silent_camera_is_said_and_comes_back(cell: Cell) -> None:
+def test_a_camera_timeout_is_reported_and_recovers(cell: Cell) -> None:
     cell.show(10)
     cell.bench.wait(
         lambda: cell.states and cell.states[-1].error_code == ErrorCode.CAMERA_SILENT,
@@ -174,7 +174,7 @@ def test_an_uncalibrated_camera_is_refused(cell: Cell) -> None:
     assert cell.show(5)[-1].error_code == ErrorCode.CAMERA_NOT_CALIBRATED
 
 
-def test_pictures_without_a_calibration_are_answered_in_words(cell: Cell) -> None:
+def test_images_without_a_calibration_are_refused_with_a_message(cell: Cell) -> None:
     picture = images.to_message(cell.renderer.render(TRUE), "mono8")
 
     def answered() -> list[str]:
@@ -187,7 +187,7 @@ def test_pictures_without_a_calibration_are_answered_in_words(cell: Cell) -> Non
     assert "camera/camera_info" in answered()[0]
 
 
-def test_a_stamp_of_the_future_is_refused_and_spoils_nothing(cell: Cell) -> None:
+def test_a_future_stamp_is_refused_without_side_effects(cell: Cell) -> None:
     cell.show(5)
     past, cell.stamp = cell.stamp, cell.node.get_clock().now() + Duration(seconds=60.0)
     picture = images.to_message(cell.renderer.render(TRUE), "mono8")
@@ -196,7 +196,7 @@ def test_a_stamp_of_the_future_is_refused_and_spoils_nothing(cell: Cell) -> None
     assert cell.show(10)[-1].visible
 
 
-def test_a_clock_that_was_set_back_is_noticed(cell: Cell) -> None:
+def test_a_clock_that_was_set_back_is_detected(cell: Cell) -> None:
     assert cell.show(10)[-1].visible
     cell.stamp -= Duration(seconds=3600.0)
     answers = cell.show(40)
@@ -204,7 +204,7 @@ def test_a_clock_that_was_set_back_is_noticed(cell: Cell) -> None:
     assert answers[-1].visible
 
 
-def test_a_calibration_of_another_resolution_is_refused(cell: Cell) -> None:
+def test_a_calibration_for_another_resolution_is_refused(cell: Cell) -> None:
     half = load_cell().camera
     cell.info = images.to_camera_info(replace(half, width=640, height=512))
     last = cell.show(5)[-1]
@@ -213,7 +213,7 @@ def test_a_calibration_of_another_resolution_is_refused(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize("problem", ["binning", "region of interest"])
-def test_a_calibration_of_other_pixels_is_refused(cell: Cell, problem: str) -> None:
+def test_a_calibration_for_other_pixels_is_refused(cell: Cell, problem: str) -> None:
     if problem == "binning":
         cell.info.binning_x = cell.info.binning_y = 2
     else:
@@ -223,7 +223,7 @@ def test_a_calibration_of_other_pixels_is_refused(cell: Cell, problem: str) -> N
     assert problem in last.error_msg
 
 
-def test_a_covered_reference_is_told_in_the_diagnostics(cell: Cell) -> None:
+def test_an_occluded_reference_is_reported_in_the_diagnostics(cell: Cell) -> None:
     received = cell.bench.listen(DiagnosticArray, "/diagnostics")
     cell.show(20)
     marker = load_cell().references.markers[0]
@@ -239,7 +239,7 @@ def test_a_covered_reference_is_told_in_the_diagnostics(cell: Cell) -> None:
     cell.bench.wait(reported, words)
 
 
-def test_covered_references_are_told_by_the_state(cell: Cell) -> None:
+def test_occluded_references_are_reported_in_the_state(cell: Cell) -> None:
     covers = []
     for marker in load_cell().references.markers:
         corners = 0.04 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) + [marker.x, marker.y]
@@ -254,7 +254,7 @@ def test_covered_references_are_told_by_the_state(cell: Cell) -> None:
     cell.bench.wait(reported, "the references are missing")
 
 
-def test_a_second_copy_of_the_objects_marker_is_told_by_the_state(cell: Cell) -> None:
+def test_a_second_copy_of_the_object_marker_is_reported_in_the_state(cell: Cell) -> None:
     places = cell.renderer.view.project([[TRUE.x, TRUE.y], [-TRUE.x, -TRUE.y]], 0.012)
     (x, y), (left, top) = np.rint(places).astype(int)
 
@@ -269,7 +269,7 @@ def test_a_second_copy_of_the_objects_marker_is_told_by_the_state(cell: Cell) ->
     cell.bench.wait(reported, "the marker is seen twice")
 
 
-def test_two_objects_in_one_picture() -> None:
+def test_two_objects_in_one_image() -> None:
     """The images contain the cell's object and, pasted into them, another object."""
     folder = shared_folder() / "objects"
     plain = load_object(folder / "plain_disk_with_dot.yaml")
@@ -303,7 +303,7 @@ def test_two_objects_in_one_picture() -> None:
     assert seen.distance_to(other) < 0.0001 and abs(seen.rotation_to(other)) < math.radians(0.2)
 
 
-def test_pictures_that_waited_long_are_passed_over_for_the_newest(cell: Cell) -> None:
+def test_old_queued_images_are_skipped_for_the_newest(cell: Cell) -> None:
     assert cell.show(10)[-1].visible
     held, release = threading.Event(), threading.Event()
     stamps: list[Stamp] = []
@@ -338,7 +338,7 @@ def test_pictures_that_waited_long_are_passed_over_for_the_newest(cell: Cell) ->
     assert cell.show(5)[-1].visible
 
 
-def test_compressed_pictures_are_measured_as_well() -> None:
+def test_compressed_images_are_measured() -> None:
     configuration = load_cell()
     renderer = make_renderer(configuration, CameraTruth(), np.asarray(configuration.outline()), 1)
     with bench(lambda: [CameraPose()], {"camera_pose": {"image_transport": "compressed"}}) as b:

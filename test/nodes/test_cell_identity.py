@@ -21,14 +21,14 @@ CELL = st.tuples(
 
 
 @given(one=CELL, other=CELL)
-def test_cells_have_one_key_only_where_they_are_one_cell(
+def test_cells_share_a_key_only_if_they_are_the_same_cell(
     one: tuple[int, str], other: tuple[int, str]
 ) -> None:
     assert (cell_key(*one) == cell_key(*other)) == (one == other)
     assert "/" not in cell_key(*one)
 
 
-def test_a_claim_holds_between_processes_until_its_owner_ends() -> None:
+def test_a_claim_holds_across_processes_until_its_owner_ends() -> None:
     code = (
         "from tapping_cell.nodes.cell_identity import claim\n"
         "held = claim('test/one'); print(held is not None, flush=True); input()"
@@ -56,7 +56,9 @@ def test_a_second_graph_of_one_cell_is_refused(tmp_path: object) -> None:
     again.close()
 
 
-def test_own_domains_differ_and_a_chosen_one_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_automatic_domains_differ_and_a_chosen_domain_is_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delenv("ROS_DOMAIN_ID")
     one, other = own_domain(), own_domain()
     assert one.number != other.number
@@ -85,6 +87,6 @@ def test_a_domain_with_nodes_is_not_chosen(
 
 
 @pytest.mark.parametrize("chosen", ["left", "-1", "233", "1.5"])
-def test_a_domain_that_is_none_is_refused_in_words(chosen: str) -> None:
+def test_an_invalid_domain_is_refused_with_a_message(chosen: str) -> None:
     with pytest.raises(GraphError, match=f"ROS_DOMAIN_ID is '{chosen}'.*0 to 232"):
         domain_number({"ROS_DOMAIN_ID": chosen})

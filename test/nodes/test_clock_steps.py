@@ -22,7 +22,9 @@ from tapping_cell.simulation.tapper_emulator import TapperEmulator
 START = Time(seconds=1_800_000_000)
 
 
-def test_timers_go_on_when_the_clock_is_set_back_and_it_cannot_be_replaced(tmp_path: Path) -> None:
+def test_timers_continue_when_the_clock_is_set_back_and_it_cannot_be_replaced(
+    tmp_path: Path,
+) -> None:
     device = TapperEmulator(now=time.monotonic())
     given = {"port": tmp_path / "tapper", "use_sim_time": True}
     with (

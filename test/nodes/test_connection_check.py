@@ -100,7 +100,7 @@ CASES: list[tuple[Callable[[Node], Any], str]] = [
 ]
 
 
-def test_the_planner_tells_what_cannot_reach_it_and_costs_no_events(ros: None) -> None:
+def test_the_planner_reports_unconnected_endpoints_without_extra_events(ros: None) -> None:
     planner = TapPlanner()
     assert not [each for each in planner.waitables if isinstance(each, EventHandler)]
     # One participant cannot use two types on one topic, so the probe has its own context, like

@@ -32,7 +32,7 @@ def film(
 
 
 @pytest.mark.parametrize(("rate", "each"), [(30.0, 0.060), (120.0, 0.011), (60.0, 0.2)])
-def test_an_answer_is_not_older_than_it_needs_to_be(rate: float, each: float) -> None:
+def test_results_are_not_delayed_unnecessarily(rate: float, each: float) -> None:
     backlog, ages = film(1.0 / rate, each, 400)
     # Once the node knows that it cannot keep up, a result is at most as old as the processing time
     # plus one period. The last image is excluded because none follows it.
@@ -41,13 +41,13 @@ def test_an_answer_is_not_older_than_it_needs_to_be(rate: float, each: float) ->
     assert "only the newest" in backlog.sentence
 
 
-def test_a_node_that_keeps_up_works_off_a_jam_and_loses_nothing() -> None:
+def test_a_node_that_keeps_up_clears_its_queue_without_dropping_frames() -> None:
     backlog, ages = film(1.0 / 30.0, 0.012, 300, jam=0.1)
     assert backlog.passed_over == 0 and len(ages) == 300
     assert ages[-1] == pytest.approx(0.012) and not backlog.sentence
 
 
-def test_after_a_long_jam_the_newest_comes_first() -> None:
+def test_after_a_long_delay_the_newest_frame_is_processed_first() -> None:
     backlog, ages = film(1.0 / 30.0, 0.012, 300, jam=0.6)
     assert 10 < backlog.passed_over < 20
     assert max(ages) < LONGEST_WAIT_S

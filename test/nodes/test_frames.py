@@ -79,7 +79,7 @@ def test_the_striker_is_where_the_joints_put_it(tmp_path: Path) -> None:
         )
 
 
-def test_the_links_are_left_to_robot_state_publisher(tmp_path: Path) -> None:
+def test_link_transforms_are_left_to_robot_state_publisher(tmp_path: Path) -> None:
     with arm_cell(tmp_path, link_frames=False) as cell:
         cell.wait_state(ArmState.IDLE)
         cell.bench.wait(lambda: cell.joints, "joint states")
@@ -89,7 +89,7 @@ def test_the_links_are_left_to_robot_state_publisher(tmp_path: Path) -> None:
         Listener(cell.bench).wait("table", LINKS[0])
 
 
-def test_camera_and_object_are_on_tf() -> None:
+def test_camera_and_object_frames_are_published_on_tf() -> None:
     configuration = load_cell()
     outline = np.asarray(configuration.outline())
     renderer = make_renderer(configuration, CameraTruth(), outline, 1)
@@ -168,7 +168,7 @@ def test_a_goal_in_a_connected_frame_is_reached_on_the_table(
     assert played.pose.distance_to(wanted) < 1e-3
 
 
-def test_a_frame_that_is_not_known_is_refused_with_those_that_are(
+def test_an_unknown_frame_is_refused_with_the_known_frames(
     actors: tuple[Actors, FrameBroadcaster],
 ) -> None:
     played, broadcaster = actors
@@ -189,7 +189,7 @@ def test_a_frame_that_is_not_known_is_refused_with_those_that_are(
     assert "'elsewhere'" in reports[-1].error_msg
 
 
-def test_a_goal_in_a_frame_that_moved_since_is_refused_with_its_times(
+def test_a_goal_in_a_frame_that_moved_is_refused_with_its_times(
     actors: tuple[Actors, FrameBroadcaster],
 ) -> None:
     played, broadcaster = actors

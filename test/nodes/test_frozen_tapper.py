@@ -38,7 +38,7 @@ STROKE_M = load_cell().file.tapper.stroke
 SERVED = (TapperState.FIRED, TapperState.NOT_FIRED, TapperState.UNKNOWN)
 
 
-def test_no_shot_leaves_after_the_promise_of_the_arm(tmp_path: Path) -> None:
+def test_no_shot_is_fired_after_the_arms_promise_to_stand_still_ends(tmp_path: Path) -> None:
     draw = random.Random(SEED)
     device = TapperEmulator(now=time.monotonic())
     fired: dict[int, float] = {}

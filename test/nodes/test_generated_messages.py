@@ -8,7 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_the_committed_messages_are_what_the_generator_writes() -> None:
+def test_the_committed_messages_match_the_generator_output() -> None:
     """If this fails after a change in msg_defs, run ``python environment/generate_messages.py``."""
     program = ROOT / "environment" / "generate_messages.py"
     specification = importlib.util.spec_from_file_location("generate_messages", program)

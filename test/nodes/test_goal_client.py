@@ -49,7 +49,7 @@ def follow(client: GoalClient, typed: Callable[[], str], words: io.StringIO) -> 
             os.close(writer)
 
 
-def test_taps_that_are_confirmed_in_the_terminal_reach_the_goal() -> None:
+def test_taps_confirmed_in_the_terminal_reach_the_goal() -> None:
     words = io.StringIO()
     with acted() as actors, client_of_a_cell() as client:
         session.send(client, GOAL, (0.0, 0.0), Console(quiet=True), ask=True)
@@ -60,7 +60,7 @@ def test_taps_that_are_confirmed_in_the_terminal_reach_the_goal() -> None:
     assert "make this tap?" in words.getvalue()
 
 
-def test_a_goal_that_is_cancelled_in_the_terminal_makes_no_tap() -> None:
+def test_a_goal_cancelled_in_the_terminal_makes_no_tap() -> None:
     words = io.StringIO()
     with acted() as actors, client_of_a_cell() as client:
         session.send(client, GOAL, (0.0, 0.0), Console(quiet=True), ask=True)
@@ -71,7 +71,7 @@ def test_a_goal_that_is_cancelled_in_the_terminal_makes_no_tap() -> None:
         assert actors.commands == []
 
 
-def test_a_goal_that_is_sent_again_does_not_end_the_wait_for_it() -> None:
+def test_resending_a_goal_does_not_end_the_wait_for_it() -> None:
     with acted(), client_of_a_cell() as client:
         # session.send itself sends a second request like this one if the response to the first is
         # late.
@@ -81,7 +81,7 @@ def test_a_goal_that_is_sent_again_does_not_end_the_wait_for_it() -> None:
         assert finished.error_code == 0, finished.error_msg
 
 
-def test_a_planner_that_is_killed_in_mid_goal_ends_the_wait() -> None:
+def test_a_planner_killed_during_a_goal_ends_the_wait() -> None:
     words = io.StringIO()
     command = [sys.executable, "-m", "tapping_cell.nodes.planner.tap_planner"]
     options = ["--ros-args", "-p", "ready_deadline:=120.0"]

@@ -74,37 +74,37 @@ CASES = {
 
 @pytest.mark.parametrize("encoding", CASES)
 @pytest.mark.parametrize("padding", [0, 6])
-def test_every_encoding_becomes_the_same_grey(encoding, padding):
+def test_every_encoding_gives_the_same_grey_image(encoding, padding):
     grey = images.to_grey(message(CASES[encoding], encoding, padding))
     assert grey.shape == (HEIGHT, WIDTH) and grey.dtype == np.uint8
     inner = np.s_[2:-2, 2:-2]  # values at the border of a Bayer pattern are extrapolated
     assert np.abs(grey.astype(float) - LUMA)[inner].max() <= 3.0
 
 
-def test_the_upper_byte_of_either_end():
+def test_the_upper_byte_is_used_for_either_endianness():
     big = message((LUMA * 256).astype(">u2"), "mono16")
     big.is_bigendian = 1
     assert np.abs(images.to_grey(big).astype(float) - LUMA).max() <= 1.0
 
 
-def test_a_grey_picture_is_not_copied():
+def test_a_grey_image_is_not_copied():
     made = message(CASES["mono8"], "mono8")
     assert np.shares_memory(images.to_grey(made), np.frombuffer(made.data, np.uint8))
 
 
 @pytest.mark.parametrize("encoding", ["", "jpeg", "32FC1", "bayer_rggb16"])
-def test_an_encoding_that_is_not_known_is_named(encoding):
+def test_an_unknown_encoding_is_named(encoding):
     with pytest.raises(images.ImageRefused, match="set the camera to one of mono8"):
         images.to_grey(message(CASES["mono8"], encoding))
 
 
 @pytest.mark.parametrize("encoding", ["bgr8", "mono16", "yuv422"])
-def test_fewer_bytes_than_the_encoding_needs(encoding):
+def test_too_few_bytes_for_the_encoding_are_refused(encoding):
     with pytest.raises(images.ImageRefused, match="32 x 24"):
         images.to_grey(message(CASES["mono8"], encoding))
 
 
-def test_a_message_is_made_of_any_picture():
+def test_a_message_is_made_from_any_image():
     picture = RANDOM.integers(0, 255, (HEIGHT, WIDTH), dtype=np.uint8)
     for one in (picture, picture[:, ::-1]):
         assert np.array_equal(images.to_grey(images.to_message(one, "mono8")), one)
@@ -113,7 +113,7 @@ def test_a_message_is_made_of_any_picture():
     assert np.array_equal(images.to_grey(colour), cv2.cvtColor(COLOUR, cv2.COLOR_BGR2GRAY))
 
 
-def test_a_pictures_memory_is_not_given_back_and_cleared_anew() -> None:
+def test_image_memory_is_kept_instead_of_being_freed_and_cleared_again() -> None:
     """Count the page faults while a process repeatedly allocates and frees images. A separate
     process is used because the memory setting applies to a whole process."""
     script = """
@@ -137,7 +137,7 @@ print(faults(100) if hasattr(ctypes.CDLL(None), 'mallopt') else 0)
 
 
 @pytest.mark.parametrize("coding", [".jpg", ".png"])
-def test_a_compressed_picture_is_nearly_the_raw_one(coding: str) -> None:
+def test_a_compressed_image_is_close_to_the_raw_image(coding: str) -> None:
     grey = RANDOM.normal(LUMA, 2.0).clip(0, 255).astype(np.uint8)
     if coding == ".jpg":
         made = images.compress(images.to_message(grey, "mono8"), 95)
@@ -152,7 +152,7 @@ def test_a_compressed_picture_is_nearly_the_raw_one(coding: str) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"no picture", b"\xff\xd8\xff\xe0"])
-def test_what_cannot_be_decoded_is_refused_in_words(data: bytes) -> None:
+def test_undecodable_data_is_refused_with_a_message(data: bytes) -> None:
     made = CompressedImage(format="jpeg", data=array.array("B", data))
     with pytest.raises(images.ImageRefused, match=f"{len(data)} bytes, format 'jpeg'"):
         images.to_grey(made)

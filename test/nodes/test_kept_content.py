@@ -10,7 +10,7 @@ import pytest
 from tapping_cell.nodes.kept_content import KeptContent
 
 
-def test_what_was_kept_is_recalled_and_removed(tmp_path: Path) -> None:
+def test_stored_content_is_loaded_and_removed(tmp_path: Path) -> None:
     kept = KeptContent(tmp_path / "cell" / "goal.json")
     assert kept.recall() is None
     kept.keep({"goal": [0.01, 0.02, 0.3]})
@@ -20,13 +20,13 @@ def test_what_was_kept_is_recalled_and_removed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[" * 200_000, "[]", "7", "\x00", '{"goal": ' * 100_000])
-def test_a_file_that_cannot_be_read_is_an_empty_content(tmp_path: Path, text: str) -> None:
+def test_an_unreadable_file_gives_empty_content(tmp_path: Path, text: str) -> None:
     file = tmp_path / "goal.json"
     file.write_text(text, encoding="utf-8")
     assert KeptContent(file).recall() == {}
 
 
-def test_an_old_content_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
+def test_old_content_is_kept_until_the_new_content_is_complete(tmp_path: Path) -> None:
     file = tmp_path / "goal.json"
     kept = KeptContent(file)
     kept.keep({"goal": 1})

@@ -186,7 +186,7 @@ def plan(state: int, goal: Pose, *, taps: int = 0, last: TapRecord | None = None
     return message
 
 
-def test_every_page_sees_the_taps_also_one_that_joins_late(cell: Cell) -> None:
+def test_every_page_shows_the_taps_including_late_joiners(cell: Cell) -> None:
     goal = Pose(0.03, -0.01, 0.2)
 
     async def scenario() -> None:
@@ -217,7 +217,7 @@ def test_every_page_sees_the_taps_also_one_that_joins_late(cell: Cell) -> None:
     play(scenario)
 
 
-def test_nodes_and_devices_are_told_in_words(cell: Cell) -> None:
+def test_nodes_and_devices_are_described_in_text(cell: Cell) -> None:
     async def scenario() -> None:
         async with cell.open() as page:
             cell.plant()
@@ -254,7 +254,7 @@ def test_nodes_and_devices_are_told_in_words(cell: Cell) -> None:
     play(scenario)
 
 
-def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell) -> None:
+def test_images_are_sent_only_to_open_pages_at_their_own_rate(cell: Cell) -> None:
     probe = cell.bench.probe
     assert probe is not None
     camera = load_cell().camera
@@ -323,7 +323,7 @@ def test_pictures_flow_only_while_somebody_looks_and_at_the_page_pace(cell: Cell
     play(scenario)
 
 
-def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) -> None:
+def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_reported(cell: Cell) -> None:
     received = cell.bench.listen(Bool, "emergency_stop", LATCHED)
     stop_port(cell)
     cleared: list[str] = []
@@ -368,7 +368,7 @@ def test_stop_and_clear_reach_the_cell_and_a_missing_driver_is_said(cell: Cell) 
     assert cleared == ["scara_arm"]
 
 
-def test_a_goal_gets_the_planners_own_refusal_and_may_be_canceled() -> None:
+def test_a_goal_gets_the_planners_refusal_and_can_be_canceled() -> None:
     nodes: list[Any] = []
 
     def make() -> list[Any]:
@@ -418,7 +418,7 @@ def several(folder: Path) -> Path:
     return folder / "cell.yaml"
 
 
-def test_several_objects_are_placed_preset_and_sent_as_one_arrangement(tmp_path: Path) -> None:
+def test_several_objects_are_placed_by_a_preset_and_sent_as_one_arrangement(tmp_path: Path) -> None:
     nodes: list[Any] = []
     parameters = {
         "operator_page": {**PARAMETERS["operator_page"], "cell_file": str(several(tmp_path))},
@@ -529,7 +529,7 @@ def press_stop(cell: Cell, port: int) -> int:
         return int(answer.status)
 
 
-def test_stop_has_a_path_that_full_and_busy_pages_cannot_block(cell: Cell) -> None:
+def test_stop_is_not_blocked_by_full_or_busy_pages(cell: Cell) -> None:
     received = cell.bench.listen(Bool, "emergency_stop", LATCHED)
     port = stop_port(cell)
 
@@ -553,7 +553,7 @@ def test_stop_has_a_path_that_full_and_busy_pages_cannot_block(cell: Cell) -> No
     play(scenario)
 
 
-def test_the_stop_is_held_for_late_joiners_and_by_the_next_process(cell: Cell) -> None:
+def test_a_stop_is_held_for_late_joiners_and_by_the_next_process(cell: Cell) -> None:
     port = stop_port(cell)
     link = cell.page._stop
     assert link is not None and not link.held
@@ -571,7 +571,7 @@ def test_the_stop_is_held_for_late_joiners_and_by_the_next_process(cell: Cell) -
     assert not link.held
 
 
-def test_on_the_network_the_page_wants_its_token_and_other_sites_are_kept_out() -> None:
+def test_on_the_network_the_page_requires_its_token_and_rejects_other_sites() -> None:
     made: list[Any] = []
 
     def make() -> list[Any]:
@@ -605,7 +605,7 @@ def test_on_the_network_the_page_wants_its_token_and_other_sites_are_kept_out() 
         play(scenario)
 
 
-def test_a_port_in_use_is_said_and_taken_when_it_is_free() -> None:
+def test_a_port_in_use_is_reported_and_opened_when_it_becomes_free() -> None:
     made: list[Any] = []
 
     def make() -> list[Any]:

@@ -69,7 +69,7 @@ def gap(command: TapCommand, other: Pose) -> float:
     )
 
 
-def test_the_object_goes_around_another_one() -> None:
+def test_the_object_is_moved_around_another_object() -> None:
     with acted(**PATIENT) as actors:
         actors.pose = START
         Other(actors.bench, BETWEEN)
@@ -80,7 +80,7 @@ def test_the_object_goes_around_another_one() -> None:
         assert max(abs(from_message(tap.object_pose).y) for tap in actors.taps()) > 0.05
 
 
-def test_a_goal_where_another_object_lies_is_refused_and_the_object_named() -> None:
+def test_a_goal_occupied_by_another_object_is_refused_and_the_object_named() -> None:
     with acted(**PATIENT) as actors:
         actors.pose = START
         Other(actors.bench, Pose(GOAL.x, GOAL.y + 0.02, 0.0))
@@ -92,7 +92,7 @@ def test_a_goal_where_another_object_lies_is_refused_and_the_object_named() -> N
         assert actors.taps() == []
 
 
-def test_an_object_of_which_nothing_is_heard_is_waited_for_and_named() -> None:
+def test_an_object_without_observations_is_waited_for_and_named() -> None:
     with acted(other_object_files=OTHER) as actors:
         actors.pose = START
         actors.send(GOAL)
@@ -101,7 +101,7 @@ def test_an_object_of_which_nothing_is_heard_is_waited_for_and_named() -> None:
         assert actors.taps() == []
 
 
-def test_an_object_put_in_the_way_of_a_tap_has_it_planned_anew() -> None:
+def test_an_object_placed_in_the_path_of_a_tap_causes_replanning() -> None:
     with acted(**PATIENT) as actors:
         actors.pose, actors.arm_arrives = START, False
         other = Other(actors.bench, None)
@@ -116,7 +116,7 @@ def test_an_object_put_in_the_way_of_a_tap_has_it_planned_anew() -> None:
         assert gap(actors.taps()[1], BETWEEN) > 0.004
 
 
-def test_files_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
+def test_inconsistent_files_are_refused(tmp_path: Path) -> None:
     cell = load_cell()
     with pytest.raises(ConfigurationError, match="the name 'aluminium disk'"):
         load_further_objects(cell, str(shared_folder() / "objects" / "aluminium_disk.yaml"))

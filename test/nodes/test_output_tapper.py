@@ -178,7 +178,7 @@ def test_without_a_read_back_it_is_unknown_and_a_stop_latches(tmp_path: Path) ->
         assert len(cell.robot.pulses()) == 2
 
 
-def test_an_open_guard_and_silence_are_told_and_nothing_is_switched(tmp_path: Path) -> None:
+def test_an_open_guard_and_a_timeout_are_reported_and_nothing_is_switched(tmp_path: Path) -> None:
     with output(tmp_path, "topic") as cell:
         cell.ready()
         cell.robot.guard_closed = False
@@ -194,7 +194,7 @@ def test_an_open_guard_and_silence_are_told_and_nothing_is_switched(tmp_path: Pa
         assert not cell.robot.pulses()
 
 
-def test_the_doctor_finds_it_and_switches_nothing_on(tmp_path: Path) -> None:
+def test_the_doctor_detects_the_output_without_switching_it_on(tmp_path: Path) -> None:
     with output(tmp_path, "service") as cell:
         cell.ready()
         ran = subprocess.run(

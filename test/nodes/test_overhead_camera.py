@@ -49,7 +49,7 @@ def reports(diagnostics: list[DiagnosticArray], words: str) -> bool:
     return any(words in status.message for array in diagnostics for status in array.status)
 
 
-def test_a_folder_is_sent_with_its_calibration_and_rising_stamps(tmp_path):
+def test_images_of_a_folder_are_published_with_calibration_and_increasing_stamps(tmp_path):
     folder = write(tmp_path / "shots")
     with bench(lambda: [OverheadCamera()], parameters(folder, loop=True, exposure=0.01)) as b:
         pictures, infos, diagnostics = listen(b)
@@ -66,7 +66,7 @@ def test_a_folder_is_sent_with_its_calibration_and_rising_stamps(tmp_path):
     assert {p.header.frame_id for p in pictures} == {"camera_optical"}
 
 
-def test_the_end_of_a_folder_is_said_and_not_begun_again(tmp_path):
+def test_the_end_of_a_folder_is_reported_and_playback_does_not_repeat(tmp_path):
     folder = write(tmp_path / "shots")
     with bench(lambda: [OverheadCamera()], parameters(folder)) as b:
         pictures, _, diagnostics = listen(b)
@@ -76,7 +76,7 @@ def test_the_end_of_a_folder_is_said_and_not_begun_again(tmp_path):
     assert len(levels) == len(set(levels)), "an image was sent twice"
 
 
-def test_a_source_that_goes_away_comes_back(tmp_path):
+def test_a_lost_source_recovers(tmp_path):
     folder = write(tmp_path / "shots")
     with bench(lambda: [OverheadCamera()], parameters(folder, loop=True)) as b:
         pictures, _, diagnostics = listen(b)
@@ -88,14 +88,14 @@ def test_a_source_that_goes_away_comes_back(tmp_path):
         b.wait(lambda: len(pictures) > count + 3, "images again")
 
 
-def test_no_source_is_said():
+def test_a_missing_source_is_reported():
     given: dict[str, dict[str, object]] = {"overhead_camera": {"source": '""', "frame_rate": 30.0}}
     with bench(lambda: [OverheadCamera()], given) as b:
         _, _, diagnostics = listen(b)
         b.wait(lambda: reports(diagnostics, "the parameter source is empty"), "it is said")
 
 
-def test_a_node_waits_for_a_source_that_is_not_there_yet(tmp_path):
+def test_a_node_waits_for_a_source_that_is_not_available_yet(tmp_path):
     with bench(lambda: [OverheadCamera()], parameters(tmp_path / "shots", loop=True)) as b:
         pictures, _, diagnostics = listen(b)
         b.wait(lambda: reports(diagnostics, "there is no camera"), "said")
@@ -104,7 +104,7 @@ def test_a_node_waits_for_a_source_that_is_not_there_yet(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(640, 480)])
-def test_pictures_of_another_size_than_the_calibration_are_not_sent(tmp_path, size):
+def test_images_of_another_size_than_the_calibration_are_not_published(tmp_path, size):
     folder = write(tmp_path / "shots", size)
     with bench(lambda: [OverheadCamera()], parameters(folder, loop=True)) as b:
         pictures, _, diagnostics = listen(b)

@@ -179,7 +179,7 @@ def test_a_stop_brakes_the_arm_and_demands_homing(cell: Cell) -> None:
     cell.homed()
 
 
-def test_silent_joint_states_are_told_and_a_return_is_found(cell: Cell) -> None:
+def test_a_joint_state_timeout_is_reported_and_recovery_is_detected(cell: Cell) -> None:
     cell.homed()
     cell.tap(100)
     cell.wait_state(ArmState.IN_POSITION)
@@ -194,7 +194,7 @@ def test_silent_joint_states_are_told_and_a_return_is_found(cell: Cell) -> None:
     cell.homed()
 
 
-def test_the_doctor_hears_it_and_moves_nothing(cell: Cell) -> None:
+def test_the_doctor_receives_joint_states_and_moves_nothing(cell: Cell) -> None:
     cell.wait_state(ArmState.NOT_HOMED)
     rows = doctor_in_a_process(cell.file)
     arm = [row for row in rows if row["device"] == "arm"]

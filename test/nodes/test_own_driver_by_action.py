@@ -49,7 +49,7 @@ def cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cell]:
             made[0].close()
 
 
-def test_a_tap_by_goals_of_the_action(cell: Cell) -> None:
+def test_a_tap_by_action_goals(cell: Cell) -> None:
     cell.homed()
     cell.tap(100)
     cell.wait_state(ArmState.IN_POSITION)
@@ -73,7 +73,7 @@ def test_a_stop_cancels_the_goal_and_brakes(cell: Cell) -> None:
     cell.homed()
 
 
-def test_an_aborted_goal_is_a_fault_with_the_controllers_words(cell: Cell) -> None:
+def test_an_aborted_goal_is_a_fault_with_the_controllers_message(cell: Cell) -> None:
     cell.homed()
     cell.tap(100)
     cell.bench.wait(cell.moving, "it moves")

@@ -12,7 +12,7 @@ def shown(recovery: Recovery, arm: ArmState | None, tapper: TapperState | None) 
     return [f"{step.command or '-'}:{step.state}" for step in steps]
 
 
-def test_after_a_stop_each_step_ticks_itself_off() -> None:
+def test_after_a_stop_each_recovery_step_is_marked_done() -> None:
     recovery = Recovery()
     ready = ArmState(state=ArmState.IDLE, homed=True)
     safe = TapperState(state=TapperState.SAFE)
@@ -42,12 +42,12 @@ def test_a_fault_of_the_arm_alone_does_not_ask_for_the_tappers_button() -> None:
     assert shown(recovery, fault, safe) == ["-:now", "clear:now", "home:later"]
 
 
-def test_who_holds_a_stop_is_named() -> None:
+def test_the_holder_of_a_stop_is_named() -> None:
     stopped = ArmState(state=ArmState.STOPPED)
     steps = Recovery().steps(stopped, None, ["this page's STOP", "a panel"], simulated=False)
     assert any("this page's STOP, a panel" in step.text for step in steps)
     assert all(step.command != "press_button" for step in steps)
 
 
-def test_nothing_is_asked_while_nobody_answers() -> None:
+def test_no_step_is_requested_while_no_node_answers() -> None:
     assert Recovery().steps(None, None, [], simulated=False) == []

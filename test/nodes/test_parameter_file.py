@@ -46,7 +46,7 @@ def started(node: str, file: Path, namespace: str = "/") -> Iterator[Any]:
 
 @pytest.mark.parametrize("namespace", ["/", "/left", "/hall/left"])
 @pytest.mark.parametrize("node", CLASSES)
-def test_the_example_serves_every_node(node: str, namespace: str) -> None:
+def test_the_example_file_is_valid_for_every_node(node: str, namespace: str) -> None:
     with started(node, EXAMPLE, namespace) as made:
         assert made.settings.autostart is True
         if node == "run_recorder":

@@ -121,7 +121,7 @@ def asked(path: Path, **options: object) -> argparse.Namespace:
     )
 
 
-def test_an_arms_record_is_made_gone_on_with_and_calibrates_the_arm(
+def test_an_arm_record_is_made_resumed_and_calibrates_the_arm(
     held: HeldMarker, tmp_path: Path
 ) -> None:
     path = tmp_path / "poses.csv"
@@ -139,7 +139,7 @@ def test_an_arms_record_is_made_gone_on_with_and_calibrates_the_arm(
     assert math.remainder(found["base_yaw"] - BASE.theta, math.tau) == pytest.approx(0, abs=1e-6)
 
 
-def test_an_arm_that_does_not_go_stops_the_recording_in_its_own_words(
+def test_an_arm_that_does_not_move_stops_the_recording_with_its_own_message(
     held: HeldMarker, tmp_path: Path
 ) -> None:
     held.refuses = True
@@ -147,7 +147,7 @@ def test_an_arm_that_does_not_go_stops_the_recording_in_its_own_words(
         arm_recording.record(asked(tmp_path / "poses.csv"), CELL, QUIET)
 
 
-def test_another_cell_file_than_the_running_cells_is_refused(
+def test_a_cell_file_other_than_that_of_the_running_cell_is_refused(
     held: HeldMarker, tmp_path: Path
 ) -> None:
     held.other_file = 0.02
@@ -166,7 +166,7 @@ def test_a_marker_that_is_never_seen_stops_the_recording(
     assert (tmp_path / "poses.csv").read_text().count("\n") == 1
 
 
-def test_energies_are_within_the_tapper_and_mixed_over_the_range() -> None:
+def test_energies_are_within_the_tapper_limits_and_shuffled_over_the_range() -> None:
     energies = tapper_recording.energies_of(CELL)
     curve = CELL.file.tapper.curve()
     assert energies == sorted(energies) and energies[-1] > 10 * energies[0]
@@ -201,14 +201,14 @@ def recorded(answers: list[str | int], path: Path) -> np.ndarray:
     return read_csv(path, tapper.RECORD_COLUMNS).columns("energy", "distance")
 
 
-def test_taps_are_recorded_with_their_travel_and_lost_ones_made_again(tmp_path: Path) -> None:
+def test_taps_are_recorded_with_their_travel_and_lost_taps_are_repeated(tmp_path: Path) -> None:
     answers: list[str | int] = ["ok", "lost", "ok", int(ErrorCode.OBJECT_NOT_SEEN), "miss"]
     rows = recorded(answers, tmp_path / "taps.csv")
     np.testing.assert_allclose(rows[:, 0], [0.001, 0.002, 0.003])
     np.testing.assert_allclose(rows[:, 1], [0.04, 0.04, 0.0001], rtol=1e-3)
 
 
-def test_an_object_that_is_lost_again_and_again_stops_it(tmp_path: Path) -> None:
+def test_an_object_that_is_lost_repeatedly_stops_the_recording(tmp_path: Path) -> None:
     with pytest.raises(CalibrationRefused, match="4 consecutive taps are unusable"):
         recorded(["ok", *(["lost"] * 5)], tmp_path / "taps.csv")
     assert len(read_csv(tmp_path / "taps.csv", tapper.RECORD_COLUMNS).rows) == 1

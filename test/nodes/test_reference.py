@@ -42,7 +42,7 @@ def section(title: str) -> str:
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_every_parameter_stands_in_the_page_with_its_text_and_range(node: str) -> None:
+def test_every_parameter_is_listed_with_its_description_and_range(node: str) -> None:
     rows = section(f"`{node}`")
     parameters = importlib.import_module(MODULES[node]).Parameters
     fields = dataclasses.fields(parameters)
@@ -62,7 +62,7 @@ def test_the_built_messages_have_the_declared_error_codes() -> None:
     assert built == {code.name: number for number, code in error_codes.codes().items()}
 
 
-def test_every_topic_and_service_of_the_nodes_stands_in_the_page() -> None:
+def test_every_topic_and_service_of_the_nodes_is_listed() -> None:
     from tapping_cell.nodes.camera.camera_pose import CameraPose
     from tapping_cell.nodes.page.operator_page import OperatorPage
 

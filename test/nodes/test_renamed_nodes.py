@@ -32,7 +32,7 @@ def rows(client: CellClient) -> dict[str, dict[str, str]]:
     return {row["role"]: row for row in client.state()["nodes"]}
 
 
-def test_a_renamed_arm_is_listed_stopped_and_remembers_its_stop(
+def test_a_renamed_arm_is_listed_stopped_and_keeps_its_stop(
     tmp_path: Path, client: CellClient
 ) -> None:
     arms: list[ScaraArm] = []
@@ -57,7 +57,7 @@ def test_a_renamed_arm_is_listed_stopped_and_remembers_its_stop(
         b.wait(kept.exists, "the stop is stored")
 
 
-def test_with_images_of_any_camera_driver_no_camera_is_missing(client: CellClient) -> None:
+def test_no_camera_is_missing_with_images_of_any_camera_driver(client: CellClient) -> None:
     configuration = load_cell()
     renderer = make_renderer(configuration, CameraTruth(), configuration.outline(), 1)
     with bench(lambda: [CameraPose()], {}) as b:

@@ -144,7 +144,7 @@ def is_written(runs: Path) -> bool:
     return any(file.stat().st_size > 0 for file in runs.glob("*/bag/*"))
 
 
-def test_a_goal_leaves_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> None:
+def test_a_goal_produces_a_folder_whose_bag_begins_before_it(tmp_path: Path) -> None:
     with cell(tmp_path, seed=3, pictures=True) as fake:
         fake.arms.publish(fake.stamp(ArmState(state=ArmState.IDLE)))
         # Wait for longer than the time that is recorded before a goal. The bag must nevertheless
@@ -279,7 +279,7 @@ def test_a_report_is_made_when_the_topics_are_remapped(tmp_path: Path) -> None:
     assert run.reached and len(run.taps) == 1
 
 
-def test_refused_replaced_and_lost_goals_are_told_truly(
+def test_refused_replaced_and_lost_goals_are_reported_correctly(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_recorder, "SILENCE_S", 5.0)
@@ -309,7 +309,7 @@ def test_refused_replaced_and_lost_goals_are_told_truly(
     assert runs[0].goal is not None and runs[0].goal.x == 0.9
 
 
-def test_the_end_of_the_recorder_leaves_the_tables_of_the_goal_under_way(tmp_path: Path) -> None:
+def test_stopping_the_recorder_writes_the_tables_of_the_active_goal(tmp_path: Path) -> None:
     with cell(tmp_path, pictures=True) as fake:
         fake.see(START)
         fake.plan(fake.goal(), PlanState.PLACING)
@@ -319,7 +319,7 @@ def test_the_end_of_the_recorder_leaves_the_tables_of_the_goal_under_way(tmp_pat
     assert read_bag(folder / "bag").whole
 
 
-def test_ctrl_c_in_mid_goal_leaves_the_tables_and_no_traceback(tmp_path: Path) -> None:
+def test_ctrl_c_during_a_goal_writes_the_tables_without_a_traceback(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tapping_cell.nodes.recorder.run_recorder", "--ros-args"]
     for value in (f"folder:={tmp_path / 'runs'}", "pictures:=false", "least_free:=0.0"):
         command += ["-p", value]
@@ -340,7 +340,7 @@ def test_ctrl_c_in_mid_goal_leaves_the_tables_and_no_traceback(tmp_path: Path) -
     assert read_bag(folder / "bag").whole
 
 
-def test_single_taps_make_no_run_folder(tmp_path: Path) -> None:
+def test_single_taps_create_no_run_folder(tmp_path: Path) -> None:
     with cell(tmp_path) as fake:
         fake.plan(fake.goal(), PlanState.PLACING, planner="prescribed")
         time.sleep(1.0)
@@ -349,7 +349,7 @@ def test_single_taps_make_no_run_folder(tmp_path: Path) -> None:
     assert len(list((tmp_path / "runs").iterdir())) == 1
 
 
-def test_a_name_is_never_taken_twice(tmp_path: Path) -> None:
+def test_a_run_name_is_never_used_twice(tmp_path: Path) -> None:
     with cell(tmp_path, name="mine") as fake:
         fake.follow(fake.goal())
         fake.recorded(1)
@@ -358,7 +358,7 @@ def test_a_name_is_never_taken_twice(tmp_path: Path) -> None:
     assert names == ["mine", "mine_2"]
 
 
-def test_a_report_that_is_overtaken_by_the_goals_end_begins_no_run(tmp_path: Path) -> None:
+def test_a_report_received_after_the_end_of_its_goal_starts_no_run(tmp_path: Path) -> None:
     with cell(tmp_path) as fake:
         goal = fake.goal()
         late = fake.stamp(PlanState(state=PlanState.LOOKING, goal=goal, planner="optimal"))
@@ -383,7 +383,7 @@ def test_a_report_that_is_overtaken_by_the_goals_end_begins_no_run(tmp_path: Pat
     ],
     ids=["folder", "room", "number"],
 )
-def test_a_recorder_that_cannot_write_says_so_and_goes_on(
+def test_a_recorder_that_cannot_write_reports_it_and_continues(
     parameters: dict[str, object], words: str, tmp_path: Path
 ) -> None:
     if parameters.get("folder") == "FULL":

@@ -143,7 +143,7 @@ def cell(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Cell]:
         yield made
 
 
-def test_it_homes_by_itself_and_reports_joints_only_then(cell: Cell) -> None:
+def test_the_arm_homes_automatically_and_reports_joints_only_afterwards(cell: Cell) -> None:
     unhomed = [s for s in cell.states if s.state in (ArmState.DISCONNECTED, ArmState.NOT_HOMED)]
     assert not any(state.homed for state in unhomed)
     assert cell.last.homed and cell.last.clear_of_camera
@@ -177,7 +177,7 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
     assert cell.last.clear_of_camera and cell.last.tap_id == 0
 
 
-def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> None:
+def test_an_emergency_stop_during_a_move_stops_the_arm_and_requires_homing(cell: Cell) -> None:
     cell.command(100, Pose(0.15, -0.1, 0.0))
     cell.bench.wait(cell.moving, "the arm moves")
     cell.stop.publish(Bool(data=True))
@@ -204,7 +204,7 @@ def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> 
     cell.wait_state(ArmState.IN_POSITION)
 
 
-def test_a_stop_outlives_its_node_and_homes_nothing(tmp_path: Path) -> None:
+def test_a_stop_survives_a_node_restart_and_prevents_homing(tmp_path: Path) -> None:
     """After a stop, an arm whose node was killed and restarted must not home by itself."""
     with arm_cell(tmp_path) as cell:
         cell.wait_state(ArmState.IDLE)
@@ -219,7 +219,7 @@ def test_a_stop_outlives_its_node_and_homes_nothing(tmp_path: Path) -> None:
         assert not cell.moves(0.5)
 
 
-def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
+def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> None:
     """If the panel that stopped the cell disappears, a person must confirm that they have checked
     it before the stop can be cleared."""
     panel = Node("panel")
@@ -236,7 +236,7 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
     cell.wait_state(ArmState.NOT_HOMED)
 
 
-def test_a_source_that_does_not_repeat_its_level_asks_for_a_confirmation(cell: Cell) -> None:
+def test_a_stop_source_that_does_not_repeat_its_level_requires_a_confirmation(cell: Cell) -> None:
     """Some sources do not repeat their level, so nobody can check whether they still hold the stop.
     The stop of a source that does not repeat its level must remain if another source releases its
     own stop."""
@@ -261,7 +261,7 @@ def test_a_source_that_does_not_repeat_its_level_asks_for_a_confirmation(cell: C
 
 @pytest.mark.parametrize("reliability", ["RELIABLE", "BEST_EFFORT"])
 @pytest.mark.parametrize("durability", ["TRANSIENT_LOCAL", "VOLATILE"])
-def test_a_stop_is_received_from_a_publisher_of_any_profile(
+def test_a_stop_is_received_from_a_publisher_with_any_qos_profile(
     cell: Cell, reliability: str, durability: str
 ) -> None:
     profile = QoSProfile(
@@ -277,7 +277,7 @@ def test_a_stop_is_received_from_a_publisher_of_any_profile(
     panel.destroy_node()
 
 
-def test_a_stop_is_sent_before_anything_is_asked_of_the_graph(
+def test_a_stop_is_sent_before_the_graph_is_queried(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stopped, ask = list[bool](), cell.arm.get_publishers_info_by_topic
@@ -309,7 +309,7 @@ def test_an_arm_whose_stop_could_not_be_stored_does_not_start(
         cell.wait_state(ArmState.IDLE)
 
 
-def test_the_stops_that_hold_are_told_to_late_joiners(cell: Cell) -> None:
+def test_active_stops_are_published_to_late_joiners(cell: Cell) -> None:
     cell.stop.publish(Bool(data=True))
     cell.wait_state(ArmState.STOPPED)
     received = cell.bench.listen(StopState, "scara_arm/stop_state", LATCHED)
@@ -318,7 +318,7 @@ def test_the_stops_that_hold_are_told_to_late_joiners(cell: Cell) -> None:
     assert "release the emergency stop" in received[-1].error_msg
 
 
-def test_an_inactive_arm_is_still(cell: Cell) -> None:
+def test_an_inactive_arm_does_not_move(cell: Cell) -> None:
     cell.arm.trigger_deactivate()
     cell.wait_state(ArmState.FAULT)
     cell.withdraw(0)
@@ -327,7 +327,7 @@ def test_an_inactive_arm_is_still(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize("cell", ["marlin"], indirect=True)
-def test_diagnostics_tell_of_port_firmware_homing_and_the_line(cell: Cell) -> None:
+def test_diagnostics_report_port_firmware_homing_and_line_quality(cell: Cell) -> None:
     received = cell.bench.listen(DiagnosticArray, "/diagnostics")
 
     def values() -> dict[str, str]:
@@ -341,7 +341,7 @@ def test_diagnostics_tell_of_port_firmware_homing_and_the_line(cell: Cell) -> No
     assert {"retries", "resends", "timeouts", "bad lines", "last error"} <= set(reported)
 
 
-def test_a_pulled_cable_is_noticed_and_mended(cell: Cell) -> None:
+def test_a_disconnected_cable_is_detected_and_reconnected(cell: Cell) -> None:
     cell.terminal.hang_up()
     cell.wait_state(ArmState.DISCONNECTED)
     assert cell.last.error_code == ErrorCode.ARM_NOT_CONNECTED

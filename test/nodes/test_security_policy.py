@@ -132,7 +132,7 @@ def node_class(name: str) -> type[CellNode[Any]]:
 
 
 @pytest.mark.parametrize("name", [*MODULES, "goal", "cell_client"])
-def test_a_node_is_granted_what_it_opens_and_nothing_else(name: str, own_graph: None) -> None:
+def test_a_node_is_granted_only_what_it_opens(name: str, own_graph: None) -> None:
     rules, later = granted()[name], OPENED_LATER.get(name, {})
     if importlib.util.find_spec("tf2_ros") is None:
         later = {**later, **OPENED_WITH_TF2.get(name, {})}
@@ -180,7 +180,7 @@ def test_only_its_owner_may_publish_a_topic(topic: str, publishers: set[str]) ->
     assert {name for name, rules in granted().items() if topic in rules["publish"]} == publishers
 
 
-def test_a_middleware_without_security_is_refused_in_a_sentence(tmp_path: Path) -> None:
+def test_a_middleware_without_security_is_refused_with_a_message(tmp_path: Path) -> None:
     (tmp_path / "enclaves" / "tapping_cell" / "tap_planner").mkdir(parents=True)
     environment = {
         **os.environ,
@@ -201,7 +201,7 @@ def test_a_middleware_without_security_is_refused_in_a_sentence(tmp_path: Path) 
         assert all(word in ended.stderr for word in words), ended.stderr
 
 
-def test_the_permissions_that_sros2_makes_forbid_what_the_policy_does_not_grant(
+def test_the_sros2_permissions_deny_what_the_policy_does_not_grant(
     tmp_path: Path,
 ) -> None:
     """The permissions are evaluated as DDS Security specifies: what no rule allows is denied."""

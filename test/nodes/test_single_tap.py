@@ -82,7 +82,7 @@ def test_a_second_tap_and_a_tap_during_a_goal_are_refused(experiment: Experiment
     assert len(actors.taps()) == 1
 
 
-def test_a_goal_takes_the_place_of_a_single_tap(experiment: Experiment) -> None:
+def test_a_goal_replaces_a_single_tap(experiment: Experiment) -> None:
     actors = experiment.actors
     actors.arm_arrives = False
     thread, results = experiment.begin()
@@ -96,7 +96,7 @@ def test_a_goal_takes_the_place_of_a_single_tap(experiment: Experiment) -> None:
     assert len(ids) == len(set(ids)) >= 2
 
 
-def test_what_cannot_be_tapped_is_refused_in_words(experiment: Experiment) -> None:
+def test_an_impossible_tap_is_refused_with_a_message(experiment: Experiment) -> None:
     for asked, code, word in (
         ((0.001, INCIDENCE), ErrorCode.TAPPER_SPEED_OUT_OF_RANGE, "2500 mm/s"),
         ((math.nan, INCIDENCE), ErrorCode.TAPPER_SPEED_OUT_OF_RANGE, "nan"),
@@ -130,7 +130,9 @@ def test_an_object_lost_after_the_tap_leaves_a_record_without_an_end(
     assert math.isnan(result.record.measured_pose.pose.position.x)
 
 
-def test_an_unknown_outcome_is_looked_at_and_never_fired_again(experiment: Experiment) -> None:
+def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeated(
+    experiment: Experiment,
+) -> None:
     actors = experiment.actors
     actors.tapper_answers = TapperState.UNKNOWN
     result = experiment.tap()
@@ -139,7 +141,7 @@ def test_an_unknown_outcome_is_looked_at_and_never_fired_again(experiment: Exper
     assert len(actors.taps()) == 1
 
 
-def test_a_tap_that_is_surely_not_fired_is_tried_three_times_under_new_ids(
+def test_a_tap_known_not_to_have_fired_is_tried_three_times_with_new_ids(
     experiment: Experiment,
 ) -> None:
     actors = experiment.actors

@@ -192,7 +192,7 @@ def test_a_planner_that_has_ended_serves_nothing() -> None:
         context.try_shutdown()
 
 
-def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
+def test_the_goal_is_reached_with_working_devices(actors: Actors) -> None:
     actors.send()
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg
@@ -206,7 +206,7 @@ def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
 
 
 @pytest.mark.parametrize("profile", [COMMAND, BEST_EFFORT_COMMAND], ids=["reliable", "best effort"])
-def test_a_goal_of_any_publisher_is_taken_once(actors: Actors, profile: QoSProfile) -> None:
+def test_a_goal_of_any_publisher_is_accepted_once(actors: Actors, profile: QoSProfile) -> None:
     probe = actors.bench.probe
     assert probe is not None
     reports = actors.bench.listen(GoalReport, "goal_report", LATCHED)
@@ -226,7 +226,7 @@ def test_a_goal_of_any_publisher_is_taken_once(actors: Actors, profile: QoSProfi
     assert len(reports) == 1, [report.error_msg for report in reports]
 
 
-def test_a_goal_under_way_is_kept_for_a_crash_and_forgotten_at_its_end(tmp_path: Path) -> None:
+def test_an_active_goal_is_stored_for_crash_recovery_and_deleted_at_its_end(tmp_path: Path) -> None:
     with acted() as made:
         made.arm_arrives = False
         made.send()

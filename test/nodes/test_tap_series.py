@@ -117,7 +117,7 @@ def series(client: ScriptedClient, folder: Path, design: Design = DESIGN) -> Tap
     )
 
 
-def test_each_trial_is_on_disk_before_the_next(tmp_path: Path) -> None:
+def test_each_trial_is_saved_before_the_next_one(tmp_path: Path) -> None:
     client = ScriptedClient(["ok"] * 3)
     for number, done in enumerate(series(client, tmp_path).run(), start=1):
         assert done.trial.trial == number
@@ -129,7 +129,7 @@ def test_each_trial_is_on_disk_before_the_next(tmp_path: Path) -> None:
     )
 
 
-def test_what_is_no_use_is_recorded_by_name_and_made_again(tmp_path: Path) -> None:
+def test_unusable_trials_are_recorded_with_a_reason_and_repeated(tmp_path: Path) -> None:
     made = list(series(ScriptedClient(["ok", "miss", "lost", "ok", "ok"]), tmp_path).run())
     assert [done.trial.outcome for done in made] == ["ok", "missed", "lost", "ok", "ok"]
     read = read_trials(tmp_path)
@@ -137,14 +137,14 @@ def test_what_is_no_use_is_recorded_by_name_and_made_again(tmp_path: Path) -> No
     assert read.trials[2].note == "a hand" and read.left_out == ()
 
 
-def test_a_run_that_goes_wrong_again_and_again_is_given_up(tmp_path: Path) -> None:
+def test_a_run_that_fails_repeatedly_is_aborted(tmp_path: Path) -> None:
     client = ScriptedClient(["ok"] + ["miss"] * 9)
     with pytest.raises(SeriesStopped, match="only 1 of 6 trials are usable"):
         list(series(client, tmp_path).run())
     assert len(client.answers) == 4
 
 
-def test_without_room_the_object_is_brought_to_the_middle(tmp_path: Path) -> None:
+def test_without_free_space_the_object_is_moved_to_the_middle(tmp_path: Path) -> None:
     client = ScriptedClient(
         [ErrorCode.TAP_LEAVES_TABLE, "ok", "ok", "ok"], pose=Pose(0.2, 0.1, 0.4)
     )
@@ -152,20 +152,22 @@ def test_without_room_the_object_is_brought_to_the_middle(tmp_path: Path) -> Non
     assert client.goals == [Pose(0.0, 0.0, 0.4)]
 
 
-def test_without_room_in_the_middle_it_stops_with_the_planners_words(tmp_path: Path) -> None:
+def test_without_free_space_in_the_middle_it_stops_with_the_planners_message(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(SeriesStopped, match="TAP_LEAVES_VIEW: so it was told") as stopped:
         list(series(ScriptedClient([ErrorCode.TAP_LEAVES_VIEW]), tmp_path).run())
     assert stopped.value.code == ErrorCode.TAP_LEAVES_VIEW
 
 
-def test_an_object_that_cannot_be_brought_back_stops_it(tmp_path: Path) -> None:
+def test_an_object_that_cannot_be_returned_stops_the_series(tmp_path: Path) -> None:
     client = ScriptedClient([ErrorCode.NO_TAP_FOUND], Pose(0.2, 0.1, 0.0), ErrorCode.ARM_TIMEOUT)
     with pytest.raises(SeriesStopped, match="brought back") as stopped:
         list(series(client, tmp_path).run())
     assert stopped.value.code == ErrorCode.ARM_TIMEOUT
 
 
-def test_a_passing_trouble_is_waited_for_but_not_for_ever(tmp_path: Path) -> None:
+def test_a_temporary_error_is_waited_for_with_a_limit(tmp_path: Path) -> None:
     passing = int(ErrorCode.OBJECT_NOT_SEEN)
     client = ScriptedClient([passing, passing, "ok", passing, passing, "ok", "ok"])
     assert len(list(series(client, tmp_path / "a").run())) == 3
@@ -173,7 +175,7 @@ def test_a_passing_trouble_is_waited_for_but_not_for_ever(tmp_path: Path) -> Non
         list(series(ScriptedClient([passing] * 5), tmp_path / "b").run())
 
 
-def test_a_fault_stops_it_at_once(tmp_path: Path) -> None:
+def test_a_fault_stops_the_series_at_once(tmp_path: Path) -> None:
     client = ScriptedClient(["ok", ErrorCode.TAPPER_INTERLOCK_OPEN, "ok"])
     with pytest.raises(SeriesStopped, match="TAPPER_INTERLOCK_OPEN"):
         list(series(client, tmp_path).run())
@@ -181,7 +183,7 @@ def test_a_fault_stops_it_at_once(tmp_path: Path) -> None:
     assert len(read_trials(tmp_path).trials) == 1
 
 
-def test_it_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+def test_a_stopped_series_is_resumed_where_it_ended(tmp_path: Path) -> None:
     first = series(ScriptedClient(["ok", "lost"]), tmp_path)
     made = first.run()
     next(made), next(made)

@@ -162,7 +162,7 @@ def keep_publishing(cell: Cell, seconds: float, **arm: object) -> None:
         time.sleep(0.05)
 
 
-def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
+def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     cell.command(100)
     time.sleep(0.2)
     assert cell.shots() == []
@@ -193,7 +193,7 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
     assert cell.shots() == [101]
 
 
-def test_a_cable_pulled_at_the_release_leaves_an_unknown_outcome_and_a_working_node(
+def test_a_cable_disconnected_at_firing_gives_an_unknown_outcome_and_the_node_recovers(
     cell: Cell,
 ) -> None:
     def release(shot: int, energy: float, now: float) -> None:
@@ -217,7 +217,7 @@ SLOW = TapperMachine(SpringMechanism(step_rate=100.0))
 charged."""
 
 
-def test_deactivating_in_mid_draw_lets_the_striker_down(tmp_path: Path) -> None:
+def test_deactivation_during_charging_discharges_the_striker(tmp_path: Path) -> None:
     nodes: list[TapperTrigger] = []
     with tapper_cell(tmp_path, SLOW, nodes) as cell:
         cell.command(100)
@@ -249,7 +249,7 @@ class Bootloader(TapperEmulator):
             super().receive(data, now)
 
 
-def test_a_board_that_starts_anew_for_seconds_when_its_port_is_opened_is_reached(
+def test_a_board_that_restarts_for_seconds_when_its_port_is_opened_is_reached(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "tapper"
@@ -261,7 +261,7 @@ def test_a_board_that_starts_anew_for_seconds_when_its_port_is_opened_is_reached
         b.wait(lambda: states and states[-1].state == TapperState.SAFE, "the tapper is safe")
 
 
-def test_a_stop_published_before_the_node_was_there_holds(tmp_path: Path) -> None:
+def test_a_stop_published_before_the_node_started_is_held(tmp_path: Path) -> None:
     device = TapperEmulator(now=time.monotonic())
     path = tmp_path / "tapper"
     parameters = {"tapper_trigger": {"port": path, "autostart": False, "needs_camera": False}}
@@ -284,7 +284,7 @@ def test_a_stop_published_before_the_node_was_there_holds(tmp_path: Path) -> Non
         assert cell.shots() == [] and cell.states[-1].state == TapperState.STOPPED
 
 
-def test_diagnostics_tell_of_port_firmware_and_shots(cell: Cell) -> None:
+def test_diagnostics_report_port_firmware_and_shots(cell: Cell) -> None:
     received = cell.bench.listen(DiagnosticArray, "/diagnostics")
     cell.fire(100)
 

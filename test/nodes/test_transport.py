@@ -34,7 +34,7 @@ def transports(path: str) -> set[str]:
     ],
 )
 @pytest.mark.parametrize("before", ["", "/elsewhere/config/fastdds_profile.xml"])
-def test_each_node_takes_the_profile_of_what_it_carries(
+def test_each_node_uses_the_transport_profile_for_its_messages(
     monkeypatch: pytest.MonkeyPatch, node: type, expected: set[str], before: str
 ) -> None:
     monkeypatch.setenv(PROFILE_VARIABLE, before)
@@ -42,7 +42,7 @@ def test_each_node_takes_the_profile_of_what_it_carries(
     assert transports(os.environ[PROFILE_VARIABLE]) == expected
 
 
-def test_a_profile_of_the_users_own_is_left_alone(
+def test_a_user_defined_profile_is_not_changed(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     own = str(tmp_path / "my_profile.xml")

@@ -81,7 +81,7 @@ def test_a_path_ends_on_the_strike_pose_and_rests_there(
     assert np.allclose(found[:3], tip[:3], atol=2e-4)
 
 
-def test_the_drivers_word_is_the_controllers_not_the_truth(
+def test_the_driver_reports_the_controller_position_not_the_true_position(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     offset = (0.002, -0.001, 0.0, 0.003)
@@ -145,7 +145,7 @@ def test_stop_from_another_thread_halts_the_arm_and_latches(
     assert np.allclose(cell.truth(), (0.1, 1.4, 0.0, 0.0), atol=1e-3)
 
 
-def test_stop_waits_for_nobody(plug: Callable[..., PseudoTerminal]) -> None:
+def test_stop_does_not_wait_for_other_threads(plug: Callable[..., PseudoTerminal]) -> None:
     cell = emulated(plug)
     driver = cell.ready()
     delays = []
@@ -172,7 +172,7 @@ def test_a_reset_board_must_be_homed_again(plug: Callable[..., PseudoTerminal]) 
     driver.home(HomingStrategy.FIRMWARE)
 
 
-def test_homing_survives_a_pulled_cable_but_not_a_reset(
+def test_homing_survives_a_disconnected_cable_but_not_a_reset(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = emulated(plug)
@@ -191,7 +191,7 @@ def test_homing_survives_a_pulled_cable_but_not_a_reset(
         assert driver.homed is not reset
 
 
-def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerminal]) -> None:
+def test_an_arm_pushed_while_unplugged_is_detected(plug: Callable[..., PseudoTerminal]) -> None:
     """The controller does not notice if somebody pushes the arm. The driver can only notice that
     the reported position has changed. In this test a move of another program changes the reported
     position."""
@@ -205,7 +205,7 @@ def test_an_arm_pushed_while_unplugged_is_noticed(plug: Callable[..., PseudoTerm
     assert caught.value.reason is FaultReason.POSITION_LOST
 
 
-def test_an_alarm_in_mid_move(plug: Callable[..., PseudoTerminal]) -> None:
+def test_an_alarm_during_a_move(plug: Callable[..., PseudoTerminal]) -> None:
     cell = emulated(plug)
     driver = cell.ready()
 
@@ -262,7 +262,7 @@ def test_unknown_firmware_is_refused(plug: Callable[..., PseudoTerminal]) -> Non
     assert caught.value.reason is FaultReason.UNKNOWN_FIRMWARE
 
 
-def test_a_homing_that_did_not_run_is_not_believed(plug: Callable[..., PseudoTerminal]) -> None:
+def test_homing_that_did_not_run_is_not_accepted(plug: Callable[..., PseudoTerminal]) -> None:
     """A single wrong bit changes $H (home) to $X (unlock), to which Grbl, if not locked, answers
     ok."""
     cell = emulated(plug)
@@ -306,7 +306,7 @@ def test_a_board_that_resets_when_the_port_opens(plug: Callable[..., PseudoTermi
     assert not driver.homed
 
 
-def test_connecting_waits_for_the_last_move_of_a_driver_that_died(
+def test_connecting_waits_for_the_last_move_of_a_killed_driver(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = emulated(plug)

@@ -45,7 +45,7 @@ def test_home_move_read_back(plug: Plug) -> None:
     assert np.allclose(cell.truth(), goal, atol=1e-3)
 
 
-def test_homing_survives_a_pulled_cable_but_not_a_reset(plug: Plug) -> None:
+def test_homing_survives_a_disconnected_cable_but_not_a_reset(plug: Plug) -> None:
     cell = emulated(plug)
     driver = cell.ready()
     for reset in (False, True):
@@ -94,7 +94,7 @@ def test_stop_is_unnumbered_and_acts_at_once(plug: Plug, parser: bool) -> None:
     driver.move_to((0.1, 1.4, 0.0, 0.0))
 
 
-def test_a_halted_board_that_no_dtr_resets_needs_a_person(plug: Plug) -> None:
+def test_a_halted_board_without_dtr_reset_needs_an_operator(plug: Plug) -> None:
     cell = emulated(plug, parser=False)
     driver = cell.ready()
     driver.stop()
@@ -107,7 +107,7 @@ def test_a_halted_board_that_no_dtr_resets_needs_a_person(plug: Plug) -> None:
     driver.home(HomingStrategy.FIRMWARE)
 
 
-def test_a_restart_during_a_move_is_noticed(plug: Plug) -> None:
+def test_a_restart_during_a_move_is_detected(plug: Plug) -> None:
     cell = emulated(plug)
     driver = cell.ready()
 
@@ -231,7 +231,7 @@ def test_octoprints_printer_is_understood_and_moved(peer: Peer) -> None:
         "resend_ratio 20",
     ],
 )
-def test_octoprints_printer_misbehaves_and_the_moves_come_about(peer: Peer, name: str) -> None:
+def test_moves_complete_although_octoprints_printer_misbehaves(peer: Peer, name: str) -> None:
     driver = peer.ready()
     peer.inject(name)
     for goal in ((0.3, 0.5, -0.02, 0.4), (0.1, 0.2, -0.01, 0.1), (0.2, 0.3, -0.02, 0.0)):

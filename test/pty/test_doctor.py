@@ -42,7 +42,7 @@ def a_cell(folder: Path, plug: Plug, dialect: str) -> tuple[Path, GrblEmulator |
 
 
 @pytest.mark.parametrize("dialect", ["grbl", "marlin"])
-def test_a_cell_that_is_set_up_is_all_green(
+def test_a_configured_cell_passes_every_check(
     tmp_path: Path, plug: Plug, dialect: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, _ = a_cell(tmp_path, plug, dialect)
@@ -70,7 +70,7 @@ def test_a_cell_without_an_arm_has_its_boards_checked(
     assert found == ({"tapper"} if boards == 1 else {"tapper board 1", "tapper board 2"})
 
 
-def test_a_difference_is_named_with_its_command_and_stored_after_a_yes(
+def test_a_difference_is_reported_with_its_command_and_stored_after_confirmation(
     tmp_path: Path,
     plug: Plug,
     monkeypatch: pytest.MonkeyPatch,
@@ -101,7 +101,7 @@ def test_a_difference_is_named_with_its_command_and_stored_after_a_yes(
     assert emulator.joints(time.monotonic()) == before
 
 
-def test_devices_that_are_not_there_are_named(
+def test_missing_devices_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tapping_cell.cli.doctor.TIMEOUT", 0.2)

@@ -19,7 +19,7 @@ def pull_a_cable(cell: TrialCell) -> None:
 
 
 @pytest.mark.parametrize("dialect", Dialect)
-def test_cables_pulled_in_mid_tap(dialect: Dialect) -> None:
+def test_cables_disconnected_during_a_tap(dialect: Dialect) -> None:
     tally = run_taps(dialect, 2, 5, pull_a_cable, terminal_cell)
     assert tally.clean, tally.notes
     assert tally.taps == 2 == tally.fired + tally.not_fired + tally.unknown

@@ -52,7 +52,7 @@ def terminal(tmp_path: Path) -> Iterator[RawTerminal]:
         port.unplug()
 
 
-def test_bytes_go_both_ways(terminal: RawTerminal) -> None:
+def test_bytes_are_transferred_in_both_directions(terminal: RawTerminal) -> None:
     transport = SerialTransport(str(terminal.link))
     transport.open(1)
     transport.write(b"hello\x00\xff\n")
@@ -85,7 +85,7 @@ def test_a_missing_port_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("call", ["read", "write"])
-def test_an_unplugged_port_is_noticed_and_found_again(terminal: RawTerminal, call: str) -> None:
+def test_an_unplugged_port_is_detected_and_found_again(terminal: RawTerminal, call: str) -> None:
     transport = SerialTransport(str(terminal.link))
     transport.open(1)
     terminal.unplug()
@@ -130,7 +130,7 @@ def test_a_full_line_is_written_in_pieces(terminal: RawTerminal) -> None:
     assert bytes(received) == data
 
 
-def test_a_line_that_takes_nothing_ends_at_its_deadline(terminal: RawTerminal) -> None:
+def test_a_blocked_write_ends_at_its_deadline(terminal: RawTerminal) -> None:
     transport = SerialTransport(str(terminal.link))
     transport.open(1)
     before = time.monotonic()
@@ -140,7 +140,7 @@ def test_a_line_that_takes_nothing_ends_at_its_deadline(terminal: RawTerminal) -
     assert 0.19 < time.monotonic() - before < 20
 
 
-def test_stop_goes_out_at_once_and_nothing_after_it(terminal: RawTerminal) -> None:
+def test_stop_is_sent_at_once_and_nothing_after_it(terminal: RawTerminal) -> None:
     transport = SerialTransport(str(terminal.link))
     transport.open(1)
     failures: list[HardwareFault] = []
@@ -212,7 +212,7 @@ def test_a_port_that_vanishes_while_it_is_set_up_is_missing(
     assert caught.value.reason is FaultReason.PORT_MISSING
 
 
-def test_however_connecting_fails_nothing_stays_open_or_locked(tmp_path: Path) -> None:
+def test_a_failed_connection_leaves_nothing_open_or_locked(tmp_path: Path) -> None:
     """Disconnect the cable at random times during forty attempts to connect, some of them to boards
     that do not answer."""
     draw = random.Random(5)
@@ -261,7 +261,7 @@ with PseudoTerminal(TapperEmulator(now=time.monotonic()), {path!r}):
 """
 
 
-def test_the_link_of_a_killed_owner_leads_nowhere(tmp_path: Path) -> None:
+def test_the_link_of_a_killed_owner_is_dangling(tmp_path: Path) -> None:
     """The terminal's number may soon be reused by another program, which a driver must not
     disturb."""
     path = tmp_path / "device"
@@ -304,7 +304,7 @@ class Silent:
     def power_cycle(self, now: float) -> None: ...
 
 
-def test_a_path_in_use_or_foreign_is_refused_and_a_dead_link_replaced(tmp_path: Path) -> None:
+def test_a_path_in_use_or_foreign_is_refused_and_a_dangling_link_replaced(tmp_path: Path) -> None:
     path = tmp_path / "arm"
     path.symlink_to("/dev/pts/9999")
     with PseudoTerminal(Silent(), path):

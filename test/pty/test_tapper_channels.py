@@ -195,7 +195,7 @@ def test_every_channel_fires_its_own_striker(plug: Callable[..., PseudoTerminal]
     assert len(line.emulator.fires) == 3
 
 
-def test_a_striker_that_stays_out_is_named(plug: Callable[..., PseudoTerminal]) -> None:
+def test_a_striker_that_stays_extended_is_named(plug: Callable[..., PseudoTerminal]) -> None:
     line = Line(plug, TapperMachine(coils=8))
     line.driver.home()
     line.emulator.coils.keep_out(5, True)

@@ -91,7 +91,9 @@ def test_not_charged_is_not_fired(plug: Callable[..., PseudoTerminal]) -> None:
     assert cell.shots() == []
 
 
-def test_silence_of_half_a_second_discharges(plug: Callable[..., PseudoTerminal]) -> None:
+def test_half_a_second_without_messages_discharges_the_striker(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
     cell = Cell(plug)
     driver = cell.connected()
     driver.charge(5, 0.01)
@@ -105,7 +107,7 @@ def test_silence_of_half_a_second_discharges(plug: Callable[..., PseudoTerminal]
     assert fire(driver, 5).outcome is FireOutcome.NOT_FIRED
 
 
-def test_the_time_out_discharges(plug: Callable[..., PseudoTerminal]) -> None:
+def test_the_charge_timeout_discharges_the_striker(plug: Callable[..., PseudoTerminal]) -> None:
     driver = Cell(plug).connected()
     driver.charge(5, 0.01, timeout=0.6)
     end = time.monotonic() + 60.0
@@ -114,7 +116,9 @@ def test_the_time_out_discharges(plug: Callable[..., PseudoTerminal]) -> None:
         time.sleep(0.1)
 
 
-def test_interlock(plug: Callable[..., PseudoTerminal]) -> None:
+def test_an_open_interlock_discharges_the_striker_and_prevents_charging(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
     cell = Cell(plug)
     driver = cell.connected()
     driver.charge(5, 0.01)
@@ -126,7 +130,7 @@ def test_interlock(plug: Callable[..., PseudoTerminal]) -> None:
     assert caught.value.reason is FaultReason.INTERLOCK
 
 
-def test_stop_latches_until_a_person_acts(plug: Callable[..., PseudoTerminal]) -> None:
+def test_stop_latches_until_an_operator_clears_it(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
     driver = cell.connected()
     driver.charge(5, 0.01)
@@ -145,7 +149,9 @@ def test_stop_latches_until_a_person_acts(plug: Callable[..., PseudoTerminal]) -
     assert cell.shots() == [6]
 
 
-def test_a_reset_while_charged_is_noticed_before_fire(plug: Callable[..., PseudoTerminal]) -> None:
+def test_a_reset_while_charged_is_detected_before_firing(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
     cell = Cell(plug)
     driver = cell.connected()
     driver.charge(5, 0.01)
@@ -184,7 +190,7 @@ def test_a_reset_between_the_last_check_and_fire_is_unknown_not_fired_again(
     assert cell.shots() == []
 
 
-def test_unplugged_at_the_shot_is_unknown_and_waits_out_the_danger(
+def test_unplugging_at_the_shot_gives_an_unknown_outcome_and_waits_until_it_is_safe(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = Cell(plug)
@@ -211,7 +217,7 @@ def test_unplugged_at_the_shot_is_unknown_and_waits_out_the_danger(
 
 
 @pytest.mark.parametrize("held_up", [0.12, 0.25, 1.5])
-def test_a_fire_that_was_held_up_after_the_last_check_releases_nothing(
+def test_a_fire_command_delayed_after_the_last_check_does_not_fire(
     plug: Callable[..., PseudoTerminal], held_up: float
 ) -> None:
     """Simulate a process that is frozen between its last check and FIRE."""
@@ -237,7 +243,7 @@ def test_a_fire_that_was_held_up_after_the_last_check_releases_nothing(
     assert fire(driver, 6).outcome is FireOutcome.FIRED
 
 
-def test_the_last_check_is_asked_after_the_boards_time_and_can_refuse(
+def test_the_last_check_runs_after_reading_the_board_time_and_can_refuse(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = Cell(plug)
@@ -318,7 +324,7 @@ def test_a_window_out_of_range_is_refused(
 # Homing, set-up mode and shot numbers.
 
 
-def test_charging_homes_a_carriage_whose_place_is_unknown(
+def test_charging_homes_a_carriage_at_an_unknown_position(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = Cell(plug, machine=TapperMachine(carriage=800.0))
@@ -343,7 +349,9 @@ def test_a_carriage_that_does_not_move_is_not_homed(plug: Callable[..., PseudoTe
     assert driver.charge(5, 0.01).state is State.CHARGED
 
 
-def test_missed_steps_are_told_and_homed_away(plug: Callable[..., PseudoTerminal]) -> None:
+def test_missed_steps_are_reported_and_corrected_by_homing(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
     cell = Cell(plug)
     driver = cell.connected()
     driver.home()
@@ -384,7 +392,7 @@ def test_set_up_mode_limits_the_energy_unless_the_switch_is_held(
     assert fire(driver, 3).outcome is FireOutcome.FIRED
 
 
-def test_a_refused_shot_number_does_not_spoil_the_next(
+def test_a_refused_shot_number_does_not_affect_the_next(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     cell = Cell(plug)
@@ -399,7 +407,7 @@ def test_a_refused_shot_number_does_not_spoil_the_next(
     assert fire(driver, 2).outcome is FireOutcome.FIRED
 
 
-def test_a_person_resets_the_count_of_shot_numbers(plug: Callable[..., PseudoTerminal]) -> None:
+def test_an_operator_resets_the_shot_number_counter(plug: Callable[..., PseudoTerminal]) -> None:
     cell = Cell(plug)
     driver = cell.connected()
     driver.charge(9, 0.001)
@@ -424,7 +432,7 @@ def test_a_person_resets_the_count_of_shot_numbers(plug: Callable[..., PseudoTer
     assert fire(second, 1).outcome is FireOutcome.FIRED
 
 
-def test_a_board_with_the_old_protocol_is_refused_by_name(
+def test_a_board_with_the_old_protocol_is_refused_with_its_version(
     plug: Callable[..., PseudoTerminal],
 ) -> None:
     class OldBoard:
@@ -474,7 +482,7 @@ def test_another_session_takes_over(plug: Callable[..., PseudoTerminal]) -> None
 @pytest.mark.parametrize(
     ("shot", "energy"), [(0, 0.01), (2**64, 0.01), (1, 0.0), (1, 11.0), (1, float("nan"))]
 )
-def test_orders_out_of_range_are_refused_before_the_line(
+def test_commands_out_of_range_are_refused_before_they_are_sent(
     plug: Callable[..., PseudoTerminal], shot: int, energy: float
 ) -> None:
     driver = Cell(plug).connected()
@@ -490,7 +498,9 @@ def test_more_energy_than_the_board_can_store(plug: Callable[..., PseudoTerminal
     assert caught.value.reason is FaultReason.OUT_OF_RANGE
 
 
-def test_nobody_there(plug: Callable[..., PseudoTerminal]) -> None:
+def test_a_silent_device_is_refused_as_unknown_firmware(
+    plug: Callable[..., PseudoTerminal],
+) -> None:
     from test_serial_transport import Silent
 
     port = plug(Silent())

@@ -387,7 +387,7 @@ def test_the_driver_fires_the_real_firmware_once(board: Board) -> None:
 
 
 @needs_simavr
-def test_the_real_firmware_does_not_move_before_it_is_asked_and_homes_truly(board: Board) -> None:
+def test_the_real_firmware_does_not_move_unasked_and_homes_correctly(board: Board) -> None:
     board.command("push 0")
     place = board.place()
     driver = connected(board)
@@ -423,7 +423,7 @@ def test_the_real_firmware_is_not_homed_with_a_dead_motor_or_switch(
 
 
 @needs_simavr
-def test_the_real_firmware_notices_missed_steps(board: Board) -> None:
+def test_the_real_firmware_detects_missed_steps(board: Board) -> None:
     driver = connected(board)
     driver.home()
     board.command("motor 0")
@@ -464,7 +464,7 @@ def test_the_real_firmware_discharges(board: Board) -> None:
 
 
 @needs_simavr
-def test_the_real_firmwares_stop_wants_a_press_after_it(board: Board) -> None:
+def test_the_real_firmware_requires_a_button_press_after_a_stop(board: Board) -> None:
     driver = connected(board)
     driver.charge(1, 0.002)
     press_clear(board)  # a press before the stop has no effect
@@ -496,7 +496,7 @@ def test_the_real_firmwares_stop_wants_a_press_after_it(board: Board) -> None:
 
 
 @needs_simavr
-def test_the_real_firmware_keeps_shot_numbers_until_a_person_forgets_them(board: Board) -> None:
+def test_the_real_firmware_keeps_shot_numbers_until_an_operator_resets_them(board: Board) -> None:
     driver = connected(board)
     first = driver.status().boot
     driver.charge(8, 0.002)

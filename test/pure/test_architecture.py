@@ -236,7 +236,7 @@ def real_imports() -> list[Import]:
     return list(imports_of(PACKAGE))
 
 
-def test_every_room_has_its_arrows():
+def test_every_subpackage_has_import_rules():
     subpackages = {
         path.name.removesuffix(".py")
         for path in PACKAGE.iterdir()
@@ -245,21 +245,21 @@ def test_every_room_has_its_arrows():
     assert subpackages - {"__init__"} <= set(ARROWS)
 
 
-def test_arrows_point_one_way():
+def test_import_rules_have_no_cycle():
     edges = {subpackage: {name.split(".")[0] for name in to} for subpackage, to in ARROWS.items()}
     assert cycles(edges) == []
 
 
-def test_rooms_import_along_the_arrows(real_imports):
+def test_subpackages_import_only_what_the_rules_allow(real_imports):
     assert len(real_imports) > 100  # the search has found the code
     assert [str(found) for found in against_the_arrows(real_imports, PACKAGE.name)] == []
 
 
-def test_outside_libraries_stay_in_their_rooms(real_imports):
+def test_external_libraries_are_used_only_in_their_subpackages(real_imports):
     assert [str(found) for found in strangers(real_imports, PACKAGE.name)] == []
 
 
-def test_the_world_drives_no_real_device(real_imports):
+def test_the_simulation_drives_no_real_device(real_imports):
     assert [str(found) for found in drivers_in_the_world(real_imports, PACKAGE.name)] == []
 
 
@@ -282,13 +282,13 @@ def test_a_planted_private_member_is_found(tmp_path, code):
     assert len(foreign_privates(tmp_path)) == 1
 
 
-def test_private_members_of_ours_are_let_through(tmp_path):
+def test_private_members_of_the_same_package_are_allowed(tmp_path):
     (tmp_path / "good.py").write_text("class A:\n    def f(self):\n        self._x = 1\n")
     (tmp_path / "also.py").write_text("def g(a):\n    return a._x, a.__class__, a._fields\n")
     assert foreign_privates(tmp_path) == []
 
 
-def test_no_room_is_called_utils():
+def test_no_subpackage_is_named_utils():
     vague = {"utils", "util", "helpers", "misc", "common", "tools"}
     assert [file for file in PACKAGE.rglob("*") if file.stem in vague] == []
 
@@ -339,7 +339,7 @@ def test_a_planted_violation_is_found(tmp_path, file, code, check):
         ("report/good.py", "from matplotlib.figure import Figure"),
     ],
 )
-def test_what_the_arrows_allow_is_let_through(tmp_path, file, code):
+def test_allowed_imports_are_accepted(tmp_path, file, code):
     place = tmp_path / "tapping_cell" / file
     place.parent.mkdir(parents=True)
     place.write_text(code)

@@ -28,7 +28,7 @@ def test_the_figures_are_up_to_date(path: Path) -> None:
     assert f"]({path.name})" in GUIDE
 
 
-def test_the_netlist_is_that_of_the_firmware() -> None:
+def test_the_netlist_matches_the_firmware() -> None:
     """The netlist contains exactly the pins that the firmware defines, each with its direction."""
     defined = dict(re.findall(r"^#define (\w+) (P[BD]\d)$", BOARD, re.MULTILINE))
     (driven,) = re.findall(r"DDRD = (.*);", BOARD)
@@ -74,7 +74,7 @@ def test_the_guide_has_the_dimensions_of_the_cell_file() -> None:
         assert float(value) / 1e3 == pytest.approx(getattr(getattr(file, part), key)), key
 
 
-def test_the_springs_draws_are_those_of_the_firmware() -> None:
+def test_the_spring_deflections_match_the_firmware() -> None:
     """The deflections follow from E = k x^2 / 2, and the largest is within the carriage's
     travel."""
     stiffness = build_figures.firmware_number("SPRING_N_PER_M")

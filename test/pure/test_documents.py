@@ -11,7 +11,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_link_leads_to_a_file(page: Path) -> None:
+def test_every_link_points_to_an_existing_file(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), f"{page.name} points at {target}"
 
@@ -22,14 +22,14 @@ def test_the_reference_pages_are_up_to_date(page: Path) -> None:
     assert page.read_text(encoding="utf-8") == reference_pages.PAGES[page]()
 
 
-def test_every_page_is_pointed_at() -> None:
+def test_every_page_is_linked() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     for page in PAGES:
         if page.parent != ROOT and "images" not in page.parts:
             assert page.name in text, f"nothing points at {page.relative_to(ROOT)}"
 
 
-def test_every_room_stands_in_the_architecture_page() -> None:
+def test_every_subpackage_is_in_the_architecture_page() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
     subpackages = {
         folder.name + "/"

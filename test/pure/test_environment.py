@@ -49,7 +49,7 @@ def elsewhere(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_fingerprint_follows_content_name_and_words(elsewhere):
+def test_a_fingerprint_depends_on_content_name_and_arguments(elsewhere):
     first, second = elsewhere / "a.msg", elsewhere / "b.msg"
     first.write_text("bool x")
     second.write_text("bool y")
@@ -65,7 +65,7 @@ def test_a_fingerprint_follows_content_name_and_words(elsewhere):
     assert set_up.fingerprint([first, moved], "3.12") != before
 
 
-def test_a_stage_without_its_stamp_is_not_made(elsewhere):
+def test_a_stage_without_its_stamp_is_not_complete(elsewhere):
     stamp = elsewhere / ".fingerprint"
     assert not set_up.is_made(stamp, "abc")
     set_up.write_stamp(stamp, "abc")
@@ -83,25 +83,25 @@ def test_too_little_disk_is_refused_with_value_and_limit(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["a cell", "cell:2", "Zelle-ü", "$cell", "a'b"])
-def test_a_folder_that_breaks_colcons_scripts_is_refused(name, monkeypatch):
+def test_a_folder_that_breaks_colcon_scripts_is_refused(name, monkeypatch):
     monkeypatch.setattr(set_up, "ROOT", Path("/home/me") / name)
     with pytest.raises(set_up.SetUpError, match="move the cell"):
         set_up.require_plain_path()
 
 
-def test_a_usual_folder_is_taken(monkeypatch):
+def test_an_ordinary_folder_is_accepted(monkeypatch):
     monkeypatch.setattr(set_up, "ROOT", Path("/home/me/ros2_ws/src/tapping-cell.v2+main@x"))
     set_up.require_plain_path()
 
 
 @pytest.mark.parametrize("version", [(3, 9), (3, 14), (2, 7), (4, 10)])
-def test_a_wrong_python_is_refused(version):
+def test_an_unsupported_python_is_refused(version):
     with pytest.raises(set_up.SetUpError, match=rf"{version[0]}\.{version[1]} .* 3\.10 to 3\.13"):
         set_up.require_python(version)
 
 
 @pytest.mark.parametrize("version", [(3, 10), (3, 11), (3, 12), (3, 13)])
-def test_a_right_python_is_taken(version):
+def test_a_supported_python_is_accepted(version):
     set_up.require_python(version)
 
 
@@ -151,7 +151,7 @@ def test_the_cause_of_a_failure_is_found_in_its_output(output, cause):
     assert cause in set_up.cause_of(output)
 
 
-def test_a_program_that_fails_leaves_its_output(elsewhere, monkeypatch):
+def test_a_failing_program_keeps_its_output(elsewhere, monkeypatch):
     log = elsewhere / "log" / "x.log"
     words = [sys.executable, "-c", "print('error: planted'); raise SystemExit(3)"]
     with pytest.raises(set_up.SetUpError, match=r"building x failed: error: planted .*log/x\.log"):
@@ -183,7 +183,7 @@ def test_the_build_does_not_see_other_environments():
         assert seen[kept] == outside[kept]
 
 
-def test_a_sourced_ros_stays_without_what_env_sh_added():
+def test_a_sourced_ros_is_kept_without_the_additions_of_env_sh():
     own = ROOT / "install" / "tapping_cell"
     seen = set_up.build_environment(
         {
@@ -214,7 +214,7 @@ def pins(lines):
     }
 
 
-def test_the_lock_holds_what_is_required():
+def test_the_lock_contains_every_requirement():
     locked = pins((ROOT / "requirements.lock").read_text())
     required = pins((ROOT / "environment" / "requirements.in").read_text())
     assert len(required) > 30
@@ -270,7 +270,7 @@ def shell(script: str, **variables: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("options", ["", "set -e;", "set -u;", "set -eu;", "set -euo pipefail;"])
-def test_a_failed_set_up_leaves_the_shell_alive(bare, options):
+def test_a_failed_set_up_does_not_end_the_shell(bare, options):
     script = (
         f"{options} cd /; before=$(set | grep -v ^_ | cut -d= -f1; declare -F); f=$-;"
         f" . {bare}/env.sh && exit 9 || echo status $?;"
@@ -296,7 +296,7 @@ def test_env_sh_must_be_sourced(bare):
     assert ". ./env.sh" in done.stderr
 
 
-def test_without_the_environment_a_verb_says_what_to_call():
+def test_without_the_environment_a_verb_names_the_command_to_run():
     done = subprocess.run(
         [
             sys.executable,
@@ -315,7 +315,7 @@ def test_without_the_environment_a_verb_says_what_to_call():
     assert "Traceback" not in done.stderr
 
 
-def test_another_shell_is_told(bare):
+def test_another_shell_gets_a_message(bare):
     done = shell(f"sh -c '. {bare}/env.sh; echo $?'")
     assert "bash" in done.stderr
     assert done.stderr.count("\n") == 1
@@ -328,14 +328,14 @@ built = pytest.mark.skipif(
 
 
 @built
-def test_a_second_set_up_does_no_work():
+def test_a_second_set_up_skips_all_work():
     done = shell(f"cd /; set -eu; . '{ROOT}/env.sh'; echo $ROS_AUTOMATIC_DISCOVERY_RANGE; cd ~-")
     assert (done.stderr, done.returncode) == ("", 0)
     assert done.stdout.splitlines()[0] in {"LOCALHOST", "SUBNET"}
 
 
 @built
-def test_the_users_own_settings_stay():
+def test_the_users_own_settings_are_kept():
     done = shell(
         f". '{ROOT}/env.sh'; . '{ROOT}/env.sh';"
         " echo $ROS_AUTOMATIC_DISCOVERY_RANGE $FASTRTPS_DEFAULT_PROFILES_FILE;"
@@ -348,7 +348,7 @@ def test_the_users_own_settings_stay():
 
 
 @built
-def test_a_second_time_brings_the_cells_python_back_to_the_front(tmp_path):
+def test_sourcing_again_puts_the_cells_python_first_again(tmp_path):
     other = tmp_path / "python"
     other.write_text("#!/bin/sh\necho another python\n")
     other.chmod(0o755)
@@ -445,7 +445,7 @@ def test_every_interface_is_generated():
 
 
 @pytest.mark.parametrize("file", INTERFACES, ids=lambda file: file.name)
-def test_every_field_says_what_it_is(file):
+def test_every_field_has_a_description(file):
     for line in file.read_text().splitlines():
         if line.strip() and line.strip() != "---":
             assert re.search(r"#.*\w{2}", line), f"{file.name}: no comment on: {line}"
@@ -473,7 +473,7 @@ def test_error_codes_are_one_numbered_list():
 # ---- groups of tests ("rings")
 
 
-def test_closing_lines_are_summed():
+def test_pytest_summary_lines_are_summed():
     counts = run_tests.counts_of("=== 2 failed, 10 passed, 1 warning, 1 error in 3.21s ===")
     counts += run_tests.counts_of("=== 5 passed, 3 skipped, 2 warnings in 61.00s (0:01:01) ===")
     line = run_tests.closing_line(counts, 64.5)
@@ -495,7 +495,7 @@ RING_TEST = "def test_it(): assert {}\n"
         ({"pure": "True", "pty": "True"}, ("-k", "nothing"), 1, "2 deselected"),
     ],
 )
-def test_any_ring_that_fails_fails_all(
+def test_a_failing_test_ring_fails_the_whole_run(
     tmp_path, monkeypatch, capsys, rings, options, status, closing
 ):
     monkeypatch.setattr(run_tests, "ROOT", tmp_path)

@@ -28,7 +28,7 @@ def values(tree: object) -> Iterator[tuple[str, object]]:
             yield from values(value)
 
 
-def test_rviz_listens_as_the_cell_speaks() -> None:
+def test_rviz_subscriptions_match_the_cell_topics() -> None:
     layout = yaml.safe_load((VIEWS / "cell.rviz").read_text(encoding="utf-8"))
     manager = layout["Visualization Manager"]
     assert manager["Global Options"]["Fixed Frame"] == "table"

@@ -57,7 +57,7 @@ def write(path: Path, rows: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize("angles", [True, False])
-def test_without_noise_the_truth_comes_back(angles: bool) -> None:
+def test_without_noise_the_true_parameters_are_recovered(angles: bool) -> None:
     geometry, base, rows = simulated(1, noise=0.0)
     result = calibrate_arm(as_record(rows, angles), ScaraGeometry())
     v = result.values
@@ -66,7 +66,7 @@ def test_without_noise_the_truth_comes_back(angles: bool) -> None:
     assert v["elbow_zero"] == pytest.approx(geometry.joint_offset[1], abs=1e-6)
 
 
-def test_twenty_noisy_poses_reach_the_target_figures(tmp_path: Path) -> None:
+def test_twenty_noisy_poses_reach_the_target_accuracy(tmp_path: Path) -> None:
     for seed in range(2):
         geometry, base, rows = simulated(seed)
         output = tmp_path / f"cell{seed}.yaml"
@@ -89,7 +89,7 @@ def test_twenty_noisy_poses_reach_the_target_figures(tmp_path: Path) -> None:
         assert cell.arm.calibration.residual == pytest.approx(1.4e-4, rel=0.5)
 
 
-def test_outliers_are_named_by_row_and_change_nothing(tmp_path: Path) -> None:
+def test_outliers_are_named_by_row_and_do_not_affect_the_result(tmp_path: Path) -> None:
     _, _, rows = simulated(3)
     clean = calibrate_arm(as_record(np.delete(rows, [4, 11], axis=0)), ScaraGeometry())
     rows[4, 3] += 0.030
@@ -100,7 +100,7 @@ def test_outliers_are_named_by_row_and_change_nothing(tmp_path: Path) -> None:
         assert result.values[name] == pytest.approx(value, abs=1e-9)
 
 
-def test_standard_deviations_are_those_of_the_errors() -> None:
+def test_standard_deviations_match_the_errors() -> None:
     ratios = []
     for seed in range(15):
         random = np.random.default_rng(seed)
@@ -114,7 +114,7 @@ def test_standard_deviations_are_those_of_the_errors() -> None:
     assert 0.8 < float(np.sqrt(np.mean(np.square(ratios)))) < 1.35
 
 
-def test_what_the_poses_do_not_tell_is_held_and_said() -> None:
+def test_parameters_not_determined_by_the_poses_are_fixed_and_reported() -> None:
     random = np.random.default_rng(5)
     truth = truths.arm(random)
     record = truths.arm_record(random, truth, 20, 1e-4, math.radians(0.1))
@@ -138,7 +138,7 @@ def test_what_the_poses_do_not_tell_is_held_and_said() -> None:
         (lambda rows: rows[:, [1, 0, 2, 4, 3, 5]], "no arm|consistent"),
     ],
 )
-def test_records_that_do_not_do_are_refused_in_words(change, words: str) -> None:
+def test_unsuitable_records_are_refused_with_a_message(change, words: str) -> None:
     _, _, rows = simulated(2)
     with pytest.raises(CalibrationRefused, match=words):
         calibrate_arm(as_record(change(rows)), ScaraGeometry())
@@ -167,7 +167,7 @@ def test_the_verb_refuses_wrong_units_and_keeps_the_file(tmp_path: Path, capsys)
 
 
 @pytest.mark.parametrize("base", [Pose(0.0, 0.47, -math.pi / 2), Pose(-0.55, 0.05, 0.2)])
-def test_places_for_a_record_are_within_limits_and_tell_all_that_is_asked(base: Pose) -> None:
+def test_recording_poses_are_within_limits_and_determine_every_parameter(base: Pose) -> None:
     geometry = ScaraGeometry(joint_offset=(0.01, -0.02, 0.0, 0.03))
     places = arm_places(geometry, base, (0.25, 0.2), 0.05, 20)
     assert places == arm_places(geometry, base, (0.25, 0.2), 0.05, 20) and len(places) == 20
@@ -189,5 +189,5 @@ def test_places_for_a_record_are_within_limits_and_tell_all_that_is_asked(base: 
     assert not result.held and result.wrist_deviation < 5e-5
 
 
-def test_a_table_out_of_reach_has_no_places() -> None:
+def test_a_table_out_of_reach_has_no_recording_poses() -> None:
     assert arm_places(ScaraGeometry(), Pose(0.0, 5.0, 0.0), (0.1, 0.1), 0.05, 5) == []

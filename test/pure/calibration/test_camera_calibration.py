@@ -35,7 +35,7 @@ def calibrated(model: CameraModel, views: list[TargetView], **options):
     return calibrate_camera(views, TARGET, (model.width, model.height), **options)
 
 
-def test_twenty_views_reach_the_target_figures() -> None:
+def test_twenty_views_reach_the_target_accuracy() -> None:
     for seed in (1, 2):
         model, views = views_of(seed)
         result = calibrated(model, views)
@@ -51,7 +51,7 @@ def test_twenty_views_reach_the_target_figures() -> None:
         assert np.abs(result.model.project(points) - model.project(points)).max() < 1.5
 
 
-def test_views_that_do_not_belong_are_named_with_their_reason() -> None:
+def test_inconsistent_views_are_named_with_their_reason() -> None:
     model, views = views_of(3, count=16)
     random = np.random.default_rng(0)
     stranger = replace(views[2], name="stranger", pixels=views[2].pixels * [1.06, 1.0])
@@ -104,7 +104,7 @@ def flat_views() -> list[TargetView]:
         (flat_views, "faces the camera"),
     ],
 )
-def test_sets_that_do_not_do_are_refused_in_words(views, words: str) -> None:
+def test_unsuitable_image_sets_are_refused_with_a_message(views, words: str) -> None:
     with pytest.raises(CalibrationRefused, match=words):
         calibrated(SMALL, views())
 
@@ -119,7 +119,7 @@ def test_sets_that_do_not_do_are_refused_in_words(views, words: str) -> None:
         ("charuco", 30, 30, 0.025, 0.018, "4X4_50"),
     ],
 )
-def test_targets_that_cannot_be_are_refused(arguments) -> None:
+def test_impossible_targets_are_refused(arguments) -> None:
     with pytest.raises(TargetError):
         Target(*arguments)
 

@@ -25,7 +25,7 @@ def file(folder: Path, text: str) -> Path:
     return path
 
 
-def test_units_come_from_the_columns_names(tmp_path: Path) -> None:
+def test_units_are_read_from_the_column_names(tmp_path: Path) -> None:
     path = file(tmp_path, "# a comment\n\nrun,x_mm,angle_deg,energy_mJ\na,250,90,5\nb,-1e2,-180,\n")
     table = read_csv(path, COLUMNS, texts=("run",))
     np.testing.assert_allclose(table.values["x"], [0.25, -0.1])
@@ -53,7 +53,7 @@ def test_semicolons_and_a_byte_order_mark_are_read(tmp_path: Path) -> None:
         ("0.25,1,9", "has 3 cells"),
     ],
 )
-def test_a_bad_row_is_left_out_and_named(tmp_path: Path, row: str, words: str) -> None:
+def test_an_invalid_row_is_excluded_and_named(tmp_path: Path, row: str, words: str) -> None:
     good = "0.25,1\n" * 4
     table = read_csv(file(tmp_path, f"x,angle\n{good}{row}\n{good}"), COLUMNS)
     assert len(table.rows) == 8 and 6 not in table.rows
@@ -75,14 +75,14 @@ def test_a_bad_row_is_left_out_and_named(tmp_path: Path, row: str, words: str) -
         ('x,angle\n"0.2,1\n', "not CSV"),
     ],
 )
-def test_a_file_that_is_wrong_as_a_whole_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_an_invalid_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(RecordError) as caught:
         read_csv(file(tmp_path, text), COLUMNS)
     assert str(tmp_path / "record.csv") in str(caught.value)
     assert words in str(caught.value)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=r"none\.csv: cannot be read"):
         read_csv(tmp_path / "none.csv", COLUMNS)
 
@@ -103,7 +103,7 @@ def test_any_text_is_read_within_the_ranges_or_refused(
 
 
 @pytest.mark.parametrize("separator", [";", "\t"])
-def test_decimal_commas_are_read_where_no_number_has_a_point(
+def test_decimal_commas_are_read_if_no_number_has_a_decimal_point(
     tmp_path: Path, separator: str
 ) -> None:
     path = tmp_path / "a.csv"

@@ -48,7 +48,7 @@ def test_the_default_is_that_of_the_paper() -> None:
     luck=st.lists(st.floats(-0.25, 0.25), min_size=60, max_size=60),
 )
 @settings(max_examples=60, deadline=None)
-def test_the_object_stays_about_the_middle(travels: list[float], luck: list[float]) -> None:
+def test_the_object_stays_near_the_middle(travels: list[float], luck: list[float]) -> None:
     place = Pose(0.0, 0.0, 0.0)
     for number, (travel, error) in enumerate(zip(travels, luck, strict=True)):
         heading = travel_direction(place, number) + error
@@ -58,7 +58,7 @@ def test_the_object_stays_about_the_middle(travels: list[float], luck: list[floa
         assert math.hypot(place.x, place.y) < 0.165
 
 
-def test_outward_trials_go_every_way_and_come_back_on_the_same_line() -> None:
+def test_outward_trials_cover_every_direction_and_return_on_the_same_line() -> None:
     headings = np.array([travel_direction(Pose(0.0, 0.0, 0.0), n) for n in range(0, 40, 2)])
     gaps = np.diff(np.sort(headings), append=np.sort(headings)[0] + 2 * math.pi)
     assert gaps.max() < math.radians(60)
@@ -74,7 +74,7 @@ def test_outward_trials_go_every_way_and_come_back_on_the_same_line() -> None:
     speed=st.floats(0.1, 2.0),
 )
 @settings(max_examples=50, deadline=None)
-def test_the_contact_is_that_of_the_geometry(
+def test_the_contact_follows_from_the_geometry(
     angle: float, incidence: float, theta: float, speed: float
 ) -> None:
     """``angle`` is the direction of the contact in the object's frame; the contact normal is
@@ -136,14 +136,14 @@ def slide(distance: float = 0.06, pushed: float = 0.0, hidden: bool = False) -> 
     ],
     ids=["good", "missed", "a hand", "hidden", "no track", "lost"],
 )
-def test_what_became_of_a_trial_is_said(trial: Trial, outcome: str, word: str) -> None:
+def test_the_outcome_of_a_trial_is_reported(trial: Trial, outcome: str, word: str) -> None:
     result = judged(trial, HEADER, expected=0.06)
     assert result.outcome == outcome
     assert word in result.note
     assert (result.note == "") == (outcome == "ok")
 
 
-def test_progress_counts_what_can_be_used_and_numbers_go_on_after_the_last() -> None:
+def test_progress_counts_usable_trials_and_numbering_continues() -> None:
     design = Design(trials=3)
     trials = [
         Trial(run=1, trial=1),
@@ -157,14 +157,14 @@ def test_progress_counts_what_can_be_used_and_numbers_go_on_after_the_last() -> 
     assert far[3] == Progress(used=1, made=7)
 
 
-def test_a_run_is_given_up_after_twice_its_trials() -> None:
+def test_a_run_is_aborted_after_twice_its_number_of_trials() -> None:
     design = Design(trials=3)
     assert not given_up(design, Progress(used=0, made=5))
     assert given_up(design, Progress(used=2, made=6))
     assert not given_up(design, Progress(used=3, made=6))
 
 
-def test_the_design_is_kept_and_never_overwritten(tmp_path: Path) -> None:
+def test_the_design_is_saved_and_never_overwritten(tmp_path: Path) -> None:
     design = Design(speeds=(0.5,), incidences=(0.1, -0.7), trials=4, seed=9)
     write_design(tmp_path / "new", design)
     assert read_design(tmp_path / "new") == design
@@ -178,6 +178,6 @@ def test_the_design_is_kept_and_never_overwritten(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("values", [{"speeds": ()}, {"incidences": (0.1, 0.1)}], ids=str)
-def test_a_design_without_sense_is_refused(values: dict[str, tuple[float, ...]]) -> None:
+def test_an_invalid_design_is_refused(values: dict[str, tuple[float, ...]]) -> None:
     with pytest.raises(ValueError, match=next(iter(values))):
         Design(**values)  # type: ignore[arg-type]

@@ -37,7 +37,7 @@ def fit(records):
     return fit_object([read_experiment(folder)], content)
 
 
-def test_the_simulated_truth_is_found(records, fit):
+def test_the_simulated_parameters_are_recovered(records, fit):
     _, _, true = records
     assert len(fit.used) == 32
     for name, limit in (("friction", 0.01), ("torque_factor", 0.03), ("restitution", 0.08)):
@@ -84,7 +84,7 @@ def test_the_file_is_read_by_the_planners_reader(records, fit, tmp_path, capsys)
     assert output.read_bytes() == before
 
 
-def test_a_better_file_stays(records, fit, tmp_path, capsys):
+def test_a_better_file_is_kept(records, fit, tmp_path, capsys):
     folder, _, _ = records
     output = tmp_path / "fitted.yaml"
     assert main(["fit", str(folder), "--output", str(output)]) == 0
@@ -123,7 +123,7 @@ def test_known_impacts_are_found_exactly(tmp_path, striker):
     assert not fit.estimate("scale_b2").fitted
 
 
-def test_small_incidences_do_not_tell_the_contact_friction(tmp_path):
+def test_small_incidences_do_not_determine_the_contact_friction(tmp_path):
     runs = ((0.5, 10.0), (0.7, 10.0), (0.5, 20.0), (0.7, 20.0))
     fit = known(tmp_path, runs=runs, scatter=(0.03, 0.1))
     friction = fit.estimate("contact_friction")
@@ -137,7 +137,7 @@ def test_small_incidences_do_not_tell_the_contact_friction(tmp_path):
     assert float(advised[0].split("incidence of ")[1].split()[0]) >= 30
 
 
-def test_restitution_and_b2_are_said_to_act_together(tmp_path):
+def test_restitution_and_b2_are_reported_as_not_separately_identifiable(tmp_path):
     fit = known(tmp_path, scatter=(0.03, 0.1))
     assert any("restitution and scale of B2" in s for s in fit.sentences)
     assert any("before and after the impact" in s for s in fit.sentences)
@@ -146,7 +146,7 @@ def test_restitution_and_b2_are_said_to_act_together(tmp_path):
     assert math.isfinite(fit.identifiability.alone["restitution"])
 
 
-def test_without_the_strikers_speed_the_sliding_is_fitted_all_the_same(tmp_path):
+def test_sliding_is_fitted_without_the_striker_speed(tmp_path):
     silent = {"striker_speed": math.nan, "striker_speed_measured": math.nan}
     trials = [replace_values(trial, silent) for trial in taps(noise=(0.01, 0.03))]
     fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
@@ -155,13 +155,13 @@ def test_without_the_strikers_speed_the_sliding_is_fitted_all_the_same(tmp_path)
     assert any("no striker speed" in s for s in fit.sentences)
 
 
-def test_a_commanded_speed_alone_is_said_so(tmp_path):
+def test_a_speed_that_is_only_commanded_is_reported(tmp_path):
     trials = [replace_values(t, {"striker_speed_measured": math.nan}) for t in taps()]
     fit = fit_object([read_experiment(write(tmp_path / "r", trials))], DISK)
     assert any("was not measured" in s for s in fit.sentences)
 
 
-def test_a_striker_faster_than_commanded_is_said_so_and_not_taken_for_restitution(tmp_path):
+def test_a_striker_faster_than_commanded_is_reported_and_not_taken_for_restitution(tmp_path):
     random = np.random.default_rng(4)
     trials = [
         replace_values(t, {"striker_speed": t.striker_speed / (1.03 + 0.01 * random.normal())})
@@ -181,18 +181,18 @@ def replace_values(trial, values):
     return replace(trial, **values)
 
 
-def test_taps_that_do_not_turn_are_refused(tmp_path):
+def test_taps_without_rotation_are_refused(tmp_path):
     straight = write(tmp_path / "r", taps(runs=tuple((v, 0.0) for v, _ in RUNS)))
     with pytest.raises(RecordError, match="hardly turned"):
         fit_object([read_experiment(straight)], DISK)
 
 
-def test_unknown_records_are_a_sentence(tmp_path, capsys):
+def test_unknown_records_are_refused_with_a_message(tmp_path, capsys):
     assert main(["fit", str(tmp_path / "nothing")]) == 2
     assert "does not exist" in capsys.readouterr().err
 
 
-def test_scatter_of_direction_is_found(tmp_path):
+def test_scatter_of_the_direction_is_estimated(tmp_path):
     random = np.random.default_rng(2)
     trials = [
         replace_values(t, {"direction": t.direction + 0.03 * random.standard_normal()})
@@ -202,7 +202,7 @@ def test_scatter_of_direction_is_found(tmp_path):
     assert fit.estimate("scatter_direction").value == pytest.approx(0.03, rel=0.4)
 
 
-def test_a_csv_alone_does_for_the_sliding(tmp_path, capsys):
+def test_a_csv_file_alone_is_sufficient_to_fit_sliding(tmp_path, capsys):
     rows = ["run,trial,displacement_mm,rotation_deg,initial_speed_mm_s,initial_spin_deg_s"]
     for t in taps(noise=(0.01, 0.03)):
         numbers = (1e3 * t.displacement, math.degrees(t.rotation), 1e3 * t.initial_speed)

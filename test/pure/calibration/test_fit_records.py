@@ -52,7 +52,7 @@ def times(*names, factor):
 
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_a_trial_comes_back_as_written(tmp_path_factory, data):
+def test_a_trial_is_read_back_as_written(tmp_path_factory, data):
     values = {}
     for column in TRIAL_COLUMNS:
         low, high = max(column.minimum, -90.0), min(column.maximum, 90.0)
@@ -70,7 +70,7 @@ def test_a_trial_comes_back_as_written(tmp_path_factory, data):
             assert missing or here == there
 
 
-def test_a_track_comes_back_unwrapped(tmp_path):
+def test_a_track_is_read_back_unwrapped(tmp_path):
     seen = replace(track(spin=6.0, start=(0.0, 0.0, 3.1)))
     wrapped = replace(seen, theta=np.remainder(seen.theta + math.pi, math.tau) - math.pi)
     append_trial(tmp_path, Trial(1, 1, displacement=0.02, rotation=0.1, track=wrapped))
@@ -79,7 +79,7 @@ def test_a_track_comes_back_unwrapped(tmp_path):
     assert (read.track.time == seen.time).all()
 
 
-def test_motion_is_filled_in_from_the_poses(tmp_path):
+def test_motion_is_computed_from_the_poses(tmp_path):
     poses = {"start_x": 0.01, "start_y": 0.0, "start_theta": 3.1}
     poses |= {"end_x": 0.01, "end_y": 0.03, "end_theta": -3.1}
     append_trial(tmp_path, Trial(1, 1, **poses))
@@ -89,7 +89,7 @@ def test_motion_is_filled_in_from_the_poses(tmp_path):
     assert read.direction == pytest.approx(math.pi / 2)
 
 
-def test_other_peoples_units(tmp_path):
+def test_files_in_other_units_are_read(tmp_path):
     (tmp_path / "trials.csv").write_text(
         "run,trial,displacement_mm,rotation_deg,initial_speed_mm_s,initial_spin_deg_s\n"
         "2,1,18.5,5.0,250,90\n"
@@ -118,7 +118,7 @@ def test_a_file_that_cannot_be_used_is_refused(tmp_path, text, words):
     assert str(file) in str(refusal.value)
 
 
-def test_a_row_that_is_no_number_is_left_out_by_row(tmp_path):
+def test_a_non_numeric_row_is_excluded_and_its_number_reported(tmp_path):
     (tmp_path / "trials.csv").write_text(
         "run,trial,displacement_m,rotation_rad,outcome\n"
         "1,1,0.02,0.1,ok\n1,2,about 2 cm,0.1,ok\n1,3,0.02,0.1,perhaps\n1,4,0.02,0.1,ok\n"
@@ -137,9 +137,7 @@ def test_a_trial_is_never_written_twice(tmp_path):
 
 
 @pytest.mark.parametrize("present", [0, 1])
-def test_a_program_ended_while_it_writes_leaves_the_rows_as_they_were(
-    tmp_path, monkeypatch, present
-):
+def test_a_program_killed_while_writing_leaves_the_rows_unchanged(tmp_path, monkeypatch, present):
     for trial in range(present):
         append_trial(tmp_path, Trial(1, trial + 1, displacement=0.02, rotation=0.1))
     before = {file.name: file.read_bytes() for file in tmp_path.glob("*.csv")}
@@ -184,7 +182,7 @@ def test_good_records_are_all_used(tmp_path):
         (times("striker_speed_measured_m_s", factor=1e3), "striker_speed"),
     ],
 )
-def test_wrong_units_of_a_file_are_refused(tmp_path, change, words):
+def test_a_file_in_wrong_units_is_refused(tmp_path, change, words):
     folder = write(tmp_path / "r", taps(noise=(0.02, 0.05), scatter=(0.05, 0.15)))
     rewrite(folder / "run_03.csv", change)
     with pytest.raises(RecordError, match=words) as refusal:
@@ -212,7 +210,7 @@ def test_wrong_units_of_a_file_are_refused(tmp_path, change, words):
         (lambda row: row | {"rotation_rad": str(-float(row["rotation_rad"]))}, "disturbed"),
     ],
 )
-def test_one_bad_row_is_left_out_by_file_and_row(tmp_path, change, reason):
+def test_one_invalid_row_is_excluded_and_named_by_file_and_row(tmp_path, change, reason):
     folder = write(tmp_path / "r", taps())
     rewrite(folder / "run_03.csv", lambda row: change(row) if row["trial"] == "4" else row)
     found = screened(folder)
@@ -222,7 +220,7 @@ def test_one_bad_row_is_left_out_by_file_and_row(tmp_path, change, reason):
     assert len(found.used) == 39
 
 
-def test_a_push_by_hand_does_not_reach_the_mean(tmp_path):
+def test_a_push_by_hand_does_not_affect_the_mean(tmp_path):
     clean = fit_object([read_experiment(write(tmp_path / "a", taps(noise=(0.01, 0.03))))], DISK)
     pushed = write(tmp_path / "b", taps(noise=(0.01, 0.03)))
     further = times("displacement_m", factor=1.6)
@@ -232,7 +230,7 @@ def test_a_push_by_hand_does_not_reach_the_mean(tmp_path):
     assert fit.slide.friction == pytest.approx(clean.slide.friction, rel=0.003)
 
 
-def test_pushes_of_a_few_taps_are_all_named_where_launches_are_exact(tmp_path):
+def test_all_pushed_taps_are_named_if_launches_are_exact(tmp_path):
     pushed = write(tmp_path / "b", taps())
     further = times("displacement_m", factor=1.6)
     for run, trial in ((1, "5"), (2, "8"), (4, "2")):
@@ -249,7 +247,7 @@ def test_pushes_of_a_few_taps_are_all_named_where_launches_are_exact(tmp_path):
     assert fit.slide.friction == pytest.approx(TRUE["friction"], rel=0.002)
 
 
-def test_units_wrong_by_ten_end_at_the_limit_and_are_refused(tmp_path):
+def test_units_wrong_by_a_factor_of_ten_are_refused(tmp_path):
     short = write(tmp_path / "b", taps())
     for file in short.glob("run_*.csv"):
         rewrite(file, times("displacement_m", factor=0.1))
@@ -283,23 +281,23 @@ def part(seen, keep):
     return replace(seen, **{entry.name: getattr(seen, entry.name)[keep] for entry in fields(seen)})
 
 
-def test_a_good_track_only_lacks_company(tmp_path):
+def test_a_single_good_track_is_refused_only_as_a_short_run(tmp_path):
     assert "short run" in tracked(tmp_path, track(), displacement=math.nan)
 
 
-def test_a_track_with_a_gap_while_it_slides_is_named(tmp_path):
+def test_a_track_with_a_gap_while_sliding_is_reported(tmp_path):
     seen = track()
     keep = (seen.time < 0.44) | (seen.time > 0.50)
     assert "gap" in tracked(tmp_path, part(seen, keep))
 
 
-def test_a_hand_in_the_picture_is_named(tmp_path):
+def test_a_hand_in_the_image_is_reported(tmp_path):
     seen = track()
     moved = seen.x + np.where(seen.time < 0.2, 0.004, 0.0)  # the hand is removed before the tap
     assert "run_01.csv, row 2" in tracked(tmp_path, replace(seen, x=moved))
 
 
-def test_a_second_push_is_named(tmp_path):
+def test_a_second_push_is_reported(tmp_path):
     first = track()
     later = np.maximum(first.time - 0.55, 0.0)
     pushed = first.x + np.where(later > 0, 0.2 * later - 0.5 * later**2, 0.0)
@@ -307,17 +305,17 @@ def test_a_second_push_is_named(tmp_path):
     assert "disturbed" in tracked(tmp_path, replace(first, x=pushed))
 
 
-def test_a_track_without_motion_is_a_miss(tmp_path):
+def test_a_track_without_motion_counts_as_a_miss(tmp_path):
     seen = track()
     assert "missed" in tracked(tmp_path, replace(seen, x=0 * seen.x, theta=0 * seen.theta))
 
 
-def test_times_in_milliseconds_are_named(tmp_path):
+def test_times_in_milliseconds_are_reported(tmp_path):
     seen = track()
     assert "t_s in ms" in tracked(tmp_path, replace(seen, time=1e3 * seen.time))
 
 
-def test_a_track_whose_time_stands_still_is_refused(tmp_path):
+def test_a_track_with_constant_time_is_refused(tmp_path):
     file = tmp_path / "track.csv"
     file.write_text("t_s,x_m,y_m,theta_rad\n0,0,0,0\n0.1,0,0,0\n0.1,0,0,0\n")
     with pytest.raises(RecordError, match="row 4"):

@@ -35,7 +35,7 @@ SQUARE = Polygon([(-0.04, -0.04), (0.04, -0.04), (0.04, 0.04), (-0.04, 0.04)], 0
     factor=st.sampled_from(FACTORS),
     share=st.floats(0.0, 1.2),
 )
-def test_states_are_those_of_the_mechanics(body, speed, ratio, factor, share):
+def test_states_match_the_mechanics_model(body, speed, ratio, factor, share):
     sliding = Sliding(body, 0.17, factor)
     spin = ratio * speed / body.support_radius
     rest = sliding.rest(speed, spin)
@@ -110,7 +110,7 @@ def test_noise_of_the_velocities_does_not_bias_the_torque_factor():
     assert fit.torque_factor == pytest.approx(2.0, rel=0.05)
 
 
-def test_intervals_cover_as_often_as_they_say():
+def test_intervals_have_their_stated_coverage():
     """The estimate is the mean of 4 x 10 samples from a skewed distribution. Sample x contributes
     the score mean - x."""
     random = np.random.default_rng(0)
@@ -132,7 +132,7 @@ def test_trials_that_determine_nothing_have_no_interval():
         spread(np.zeros((8, 2)), information, [1] * 8)
 
 
-def test_a_pressure_beside_the_middle_is_found_and_does_not_widen_the_torque_factor():
+def test_an_off_centre_pressure_is_estimated_without_widening_the_torque_factor_interval():
     """The pressure in the simulated world is off-centre by 1 % of the radius towards +x and 0.75 %
     towards -y."""
     body, random = DISK.body(), np.random.default_rng(6)

@@ -14,7 +14,7 @@ HEADER = ("energy", "distance")
 COLUMNS = (Column("energy", "J"), Column("distance", "m"))
 
 
-def test_rows_are_read_back_as_they_were_and_gone_on_with(tmp_path: Path) -> None:
+def test_rows_are_read_back_unchanged_and_appended_to(tmp_path: Path) -> None:
     path = tmp_path / "new" / "taps.csv"
     growing = GrowingCsv(path, HEADER, resume=False)
     assert growing.rows == 0
@@ -26,7 +26,7 @@ def test_rows_are_read_back_as_they_were_and_gone_on_with(tmp_path: Path) -> Non
     np.testing.assert_allclose(table.columns(*HEADER), [[0.001, 1 / 3], [0.002, 0.5]], rtol=1e-8)
 
 
-def test_a_file_that_is_there_is_neither_overwritten_nor_mixed(tmp_path: Path) -> None:
+def test_an_existing_file_is_neither_overwritten_nor_mixed(tmp_path: Path) -> None:
     path = tmp_path / "taps.csv"
     path.write_text("# by hand\nenergy,distance\n0.1,0.2", encoding="utf-8")
     with pytest.raises(RecordError, match="--resume"):

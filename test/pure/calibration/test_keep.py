@@ -39,7 +39,7 @@ def test_a_record_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.yaml"]
 
 
-def test_a_file_that_is_there_stays_without_force(tmp_path: Path) -> None:
+def test_an_existing_file_is_kept_without_force(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("anything")
     for act in (lambda: write(Output(path), OLD), lambda: refuse_existing(Output(path))):
@@ -48,14 +48,14 @@ def test_a_file_that_is_there_stays_without_force(tmp_path: Path) -> None:
     assert path.read_text() == "anything"
 
 
-def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(KeptFile, match="does not exist"):
         refuse_existing(Output(tmp_path / "none" / "a.yaml"))
 
 
 @settings(max_examples=15, deadline=None)
 @given(residual=st.floats(0.0, 1.0), uncertainty=st.floats(0.0, 1.0))
-def test_force_replaces_only_what_is_no_better(
+def test_force_replaces_only_a_file_that_is_not_better(
     tmp_path_factory: pytest.TempPathFactory, residual: float, uncertainty: float
 ) -> None:
     path = tmp_path_factory.mktemp("keep") / "a.yaml"
@@ -74,14 +74,14 @@ def test_force_replaces_only_what_is_no_better(
 
 
 @pytest.mark.parametrize("content", ["by hand: yes", "calibration: {by: someone}", "[", "\0"])
-def test_a_file_without_a_record_gives_way_to_force(tmp_path: Path, content: str) -> None:
+def test_force_replaces_a_file_without_a_record(tmp_path: Path, content: str) -> None:
     path = tmp_path / "a.yaml"
     path.write_text(content)
     write(Output(path, force=True), OLD)
     assert read_provenance(path) == OLD
 
 
-def test_what_the_reader_refuses_is_never_written(tmp_path: Path) -> None:
+def test_a_file_that_the_reader_refuses_is_never_written(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     write(Output(path), OLD)
     with pytest.raises(ConfigurationError):

@@ -77,13 +77,13 @@ def test_friction_and_torque_factor_of_unknown_objects_are_learnt(seed: int) -> 
     assert 0.01 < found.content.scatter.distance < 0.1
 
 
-def test_bumped_taps_are_left_out() -> None:
+def test_disturbed_taps_are_excluded() -> None:
     found, friction, _ = learnt(0, bumps=2)
     assert found.left_out == 2
     assert found.content.friction == pytest.approx(friction, rel=0.08)
 
 
-def test_the_file_that_is_written_is_one(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_the_written_file_is_a_valid_object_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
     found, _, _ = learnt(1, 8)
     record = learning_record(found, [])
     path = tmp_path / "object.yaml"

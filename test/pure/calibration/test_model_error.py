@@ -43,7 +43,7 @@ def taps(
     return Taps(measured, predicted, [str(run) for run in runs], contact, travel)
 
 
-def test_a_model_that_fits_is_not_blamed() -> None:
+def test_a_model_that_fits_is_not_reported_as_wrong() -> None:
     """With six tests at a level of 0.001 each, 1.8 of 300 fits are expected to fail."""
     random = np.random.default_rng(1)
     assert sum(bool(lack_of_fit(taps(random))) for _ in range(300)) <= 7
@@ -53,7 +53,7 @@ def test_a_model_that_fits_is_not_blamed() -> None:
     ("wrong", "quantity"),
     [("setting", "distance"), ("place", "rotation"), ("direction", "distance")],
 )
-def test_what_is_wrong_is_named(wrong: str, quantity: str) -> None:
+def test_the_cause_of_a_model_error_is_named(wrong: str, quantity: str) -> None:
     size = {"setting": 0.1, "place": 0.25, "direction": 0.1}[wrong]
     found = 0
     for seed in range(20):
@@ -67,7 +67,7 @@ def test_what_is_wrong_is_named(wrong: str, quantity: str) -> None:
 
 @pytest.mark.parametrize("setting", [0.0, 0.1])
 @pytest.mark.parametrize("place", [0.0, 0.25])
-def test_intervals_hold_new_taps_at_new_settings(setting: float, place: float) -> None:
+def test_intervals_contain_new_taps_at_new_settings(setting: float, place: float) -> None:
     random = np.random.default_rng(5)
     held: dict[str, list[float]] = {"distance": [], "rotation": []}
     for _ in range(200):
@@ -98,7 +98,7 @@ def fitted(truth: TruthFile, assumed: float = 0.2, design: Design | None = None)
     return fit_object([Experiment(Path(), header, tuple(trials), ())], disk)
 
 
-def test_the_simulated_world_is_found_out() -> None:
+def test_the_model_error_of_the_simulated_world_is_detected() -> None:
     """The lack of fit has a known cause: a centre of mass off by 2.4 mm, or a contact that differs
     from Routh's model."""
     assert not fitted(TruthFile((0.0, 0.0, 0.0))).misfits
@@ -116,7 +116,7 @@ def test_the_simulated_world_is_found_out() -> None:
 
 
 @pytest.mark.parametrize("assumed", [0.2, 0.1])
-def test_contacts_that_seem_to_stick_give_no_bound(assumed: float) -> None:
+def test_contacts_that_appear_to_stick_give_no_friction_bound(assumed: float) -> None:
     """With small incidences the friction is not determined, so no value is reported."""
     design = Design(
         runs=((0.02, math.radians(5)), (0.02, math.radians(20)), (0.04, math.radians(12)))

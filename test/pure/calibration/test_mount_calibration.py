@@ -59,7 +59,7 @@ def line_error(found: Pose, true: Pose) -> float:
     return float(off[0] * math.sin(found.theta) - off[1] * math.cos(found.theta))
 
 
-def test_twelve_taps_know_a_line_to_a_third_of_a_millimetre() -> None:
+def test_twelve_taps_determine_a_line_to_a_third_of_a_millimetre() -> None:
     rng = np.random.default_rng(5)
     errors, claimed = [], []
     for trial in range(40):

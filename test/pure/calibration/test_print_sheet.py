@@ -81,7 +81,9 @@ def rasterised(one: pypdf.PageObject) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["png", "pdf"])
-def test_reference_markers_are_where_the_table_file_says(tmp_path: Path, kind: str) -> None:
+def test_reference_markers_are_at_the_positions_of_the_table_file(
+    tmp_path: Path, kind: str
+) -> None:
     image = page(tmp_path, "table", "--paper", "a4", kind=kind)
     references = load_reference_map(tmp_path / "table.table.yaml")
     assert image.shape == (2100, 2970)
@@ -110,7 +112,7 @@ def test_the_sheet_for_the_shipped_table_file_has_its_markers(tmp_path: Path) ->
     assert not (tmp_path / "table.table.yaml").exists()
 
 
-def test_turned_markers_are_printed_turned(tmp_path: Path) -> None:
+def test_rotated_markers_are_printed_rotated(tmp_path: Path) -> None:
     given = tmp_path / "given.yaml"
     given.write_text(
         "dictionary: APRILTAG_36h11\nmarkers:\n"
@@ -139,7 +141,7 @@ def test_the_markers_to_cut_are_those_of_the_table_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["png", "pdf"])
-def test_the_target_has_its_size(tmp_path: Path, kind: str) -> None:
+def test_the_target_has_the_specified_size(tmp_path: Path, kind: str) -> None:
     image = page(tmp_path, "charuco", kind=kind)
     target = Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250")
     view = find_target(image, target, "page")
@@ -160,7 +162,7 @@ def test_the_ruler_measures_100_mm(tmp_path: Path) -> None:
     assert columns.max() - columns.min() == pytest.approx(1000, abs=3)
 
 
-def test_the_pdf_has_the_papers_size_and_says_what_it_is(tmp_path: Path) -> None:
+def test_the_pdf_has_the_paper_size_and_a_description(tmp_path: Path) -> None:
     path = tmp_path / "sheet.pdf"
     assert main(["calibrate", "print", "--paper", "900x600", "--output", str(path)]) == 0
     reader = pypdf.PdfReader(path)
@@ -175,7 +177,7 @@ def test_the_pdf_has_the_papers_size_and_says_what_it_is(tmp_path: Path) -> None
     assert main(["calibrate", "print", "--output", str(path)]) == 2  # an existing file is kept
 
 
-def test_the_outlines_of_a_marker_are_its_pattern() -> None:
+def test_the_outlines_of_a_marker_match_its_pattern() -> None:
     for number in (0, 17, 101):
         pattern = marker_pattern("APRILTAG_36h11", number)
         loops = [
@@ -204,6 +206,6 @@ def test_the_outlines_of_a_marker_are_its_pattern() -> None:
         (lambda: reference_map((0.297, 0.21), 0.06, "APRILTAG_36h11", 101), "largest that fit"),
     ],
 )
-def test_what_does_not_fit_is_refused(act, words: str) -> None:
+def test_a_sheet_that_does_not_fit_is_refused(act, words: str) -> None:
     with pytest.raises(SheetError, match=words):
         act()

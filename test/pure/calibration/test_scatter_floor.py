@@ -28,7 +28,7 @@ def test_both_parts_are_found() -> None:
     assert np.std(off) == pytest.approx(1.0, abs=0.35)
 
 
-def test_a_scatter_in_proportion_has_no_floor() -> None:
+def test_proportional_scatter_has_no_floor() -> None:
     """With a false alarm rate of 1 %, more than 6 false alarms in 200 series have a probability of
     0.4 %."""
     found = [scatter_parts([_series(0.05, 0.0, 60, seed)]) for seed in range(200)]

@@ -43,7 +43,7 @@ def solve(references: ReferenceMap, views: list[MarkerView]):
     return calibrate_table(views, sizes, references.dictionary, CAMERA.fx)
 
 
-def test_the_map_comes_back_within_its_standard_deviations() -> None:
+def test_the_map_is_recovered_within_its_standard_deviations() -> None:
     off = []
     for seed in range(4):
         references, views = views_of(seed)
@@ -60,7 +60,7 @@ def test_the_map_comes_back_within_its_standard_deviations() -> None:
     assert 0.6 < float(np.sqrt(np.mean(np.square(off)))) < 1.4
 
 
-def test_the_stated_noise_of_a_corner_is_its_error_in_photographs() -> None:
+def test_the_stated_corner_noise_matches_the_error_in_photographs() -> None:
     random = np.random.default_rng(51)
     references = truths.markers(random)
     truly = {m.id: m for m in references.markers}
@@ -83,7 +83,7 @@ def test_the_stated_noise_of_a_corner_is_its_error_in_photographs() -> None:
     assert error == pytest.approx(float(np.sqrt(np.mean(np.square(stated)))), rel=0.25)
 
 
-def test_a_marker_that_lies_elsewhere_in_one_image_is_named() -> None:
+def test_a_marker_displaced_in_one_image_is_named() -> None:
     references, views = views_of(7)
     rays = views[2].rays.copy()
     rays[4] += 0.01
@@ -93,7 +93,7 @@ def test_a_marker_that_lies_elsewhere_in_one_image_is_named() -> None:
     assert left < 2e-4
 
 
-def test_a_marker_of_another_size_is_left_out_of_the_map() -> None:
+def test_a_marker_of_another_size_is_excluded_from_the_map() -> None:
     references, views = views_of(8)
     sizes = {m.id: m.size for m in references.markers} | {103: 0.030}
     result = calibrate_table(views, sizes, references.dictionary, CAMERA.fx)
@@ -113,7 +113,7 @@ def test_frames_and_scales() -> None:
     assert (larger.size, larger.x) == pytest.approx((0.0404, 1.01 * references.markers[0].x))
 
 
-def test_images_that_nothing_joins_are_refused() -> None:
+def test_images_without_common_markers_are_refused() -> None:
     references, views = views_of(10)
     halves = [
         MarkerView(v.name, v.ids[part], v.rays[part], v.noise[part])

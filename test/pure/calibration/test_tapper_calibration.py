@@ -29,7 +29,7 @@ def changed(taps: TapRecord, distances: np.ndarray) -> TapRecord:
     return replace(taps, distances=distances)
 
 
-def test_the_travel_without_rotation_is_the_textbooks() -> None:
+def test_the_travel_without_rotation_matches_the_textbook_formula() -> None:
     energies = np.geomspace(1e-3, 5e-2, 12)
     speeds = np.sqrt(2 * energies / 0.1)
     # Central impact of two free bodies: v0 = (1 + e) m_s / (m + m_s) v. Then the object slides with
@@ -43,7 +43,7 @@ def test_the_travel_without_rotation_is_the_textbooks() -> None:
     assert result.by_restitution == pytest.approx(-1 / (1 + CELL.object.restitution), rel=0.01)
 
 
-def test_thirty_taps_tell_the_speeds_to_three_percent() -> None:
+def test_thirty_taps_determine_the_speeds_to_three_percent() -> None:
     within = []
     for seed in range(12):
         speed, taps = record(seed)
@@ -55,7 +55,7 @@ def test_thirty_taps_tell_the_speeds_to_three_percent() -> None:
     assert sum(within) >= 11
 
 
-def test_missed_taps_and_outliers_are_named_and_change_little() -> None:
+def test_missed_taps_and_outliers_are_named_and_have_little_effect() -> None:
     _, taps = record(3)
     clean = calibrate_tapper(taps, TAP)
     distances = taps.distances.copy()
@@ -67,7 +67,7 @@ def test_missed_taps_and_outliers_are_named_and_change_little() -> None:
     np.testing.assert_allclose(result.speeds, clean.speeds, rtol=0.03)
 
 
-def test_draws_too_small_to_move_the_object_end_the_curve() -> None:
+def test_charges_too_small_to_move_the_object_end_the_curve() -> None:
     _, taps = record(4)
     lowest = taps.energies == taps.energies.min()
     distances = np.where(lowest, 0.0001, taps.distances)
@@ -84,7 +84,7 @@ def test_draws_too_small_to_move_the_object_end_the_curve() -> None:
         (lambda n: np.arange(n) < 10, "different energies"),
     ],
 )
-def test_records_that_make_no_curve_are_refused(pick, words: str) -> None:
+def test_records_that_give_no_curve_are_refused(pick, words: str) -> None:
     _, taps = record(5)
     part = pick(len(taps.rows))
     cut = TapRecord(*(getattr(taps, name)[part] for name in TapRecord.__slots__))

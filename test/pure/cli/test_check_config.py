@@ -48,13 +48,13 @@ def shipped() -> list[Path]:
 
 
 @pytest.mark.parametrize("path", shipped(), ids=lambda path: path.name)
-def test_every_shipped_file_is_recognised_and_right(path: Path) -> None:
+def test_every_shipped_file_is_recognised_and_valid(path: Path) -> None:
     (found, *_) = check(path)
     assert found.kind in KINDS
     assert found.errors == []
 
 
-def test_all_that_is_wrong_in_a_file_is_said_at_once(folder: Path) -> None:
+def test_all_errors_of_a_file_are_reported_together(folder: Path) -> None:
     cell = change(
         folder / "cell.yaml",
         ("arm.upper_arm", "long"),
@@ -69,7 +69,7 @@ def test_all_that_is_wrong_in_a_file_is_said_at_once(folder: Path) -> None:
         assert any(words in sentence and str(cell) in sentence for sentence in found), words
 
 
-def test_the_files_that_a_cell_names_are_looked_at_too(folder: Path) -> None:
+def test_the_files_that_a_cell_names_are_checked_too(folder: Path) -> None:
     change(folder / "objects" / "aluminium_disk.yaml", ("mass", "heavy"), ("shape.radius", None))
     change(folder / "table.yaml", ("markers.3.id", "x"))
     found = errors(folder / "cell.yaml")
@@ -99,7 +99,7 @@ def test_the_files_that_a_cell_names_are_looked_at_too(folder: Path) -> None:
         ("cell.yaml", "tapper.energies", [1e-5, 1e-4], "shorter"),
     ],
 )
-def test_what_contradicts_is_found(
+def test_contradictions_are_reported(
     file: str, key: str, value: Any, words: str, folder: Path
 ) -> None:
     change(folder / file, (key, value))
@@ -107,7 +107,7 @@ def test_what_contradicts_is_found(
     assert found and (words == "shorter" or any(words in sentence for sentence in found)), found
 
 
-def test_what_may_be_right_is_a_warning(folder: Path) -> None:
+def test_a_value_that_may_be_valid_is_a_warning(folder: Path) -> None:
     cell = change(
         folder / "cell.yaml",
         ("arm.port", "/dev/nothing"),
@@ -127,7 +127,7 @@ def test_what_may_be_right_is_a_warning(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("document", [None, [], {}, {"apples": 1}, 3, {"name": "x"}])
-def test_a_file_of_no_kind_is_not_guessed(document: Any, tmp_path: Path) -> None:
+def test_the_kind_of_an_unrecognised_file_is_not_guessed(document: Any, tmp_path: Path) -> None:
     path = tmp_path / "file.yaml"
     path.write_text(yaml.safe_dump(document))
     assert recognise(document) in (None, "object", "cell")
@@ -135,9 +135,7 @@ def test_a_file_of_no_kind_is_not_guessed(document: Any, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_kind_that_is_forced_on_another_file_is_refused_in_words(
-    kind: str, tmp_path: Path
-) -> None:
+def test_a_kind_forced_on_another_file_is_refused_with_a_message(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "file.yaml"
     path.write_text("apples: 3\n")
     assert all(str(path) in sentence for sentence in errors(path, kind))
@@ -156,7 +154,7 @@ camera_pose:
 """
 
 
-def test_a_parameter_file_is_held_to_the_nodes(tmp_path: Path) -> None:
+def test_a_parameter_file_is_checked_against_the_nodes(tmp_path: Path) -> None:
     path = tmp_path / "parameters.yaml"
     path.write_text(PARAMETERS)
     assert recognise(yaml.safe_load(PARAMETERS)) == "parameters"
@@ -166,7 +164,7 @@ def test_a_parameter_file_is_held_to_the_nodes(tmp_path: Path) -> None:
     assert len(found) == 4
 
 
-def test_the_verb_has_its_status_and_its_json(
+def test_the_verb_returns_an_exit_status_and_json(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cell = folder / "cell.yaml"

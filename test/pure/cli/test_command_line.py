@@ -33,7 +33,7 @@ def test_every_verb_has_its_module(verb: str) -> None:
 
 
 @pytest.mark.parametrize("words", [[], ["dance"], ["demo", "--goal", "1", "2"]])
-def test_a_wrong_command_line_exits_with_2(
+def test_an_invalid_command_line_exits_with_2(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
@@ -43,7 +43,7 @@ def test_a_wrong_command_line_exits_with_2(
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_reader_who_has_gone_ends_a_verb_without_a_word(unbuffered: str) -> None:
+def test_a_closed_output_pipe_ends_a_verb_silently(unbuffered: str) -> None:
     reading, writing = os.pipe()
     os.close(reading)
     try:
@@ -67,7 +67,7 @@ def test_an_unreadable_cell_file_is_refused_before_anything_starts(
 
 
 @given(st.text(st.characters(exclude_categories=("Cs", "Cc"))) | st.booleans() | st.integers())
-def test_a_parameter_reaches_a_node_as_it_is_given(value: object) -> None:
+def test_a_parameter_reaches_a_node_unchanged(value: object) -> None:
     assert yaml.safe_load(parameter_text(value)) == value
 
 

@@ -46,7 +46,7 @@ def test_every_command_in_the_documents_parses(page: Path) -> None:
         make_parser().parse_args(shlex.split(line, comments=True))
 
 
-def test_the_former_verb_for_benchmarks_says_what_replaced_it(capsys) -> None:
+def test_the_former_benchmark_verb_names_its_replacement(capsys) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["bench", "--section", "mechanics"])
     assert ended.value.code == 2
@@ -54,7 +54,7 @@ def test_the_former_verb_for_benchmarks_says_what_replaced_it(capsys) -> None:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_every_option_says_what_it_does(verb: str) -> None:
+def test_every_option_has_a_description(verb: str) -> None:
     parsers = [verb_parser(verb)[0]]
     while parsers:
         parser = parsers.pop()
@@ -96,11 +96,11 @@ def completions(line: str) -> set[str]:
         ("cell completion --shell ", {"bash", "zsh", "fish"}),
     ],
 )
-def test_the_tabulator_key_completes(line: str, offered: set[str]) -> None:
+def test_the_tab_key_completes_commands(line: str, offered: set[str]) -> None:
     assert completions(line) == offered
 
 
-def test_a_shell_takes_the_code_and_completes_with_it(tmp_path: Path) -> None:
+def test_a_shell_loads_the_completion_code_and_completes(tmp_path: Path) -> None:
     script = tmp_path / "try.sh"
     script.write_text(
         f'eval "$({shlex.quote(sys.executable)} -m tapping_cell completion)"\n'

@@ -24,7 +24,7 @@ def session_in(folder: Path) -> Session:
     return made
 
 
-def test_files_to_start_from_are_copied_once_and_checked(tmp_path: Path) -> None:
+def test_starting_files_are_copied_once_and_checked(tmp_path: Path) -> None:
     session = session_in(tmp_path)
     assert "consistent" in steps.files(session).sentence
     text = session.cell_file.read_text(encoding="utf-8").replace("length: 0.60", "length: 0.59")
@@ -36,13 +36,13 @@ def test_files_to_start_from_are_copied_once_and_checked(tmp_path: Path) -> None
         steps.files(session)
 
 
-def test_a_proof_is_found_again(tmp_path: Path) -> None:
+def test_a_recorded_proof_is_found_again(tmp_path: Path) -> None:
     session_in(tmp_path).prove("camera", Proof("sharp", {"rms_px": 0.1}), 3.21)
     found = session_in(tmp_path).proofs["camera"]
     assert (found["sentence"], found["values"], found["seconds"]) == ("sharp", {"rms_px": 0.1}, 3.2)
 
 
-def test_a_failed_step_is_said_and_the_next_call_goes_on_there(
+def test_a_failed_step_is_reported_and_the_next_call_resumes_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     done: list[str] = []
@@ -69,18 +69,20 @@ def test_a_failed_step_is_said_and_the_next_call_goes_on_there(
     assert "The cell is commissioned" in page and "it is &lt;good&gt;" in page
 
 
-def test_nobody_leaves_hardware_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
+def test_commissioning_hardware_without_confirmations_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["commission", "--yes", "--hardware"]) == 2
     assert "a person must watch every step" in capsys.readouterr().err
 
 
-def test_a_key_of_a_section_is_replaced_and_nothing_else() -> None:
+def test_only_the_key_of_the_given_section_is_replaced() -> None:
     text = "port: here\narm:\n  port: ~/x   # of the arm\n  baud: 1\n"
     assert with_value(text, "arm.port", "/dev/arm") == text.replace("~/x", "/dev/arm")
     assert with_value(text, "arm.nothing", "1") == text
 
 
-def test_the_rendered_target_is_found_as_a_printed_one_is(tmp_path: Path) -> None:
+def test_the_rendered_target_is_detected_like_a_printed_one(tmp_path: Path) -> None:
     folder = tmp_path / "pictures"
     assert main(["calibrate", "photographs", "--count", "2", "--output", str(folder)]) == 0
     for path in folder.iterdir():

@@ -14,7 +14,7 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 
 
-def test_a_scene_names_places_and_goals_of_every_object(tmp_path: Path) -> None:
+def test_a_scene_gives_start_and_goal_poses_of_every_object(tmp_path: Path) -> None:
     scene = write_scene(tmp_path, 3, 7, None, None, None)
     cell = load_cell(scene.cell)
     files = (cell.object, *load_further_objects(cell))
@@ -29,7 +29,7 @@ def test_a_scene_names_places_and_goals_of_every_object(tmp_path: Path) -> None:
             assert between >= GAP_M - 2e-5  # values in the files are rounded to 0.01 mm
 
 
-def test_objects_exchange_their_places_in_pairs(tmp_path: Path) -> None:
+def test_objects_swap_places_in_pairs(tmp_path: Path) -> None:
     scene = write_scene(tmp_path, 3, 7, None, None, None, "swap")
     truth = load(TruthFile, scene.truth)
     starts = [Pose(*truth.object_start), *(Pose(*start) for start in truth.further_starts)]

@@ -15,12 +15,12 @@ STEADY = Soak("grbl", 1.0, 700, (1000, 1100, 1000), (9_000, 9_100), (1, 1), (5, 
 
 
 @pytest.mark.parametrize("dialect", Dialect)
-def test_a_minute_of_bad_lines_leaves_nothing_behind(dialect: Dialect) -> None:
+def test_a_minute_of_faulty_lines_leaks_no_resources(dialect: Dialect) -> None:
     run = soak(dialect, 0.01, 4)
     assert run.steady and run.clean and run.taps > 3, run
 
 
-def test_growth_of_anything_is_seen() -> None:
+def test_growth_of_any_resource_is_detected() -> None:
     assert STEADY.steady
     assert not replace(STEADY, blocks=(1000, 1001 + ALLOWED_BLOCKS)).steady
     assert not replace(STEADY, resident=(1000, 1001 + ALLOWED_RESIDENT)).steady
@@ -29,7 +29,7 @@ def test_growth_of_anything_is_seen() -> None:
 
 
 @pytest.mark.parametrize("arguments", [["--soak", "0"], ["--taps", "0"]], ids=lambda a: " ".join(a))
-def test_senseless_numbers_are_refused(
+def test_invalid_numbers_are_refused(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["faults", *arguments]) == 2

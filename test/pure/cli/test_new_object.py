@@ -32,7 +32,7 @@ def picture(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_picture_becomes_an_object_file(
+def test_an_image_is_converted_to_an_object_file(
     tmp_path: Path, picture: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made = tmp_path / "square.yaml"
@@ -53,7 +53,7 @@ def test_a_picture_becomes_an_object_file(
     assert "the image shows a polygon" in capsys.readouterr().err
 
 
-def test_goals_that_measure_an_object_stay_about_its_place_and_turn_back_and_forth() -> None:
+def test_measuring_goals_stay_near_the_object_and_turn_it_back_and_forth() -> None:
     middle = here = Pose(0.05, -0.02, 3.0)
     turned = []
     for number in range(8):

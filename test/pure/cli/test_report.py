@@ -29,7 +29,7 @@ def runs(tmp_path: Path) -> Path:
     return tmp_path / "runs"
 
 
-def test_a_run_is_told_again_with_and_without_its_bag(
+def test_a_run_is_reported_again_with_and_without_its_bag(
     runs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = runs / "good"
@@ -47,7 +47,7 @@ def test_a_run_is_told_again_with_and_without_its_bag(
     assert (folder / "report.html").exists() and (folder / "cell.png").exists()
 
 
-def test_a_bag_alone_is_told_into_another_folder(runs: Path, tmp_path: Path) -> None:
+def test_a_bag_alone_is_reported_into_another_folder(runs: Path, tmp_path: Path) -> None:
     bag = tmp_path / "rescued.mcap"
     shutil.copy(runs / "bad" / "bag" / "bag.mcap", bag)
     assert main(["report", str(bag), "--output", str(tmp_path / "told")]) == 0
@@ -67,7 +67,7 @@ def test_runs_are_compared(runs: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "3 runs, 1 reached their goal" in page and 'href="../good/report.html"' in page
 
 
-def test_what_is_no_run_is_refused_in_words(
+def test_an_invalid_run_folder_is_refused_with_a_message(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["report", str(runs / "up")]) == 2

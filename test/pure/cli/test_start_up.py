@@ -26,14 +26,14 @@ def cell(mode: str = "ready", code: int = 0, **rows: dict[str, str]) -> dict[str
     }
 
 
-def test_a_cell_that_takes_a_goal_is_ready() -> None:
+def test_a_cell_that_accepts_goals_is_ready() -> None:
     start = judge(NODES, cell(), {})
     assert start.ready and not start.reason and {line.word for line in start.lines} == {"ready"}
 
 
 @pytest.mark.parametrize("name", NODES)
 @pytest.mark.parametrize("life", ["not running", "unconfigured", "inactive"])
-def test_a_node_that_is_not_active_keeps_the_cell_from_being_ready(name: str, life: str) -> None:
+def test_a_cell_with_an_inactive_node_is_not_ready(name: str, life: str) -> None:
     start = judge(NODES, cell(**{name: {"life": life, "sentence": "waits for X"}}), {})
     assert not start.ready and not start.person and name in start.reason
 
@@ -44,12 +44,12 @@ def test_active_nodes_alone_are_not_ready(mode: str) -> None:
     assert not start.ready and start.reason == "a reason" and not start.person
 
 
-def test_what_only_a_person_can_do_is_said_and_is_no_late_start() -> None:
+def test_a_required_operator_action_is_reported_and_does_not_count_as_a_late_start() -> None:
     start = judge(NODES, cell("not ready", ErrorCode.ARM_NOT_HOMED), {})
     assert not start.ready and start.person == "a reason. a remedy."
 
 
-def test_devices_wait_for_the_simulated_world_without_a_word_of_cables() -> None:
+def test_devices_wait_for_the_simulated_world_without_cable_hints() -> None:
     state = cell(
         "not ready",
         ErrorCode.ARM_NOT_CONNECTED,
@@ -61,7 +61,7 @@ def test_devices_wait_for_the_simulated_world_without_a_word_of_cables() -> None
     assert lines["scara_arm"] == "scara_arm: waits, for sim_world"
 
 
-def test_a_page_that_was_left_alone_does_not_keep_the_cell_from_work() -> None:
+def test_an_unattended_page_does_not_block_the_cell() -> None:
     state = cell(operator_page={"life": "not running"})
     start = judge(NODES, state, {"operator_page": "ended by SIGKILL"})
     assert start.ready and str(start.lines[-1]) == "operator_page: ended, ended by SIGKILL"

@@ -28,7 +28,7 @@ class FakeGraph:
 
 
 @pytest.mark.parametrize("name", ["operator_page", "run_recorder", "tap_planner", "scara_arm"])
-def test_a_node_that_is_killed_is_named_and_started_again(name: str) -> None:
+def test_a_killed_node_is_named_and_restarted(name: str) -> None:
     graph = FakeGraph()
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
     graph.end(name)
@@ -39,7 +39,9 @@ def test_a_node_that_is_killed_is_named_and_started_again(name: str) -> None:
 
 
 @pytest.mark.parametrize(("name", "ends"), [("operator_page", False), ("tapper_trigger", True)])
-def test_a_node_that_ends_again_and_again(name: str, ends: bool) -> None:
+def test_a_node_that_ends_repeatedly_is_restarted_a_limited_number_of_times(
+    name: str, ends: bool
+) -> None:
     graph, now = FakeGraph(), 0.0
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
     for _ in range(MAX_RESTARTS):
@@ -57,7 +59,7 @@ def test_a_node_that_ends_again_and_again(name: str, ends: bool) -> None:
     assert not supervisor.check(now + WINDOW_S) and name in supervisor.left_alone
 
 
-def test_rare_ends_are_forgotten() -> None:
+def test_rare_exits_do_not_accumulate() -> None:
     graph = FakeGraph()
     supervisor = Supervisor(graph)  # type: ignore[arg-type]
     for number in range(20):
@@ -67,7 +69,7 @@ def test_rare_ends_are_forgotten() -> None:
     assert len(graph.started) == 20
 
 
-def test_a_node_that_refuses_its_parameters_is_not_started_again() -> None:
+def test_a_node_that_refuses_its_parameters_is_not_restarted() -> None:
     graph = FakeGraph()
     graph.end("tap_planner", 1, "loading | error: unknown parameter 'speeed'")
     with pytest.raises(NodeDied, match="error: unknown parameter 'speeed'"):

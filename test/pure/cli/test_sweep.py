@@ -46,7 +46,7 @@ def test_axes_are_ranges_or_lists() -> None:
         (["tolerance=-1"], "tolerance_position"),
     ],
 )
-def test_bad_axes_are_refused_before_anything_is_written(
+def test_invalid_axes_are_refused_before_anything_is_written(
     axes: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_sweep(tmp_path / "out", *axes) == 2
@@ -68,7 +68,7 @@ def test_a_sweep_writes_a_table_and_a_plot(
     assert mean[0] < mean[1] and mean[2] < mean[3]  # more taps with more scatter
 
 
-def test_an_interrupted_sweep_goes_on_where_it_was(
+def test_an_interrupted_sweep_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     axes = ("tolerance=2,1,0.5",)
@@ -145,7 +145,7 @@ def _fail(point: sweep.Point) -> dict[str, object]:
     raise ValueError("broken")
 
 
-def test_a_cluster_that_is_not_there_is_refused(
+def test_an_unavailable_cluster_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(cluster_module, "CONNECTION_DEADLINE", "1s")
@@ -161,7 +161,7 @@ def test_a_cluster_that_is_not_there_is_refused(
     assert "--sweep" in capsys.readouterr().err
 
 
-def test_a_swept_friction_is_the_true_one(tmp_path: Path) -> None:
+def test_a_swept_friction_sets_the_true_friction(tmp_path: Path) -> None:
     words = ["evaluate", "--planner", "exact", "--trials", "40", "--model", "physics"]
     sweeping = ["--sweep", "friction=0.1,0.34", "--report", str(tmp_path), "--processes", "1"]
     assert main([*words, *sweeping]) == 0
@@ -182,7 +182,7 @@ def test_the_table_names_what_was_swept() -> None:
     assert text.splitlines()[2].startswith("| exact | 0.3 | 2.000 (1.900 to 2.100) | 3 | 100.0 %")
 
 
-def test_a_folder_is_needed() -> None:
+def test_a_sweep_requires_a_folder() -> None:
     with pytest.raises(PlanningError, match="cannot be swept"):
         sweep.read_axis("nothing")
     assert main([*WORDS, "tolerance=1"]) == 2

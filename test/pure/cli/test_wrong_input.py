@@ -169,7 +169,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("line", "words"), WRONG, ids=[f"{a} ({b})" for a, b in WRONG])
-def test_wrong_input_is_refused_in_one_sentence(
+def test_invalid_input_is_refused_in_one_sentence(
     line: str,
     words: str,
     hardware_cell: Path,

@@ -40,13 +40,13 @@ def test_the_example_is_consistent_and_its_arm_reaches_the_table() -> None:
         refuse_own_drivers(cell)
 
 
-def test_an_arm_that_stands_too_far_is_told_with_a_share_and_a_place(tmp_path: Path) -> None:
+def test_an_arm_placed_too_far_away_is_reported_with_a_share_and_a_position(tmp_path: Path) -> None:
     far = load_cell(cell_file(tmp_path, mount=[-0.45, 0.0, 0.0, 0.0, 0.0, 0.0]))
     (warning,) = chain_reach(far)
     assert "% of the strike poses" in warning and "from arm_base" in warning
 
 
-def test_an_arm_that_cannot_park_is_told(tmp_path: Path) -> None:
+def test_an_arm_that_cannot_park_is_reported(tmp_path: Path) -> None:
     (warning,) = chain_reach(load_cell(cell_file(tmp_path, mount=[3.0, 0, 0, 0, 0, 0])))
     assert "arm.park" in warning
 
@@ -66,7 +66,7 @@ def test_the_cells_own_urdf_is_refused_for_it(capsys: pytest.CaptureFixture[str]
         ({"tool": [0.0, 0.0, 0.1]}, "tool"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_words(
+def test_an_incompatible_description_is_refused_with_a_message(
     tmp_path: Path, changes: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):

@@ -39,7 +39,7 @@ def test_every_shipped_object_makes_a_cell(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", sorted((shared_folder() / "truth").glob("*.yaml")), ids=str)
-def test_every_shipped_truth_is_read_and_differs_from_the_planners_model(path: Path) -> None:
+def test_all_shipped_simulation_parameters_differ_from_the_planners_model(path: Path) -> None:
     truth = load(TruthFile, path)
     assert truth != TruthFile(object_start=truth.object_start, camera=truth.camera)
 
@@ -74,7 +74,7 @@ def _copy(tmp_path: Path) -> Path:
         ("objects/aluminium_disk.yaml", "friction: 0.17 ", "friction: .nan ", "friction"),
     ],
 )
-def test_a_wrong_file_is_refused_by_name(
+def test_an_invalid_file_is_refused_with_its_name(
     tmp_path: Path, file: str, old: str, new: str, word: str
 ) -> None:
     folder = _copy(tmp_path)
@@ -88,7 +88,7 @@ def test_a_wrong_file_is_refused_by_name(
     assert str(folder) in str(caught.value)
 
 
-def test_a_shape_that_is_not_convex_is_refused(tmp_path: Path) -> None:
+def test_a_non_convex_shape_is_refused(tmp_path: Path) -> None:
     folder = _copy(tmp_path)
     path = folder / "objects" / "aluminium_disk.yaml"
     content = path.read_text().replace("kind: disk", "kind: polygon")
@@ -114,7 +114,7 @@ def test_arm_reach_agrees_with_forward_kinematics() -> None:
     assert np.all(reach.any(axis=-1))
 
 
-def test_the_workspace_carries_the_keep_outs() -> None:
+def test_the_workspace_contains_the_keep_outs() -> None:
     cell = load_cell()
     keep_outs = dataclasses.replace(
         cell.file.keep_outs,
@@ -127,7 +127,7 @@ def test_the_workspace_carries_the_keep_outs() -> None:
     assert workspace.keep_out_distance([-0.11, 0.02]) < 0
 
 
-def test_how_well_a_map_was_measured_comes_from_its_record(tmp_path: Path) -> None:
+def test_the_accuracy_of_a_map_is_read_from_its_record(tmp_path: Path) -> None:
     """A printed sheet has no calibration record, so its deviation is 0."""
     record = Provenance(
         by="calibrate table",
@@ -148,7 +148,7 @@ def test_how_well_a_map_was_measured_comes_from_its_record(tmp_path: Path) -> No
     assert load_reference_map(shared_folder() / "table.yaml").deviation == 0.0
 
 
-def test_the_arms_keys_reach_its_driver(tmp_path: Path) -> None:
+def test_the_arm_settings_reach_its_driver(tmp_path: Path) -> None:
     path = changed_arm(
         tmp_path,
         axis_letters="XYZC",
@@ -172,7 +172,7 @@ def test_the_arms_keys_reach_its_driver(tmp_path: Path) -> None:
         ("axis_sign", [1, 0, 1, 1], "each must be 1 or -1"),
     ],
 )
-def test_axes_that_make_no_arm_are_refused(
+def test_axes_that_do_not_form_an_arm_are_refused(
     tmp_path: Path, key: str, value: object, words: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):

@@ -48,7 +48,7 @@ def test_the_shipped_cell_with_twelve_tappers_has_two_boards(file: Path, shape: 
     assert len(set(cell.tapper_channels.values())) == len(cell.tapper_names) == 12
 
 
-def test_arm_or_fixed_tappers_but_not_both_or_none(file: Path) -> None:
+def test_a_cell_has_either_an_arm_or_fixed_tappers(file: Path) -> None:
     change(file, lambda d: d.pop("fixed_tappers"))
     with pytest.raises(ConfigurationError, match="either the key 'arm'"):
         load_cell(file)
@@ -79,13 +79,13 @@ def test_a_tapper_may_differ_from_the_others(file: Path) -> None:
         ),
     ],
 )
-def test_a_layout_that_cannot_work_is_refused(file: Path, edit, words: str) -> None:
+def test_an_infeasible_layout_is_refused(file: Path, edit, words: str) -> None:
     change(file, lambda document: edit(document["fixed_tappers"]))
     errors = conflicts(load_cell(file))[0]
     assert any(words in error for error in errors), errors
 
 
-def test_two_tappers_of_one_name(file: Path) -> None:
+def test_two_tappers_with_the_same_name_are_refused(file: Path) -> None:
     change(file, lambda d: d["fixed_tappers"]["tappers"][1].update(name="east"))
     with pytest.raises(ConfigurationError, match="name of its own"):
         load_cell(file)

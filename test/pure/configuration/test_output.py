@@ -42,7 +42,7 @@ def cell_file(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> None:
+def test_the_cell_is_accepted_but_not_simulated(tmp_path: Path) -> None:
     cell = load_cell(cell_file(tmp_path))
     settings = cell.file.tapper.output_settings()
     assert settings.pulse_for(2e-2) == pytest.approx(0.012)
@@ -70,7 +70,7 @@ def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> N
         ({"output": SECTION | {"latency": 0.2}}, "0.001 to 0.045 s"),
     ],
 )
-def test_what_contradicts_is_refused_in_words(
+def test_contradictions_are_refused_with_a_message(
     tmp_path: Path, changes: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):

@@ -32,7 +32,7 @@ def cell_file(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> None:
+def test_the_cell_is_accepted_but_not_simulated(tmp_path: Path) -> None:
     cell = load_cell(cell_file(tmp_path))
     assert cell.file.arm.ros2_control is not None
     errors, _ = conflicts(cell)
@@ -57,7 +57,7 @@ def test_it_is_accepted_and_no_simulated_cell_is_made_of_it(tmp_path: Path) -> N
         ({"dialect": "grbl", "homing": "firmware", "ros2_control": None}, "'arm.port' is missing"),
     ],
 )
-def test_what_contradicts_is_refused_in_words(
+def test_contradictions_are_refused_with_a_message(
     tmp_path: Path, changes: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):

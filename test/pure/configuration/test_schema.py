@@ -52,7 +52,7 @@ keys = st.sampled_from(
 
 
 @given(document=st.dictionaries(keys, values) | values)
-def test_any_document_is_read_within_its_limits_or_refused_by_name(document: object) -> None:
+def test_any_document_is_read_within_limits_or_refused_with_its_name(document: object) -> None:
     try:
         outer = build(Outer, document, source="file.yaml")
     except ConfigurationError as error:
@@ -98,7 +98,7 @@ def test_a_refusal_names_file_key_value_and_range(
         assert word in str(caught.value)
 
 
-def test_a_missing_text_is_told_without_a_range() -> None:
+def test_a_missing_string_is_reported_without_a_range() -> None:
     @dataclass(frozen=True, slots=True)
     class Named:
         name: str = text("what it is called")
@@ -115,7 +115,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 @settings(deadline=None)
 @given(length=st.floats(-2.0, 3.0), depth=st.floats(0.0, 1.0))
-def test_what_is_written_is_read_back(
+def test_written_files_are_read_back(
     tmp_path_factory: pytest.TempPathFactory, length: float, depth: float
 ) -> None:
     path = tmp_path_factory.mktemp("yaml") / "some.yaml"
@@ -124,14 +124,14 @@ def test_what_is_written_is_read_back(
 
 
 @pytest.mark.parametrize("number", ["1e-3", "1E0", "-1.5e-1", ".5", "+2"])
-def test_numbers_are_read_as_people_write_them(tmp_path: Path, number: str) -> None:
+def test_numbers_are_read_in_common_notations(tmp_path: Path, number: str) -> None:
     path = tmp_path / "some.yaml"
     path.write_text(f"length: {number}")
     assert load(Outer, path).length == float(number)
 
 
 @pytest.mark.parametrize("name", ["x" * 4097, "x" * 200_000, "a\x00b"])
-def test_a_text_without_end_is_refused_in_a_short_sentence(name: str) -> None:
+def test_an_overlong_string_is_refused_with_a_short_message(name: str) -> None:
     with pytest.raises(ConfigurationError, match="at most 4096 characters") as refused:
         build(Outer, {"length": 1.0, "name": name}, source="file.yaml")
     assert len(str(refused.value)) < 300

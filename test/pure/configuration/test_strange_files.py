@@ -33,7 +33,7 @@ def refusal(load, path: Path, content: str) -> str:
         ("# " + "x" * 1_100_000, "has 1.1 MB"),
     ],
 )
-def test_what_no_parser_should_meet_is_refused_in_words(tmp_path, content, words):
+def test_malformed_files_are_refused_with_a_message(tmp_path, content, words):
     assert words in refusal(read_yaml, tmp_path / "file.yaml", content)
 
 
@@ -44,11 +44,11 @@ def test_what_no_parser_should_meet_is_refused_in_words(tmp_path, content, words
         ("x: -0.33", "x: " + "9" * 400, "must be -10 to 10 m"),
     ],
 )
-def test_a_table_that_cannot_be(tmp_path, old, new, words):
+def test_an_impossible_table_is_refused(tmp_path, old, new, words):
     assert words in refusal(load_reference_map, tmp_path / "table.yaml", TABLE.replace(old, new, 1))
 
 
-def test_one_reference_marker_is_no_table(tmp_path):
+def test_a_table_with_one_reference_marker_is_refused(tmp_path):
     one = "dictionary: 4X4_50\nmarkers:\n  - {id: 1, size: 0.04, x: 0.0, y: 0.0}\n"
     assert "lists 1" in refusal(load_reference_map, tmp_path / "table.yaml", one)
 
@@ -66,12 +66,12 @@ def test_one_reference_marker_is_no_table(tmp_path):
         (CAMERA, "[1]", "must be a mapping"),
     ],
 )
-def test_a_camera_that_cannot_be(tmp_path, old, new, words):
+def test_an_impossible_camera_is_refused(tmp_path, old, new, words):
     message = refusal(load_camera_model, tmp_path / "camera.yaml", CAMERA.replace(old, new, 1))
     assert words in message
 
 
-def test_files_of_windows_are_read(tmp_path):
+def test_files_written_on_windows_are_read(tmp_path):
     path = tmp_path / "table.yaml"
     path.write_bytes(b"\xef\xbb\xbf" + TABLE.replace("\n", "\r\n").encode())
     assert load_reference_map(path) == load_reference_map(CONFIG / "table.yaml")

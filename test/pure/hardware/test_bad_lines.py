@@ -38,7 +38,7 @@ def test_random_faults(dialect: Dialect) -> None:
     ("dialect", "seed"),
     [(Dialect.MARLIN, 1_000_003), (Dialect.GRBL, 1_000_048), (Dialect.MARLIN, 2_000_073)],
 )
-def test_seeds_that_once_led_to_something_untrue_or_a_board_that_nobody_reset(
+def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(
     dialect: Dialect, seed: int
 ) -> None:
     """Regression tests for three cases: one line number was used for two lines; a wrong bit changed
@@ -50,7 +50,7 @@ def test_seeds_that_once_led_to_something_untrue_or_a_board_that_nobody_reset(
 
 @pytest.mark.parametrize("dialect", THOROUGH)
 @pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.HANG_UP])
-def test_a_reset_or_an_unplug_within_a_tap(dialect: Dialect, kind: FaultKind) -> None:
+def test_a_reset_or_an_unplugged_cable_during_a_tap(dialect: Dialect, kind: FaultKind) -> None:
     """About 12 bytes of each line and direction are tested here; `faults --every-byte` tests all of
     them."""
     for (line, direction), count in bytes_of_a_tap(dialect).items():
@@ -60,7 +60,7 @@ def test_a_reset_or_an_unplug_within_a_tap(dialect: Dialect, kind: FaultKind) ->
         assert tally.faults_struck > 0
 
 
-def test_lost_answers_to_fire_are_settled_without_a_second_shot() -> None:
+def test_lost_replies_to_fire_are_resolved_without_a_second_shot() -> None:
     """If FIRE arrives but its answers are lost, the next request reports that the shot was
     fired."""
     cell = TrialCell(Dialect.GRBL, 1)
@@ -97,7 +97,7 @@ def test_a_board_reset_after_fire_is_unknown() -> None:
     assert len(cell.tapper_device.fires) == 1
 
 
-def test_the_witness_sees_what_it_is_there_for() -> None:
+def test_the_monitor_detects_unsafe_and_double_shots() -> None:
     """The checks used by these tests detect an unsafe shot and a double shot."""
     cell = TrialCell(Dialect.GRBL, 1)
     cell.recover()
@@ -159,13 +159,13 @@ TO = Direction.TO_DEVICE
         (LineFault(FaultKind.RESET, TO, 2), (0.0,), [b"23456789"]),
     ],
 )
-def test_each_fault_does_what_it_says(
+def test_each_fault_has_its_stated_effect(
     fault: LineFault, times: tuple[float, ...], out: list[bytes]
 ) -> None:
     assert through(fault, *times) == out
 
 
-def test_merged_bytes_come_with_the_following() -> None:
+def test_merged_bytes_arrive_with_the_following_bytes() -> None:
     line = FaultLayer(Echo(), [LineFault(FaultKind.MERGE, TO, 0, length=4, duration=5.0)])
     line.receive(b"01", 0.0)
     assert line.take_output(0.1) == b""
@@ -173,7 +173,7 @@ def test_merged_bytes_come_with_the_following() -> None:
     assert line.take_output(0.2) == b"01234"
 
 
-def test_a_port_that_vanishes_comes_back() -> None:
+def test_a_port_that_vanishes_reappears() -> None:
     seen: list[bool] = []
     line = FaultLayer(Echo(), [LineFault(FaultKind.HANG_UP, TO, 0, duration=1.0)], seen.append)
     line.receive(b"x", 0.0)
@@ -205,6 +205,6 @@ def test_the_verb_prints_json_and_is_repeatable(capsys: pytest.CaptureFixture[st
     assert order[0] == order[1]
 
 
-def test_the_verb_refuses_nonsense(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verb_refuses_invalid_options(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["faults", "--taps", "0"]) == 2
     assert "--taps" in capsys.readouterr().err

@@ -43,7 +43,7 @@ def folder(tmp_path: Path) -> Path:
     return folder
 
 
-def test_every_kind_of_picture_becomes_grey_and_a_corrupt_one_is_named(folder):
+def test_every_image_type_is_converted_to_grey_and_a_corrupt_one_is_named(folder):
     source = open_source(str(folder), FAST)
     frames = [source.read() for _ in range(3)]
     for frame, level in zip(frames, (60, 90, 120), strict=True):
@@ -57,13 +57,13 @@ def test_every_kind_of_picture_becomes_grey_and_a_corrupt_one_is_named(folder):
         source.read()
 
 
-def test_a_folder_begins_again_only_where_it_is_told_to(folder):
+def test_a_folder_repeats_only_if_requested(folder):
     again = open_source(str(folder), CameraSettings(64, 48, 240.0, loop=True))
     levels = [int(np.median(to_grey(again.read().picture))) for _ in range(7)]
     assert levels == [60, 90, 120, 60, 90, 120, 60]
 
 
-def test_a_folder_that_vanishes_is_an_error_and_opens_again(folder):
+def test_a_folder_that_vanishes_is_an_error_and_can_be_reopened(folder):
     looping = CameraSettings(64, 48, 240.0, loop=True)
     source = open_source(str(folder), looping)
     source.read()
@@ -78,14 +78,14 @@ def test_a_folder_that_vanishes_is_an_error_and_opens_again(folder):
     assert np.median(to_grey(open_source(str(folder), looping).read().picture)) == 60
 
 
-def test_a_folder_that_vanishes_between_two_looks_at_it(folder, monkeypatch):
+def test_a_folder_that_vanishes_between_two_reads(folder, monkeypatch):
     monkeypatch.setattr(Path, "is_dir", lambda self: True)
     monkeypatch.setattr(Path, "exists", lambda self: True)
     with pytest.raises(CameraSourceError, match="cannot be read"):
         open_source(str(folder / "gone"), FAST)
 
 
-def test_a_folder_whose_pictures_vanish_while_it_begins_again_has_not_ended(folder):
+def test_a_folder_whose_images_vanish_while_it_repeats_has_not_ended(folder):
     source = open_source(str(folder), CameraSettings(64, 48, 240.0, loop=True))
     for _ in range(3):
         source.read()
@@ -95,7 +95,7 @@ def test_a_folder_whose_pictures_vanish_while_it_begins_again_has_not_ended(fold
         source.read()
 
 
-def test_a_folder_without_pictures_and_one_with_broken_ones_only(tmp_path):
+def test_a_folder_without_images_or_with_only_corrupt_images(tmp_path):
     with pytest.raises(CameraSourceError, match="contains no images"):
         open_source(str(tmp_path), FAST)
     (tmp_path / "x.png").write_bytes(b"\x89PNG broken")
@@ -122,25 +122,25 @@ def test_a_video_keeps_its_rate(tmp_path):
         source.read()
 
 
-def test_what_is_no_video_is_refused(tmp_path):
+def test_a_file_that_is_not_a_video_is_refused(tmp_path):
     file = tmp_path / "film.avi"
     file.write_text("no video")
     with pytest.raises(CameraSourceError, match="cannot be opened or decoded"):
         open_source(str(file), FAST).read()
 
 
-def test_a_camera_that_is_not_there():
+def test_a_missing_camera_is_reported():
     with pytest.raises(CameraSourceError, match="cannot be opened"):
         open_source("/dev/video-of-nobody", FAST)
 
 
-def test_the_drivers_stamp_counts_where_it_is_on_the_steady_clock():
+def test_the_driver_stamp_is_used_if_it_is_on_the_steady_clock():
     now = time.monotonic()
     assert captured_at(now - 0.03, now) == now - 0.03
     for stamp in (0.0 if now > 10.0 else -1.0, now + 5.0, now - 100.0, 1.7e9 + now):
         assert captured_at(stamp, now) == now
 
 
-def test_eight_bits_of_other_depths():
+def test_other_depths_are_converted_to_eight_bits():
     assert eight_bit(np.array([[0, 255, 65535, 0x1234]], np.uint16)).tolist() == [[0, 0, 255, 0x12]]
     assert eight_bit(np.array([[0.0, 0.5, 1.0, 7.0]], np.float32)).tolist() == [[0, 128, 255, 255]]

@@ -50,7 +50,7 @@ def marlin(needs: ControllerNeeds, machine: MarlinMachine | None = None) -> ArmD
     return ArmDriver(line, MarlinDialect(line, MarlinSettings(needs=needs)), ScaraGeometry())
 
 
-def test_settings_that_allow_the_moves_are_taken() -> None:
+def test_settings_that_allow_the_moves_are_accepted() -> None:
     assert grbl(MILD).connect().name == "Grbl"
     assert marlin(MILD).connect().remarks == ()
 
@@ -63,7 +63,7 @@ def test_settings_that_allow_the_moves_are_taken() -> None:
         ("s122", 20.0, r"\$122 is 20, must be at least 1500"),
     ],
 )
-def test_a_grbl_that_is_set_otherwise_is_refused_with_both_values(
+def test_a_grbl_with_other_settings_is_refused_with_both_values(
     setting: str, value: float, words: str
 ) -> None:
     with pytest.raises(HardwareFault, match=words) as caught:
@@ -71,7 +71,7 @@ def test_a_grbl_that_is_set_otherwise_is_refused_with_both_values(
     assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
-def test_soft_limits_of_grbl_count_only_while_they_are_on() -> None:
+def test_soft_limits_of_grbl_count_only_if_enabled() -> None:
     assert grbl(MILD, s130=50.0).connect()
     with pytest.raises(HardwareFault, match=r"\$130 is 50, must be at least 100"):
         grbl(MILD, s130=50.0, s20=1.0).connect()
@@ -90,7 +90,7 @@ def test_soft_limits_of_grbl_count_only_while_they_are_on() -> None:
     ],
     ids=["steps", "rate", "acceleration", "soft end stops"],
 )
-def test_a_marlin_that_is_set_otherwise_is_refused_with_both_values(
+def test_a_marlin_with_other_settings_is_refused_with_both_values(
     change: dict[str, object], words: str
 ) -> None:
     with pytest.raises(HardwareFault, match=words) as caught:
@@ -98,7 +98,7 @@ def test_a_marlin_that_is_set_otherwise_is_refused_with_both_values(
     assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
-def test_a_marlin_that_can_only_be_killed_says_so() -> None:
+def test_a_marlin_that_can_only_be_killed_is_reported() -> None:
     (remark,) = marlin(MILD, MarlinMachine(emergency_parser=False)).connect().remarks
     assert "EMERGENCY_PARSER" in remark and "M112" in remark
 
@@ -126,7 +126,9 @@ class OneBadAnswer(MarlinEmulator):
         (False, b"Cap:EMERGENCY_PARSER:1\n"),
     ],
 )
-def test_one_bad_line_does_not_choose_how_marlin_is_stopped(present: bool, spoilt: bytes) -> None:
+def test_one_corrupt_line_does_not_change_how_marlin_is_stopped(
+    present: bool, spoilt: bytes
+) -> None:
     """A board with the emergency parser must be stopped by M410, because M112 would halt it
     permanently. A board without this parser would not be stopped by M410."""
     line = line_to(OneBadAnswer(present, spoilt))
@@ -135,7 +137,7 @@ def test_one_bad_line_does_not_choose_how_marlin_is_stopped(present: bool, spoil
     assert dialect.stop_bytes == (b"\nM410\n" if present else b"\nM112\n")
 
 
-def test_a_marlin_that_is_mute_when_its_cable_is_back_asks_for_its_reset_button() -> None:
+def test_a_marlin_silent_after_reconnection_requires_its_reset_button() -> None:
     board = MarlinEmulator()
     line = line_to(board)
     driver = ArmDriver(line, MarlinDialect(line), ScaraGeometry())
@@ -152,7 +154,7 @@ def test_a_marlin_that_is_mute_when_its_cable_is_back_asks_for_its_reset_button(
     assert driver.fault is None and not driver.homed
 
 
-def test_the_needs_are_the_geometrys_in_degrees_and_millimetres() -> None:
+def test_the_required_settings_follow_from_the_geometry_in_degrees_and_mm() -> None:
     needs = needs_of(ScaraGeometry(max_speed=(math.pi, 1.0, 0.25, 1.0)), (1.0, 2.0, 3.0, 4.0))
     assert needs.speed is not None and needs.steps == (1.0, 2.0, 3.0, 4.0)
     assert needs.speed[0] == pytest.approx(180.0) and needs.speed[2] == pytest.approx(250.0)
@@ -199,9 +201,7 @@ BOARDS: dict[str, Callable[[], DeviceEmulator]] = {
 
 
 @pytest.mark.parametrize(("driver", "board"), [(d, b) for d in DRIVERS for b in BOARDS if b != d])
-def test_a_board_of_another_kind_is_refused_in_time_and_nothing_moves(
-    driver: str, board: str
-) -> None:
+def test_a_board_of_another_kind_is_refused_in_time_without_motion(driver: str, board: str) -> None:
     device = BOARDS[board]()
     line = line_to(device)
     with pytest.raises(HardwareFault) as caught:

@@ -48,7 +48,7 @@ def test_every_controller_is_recognised_homed_and_moved(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_stop_in_mid_move_is_told_as_a_stop_and_ends_with_homing(name: str) -> None:
+def test_a_stop_during_a_move_is_reported_as_a_stop_and_cleared_by_homing(name: str) -> None:
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.during_the_next_move(0.4, driver.stop)
@@ -99,7 +99,7 @@ def test_an_unplug_before_a_stop_is_cleared_ends_with_homing(name: str, back: bo
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_unplug_in_mid_move_drops_the_target(name: str) -> None:
+def test_unplugging_during_a_move_drops_the_target(name: str) -> None:
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
@@ -114,7 +114,7 @@ def test_an_unplug_in_mid_move_drops_the_target(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
-def test_an_alarm_in_mid_move_stays_the_cause_when_the_board_restarts_after_it(name: str) -> None:
+def test_an_alarm_during_a_move_stays_the_cause_after_a_restart(name: str) -> None:
     """Real firmware sends its greeting after an alarm, and a driver could mistake this for a
     restart of the board."""
     cell = ControllerCell(name)
@@ -139,7 +139,7 @@ def test_an_alarm_in_mid_move_stays_the_cause_when_the_board_restarts_after_it(n
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_restart_is_noticed_and_homing_demanded(name: str) -> None:
+def test_a_restart_is_detected_and_requires_homing(name: str) -> None:
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.emulator.power_cycle(cell.clock.now)
@@ -158,7 +158,7 @@ def released(name: str) -> dict[int, float] | None:
 
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
-def test_a_controller_that_lets_its_motors_go_is_refused_with_the_remedy(name: str) -> None:
+def test_a_controller_that_disables_its_motors_is_refused_with_the_remedy(name: str) -> None:
     cell = ControllerCell(name, released(name))
     emulator = cell.emulator
     assert isinstance(emulator, GrblEmulator)
@@ -170,7 +170,7 @@ def test_a_controller_that_lets_its_motors_go_is_refused_with_the_remedy(name: s
     assert caught.value.reason is FaultReason.SETTINGS_MISMATCH
 
 
-def test_an_arm_without_torque_sinks_and_its_controller_does_not_notice() -> None:
+def test_an_arm_without_torque_sinks_undetected_by_its_controller() -> None:
     """Without holding torque, the emulated arm sinks. The previous test checks that the driver
     refuses a controller with such settings."""
     machine = GrblMachine(start_joints=START, settings=default_settings() | {1: 25.0, 22: 0.0})
@@ -186,7 +186,7 @@ def test_an_arm_without_torque_sinks_and_its_controller_does_not_notice() -> Non
     assert emulator.joints(5.0)[2] < START[2] - 0.01
 
 
-def test_marlin_holds_its_arm_for_as_long_as_it_stands() -> None:
+def test_marlin_holds_the_arm_while_it_is_at_rest() -> None:
     cell = ControllerCell("marlin")
     driver = cell.ready()
     driver.move_to(FAR)
@@ -198,7 +198,7 @@ def test_marlin_holds_its_arm_for_as_long_as_it_stands() -> None:
 
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
-def test_a_controller_that_went_to_sleep_is_not_believed(name: str) -> None:
+def test_a_controller_that_went_to_sleep_is_not_trusted(name: str) -> None:
     cell = ControllerCell(name)
     driver = cell.ready()
     cell.emulator.receive(b"$SLP\n", cell.clock.now)
@@ -211,7 +211,7 @@ def test_a_controller_that_went_to_sleep_is_not_believed(name: str) -> None:
 # Peculiarities of single controllers.
 
 
-def test_three_axes_are_refused_in_those_words() -> None:
+def test_three_axes_are_refused_with_a_message() -> None:
     cell = ControllerCell("grbl", change=lambda machine: replace(machine, variant=GRBL_3_AXES))
     with pytest.raises(HardwareFault, match=r"has 3 axes \(XYZ\), but 4 are needed") as caught:
         cell.driver.connect()
@@ -225,7 +225,7 @@ def test_an_axis_without_a_switch_must_be_named() -> None:
 
 
 @pytest.mark.parametrize("lost", [b"[FIRMWARE:grblHAL]", b"[AXS:4:XYZA]"])
-def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> None:
+def test_one_corrupt_line_does_not_change_the_detected_controller(lost: bytes) -> None:
     """Without the line [FIRMWARE:grblHAL], grblHAL would be mistaken for grbl-Mega-5X. Without this
     line and the line [AXS:4:XYZA], it would be mistaken for Grbl."""
     cell = ControllerCell("grblhal", {22: 9.0})
@@ -244,13 +244,13 @@ def test_one_bad_line_does_not_make_another_controller_of_it(lost: bytes) -> Non
     assert spoilt and driver.firmware is not None and driver.firmware.name == "grblHAL"
 
 
-def test_a_forced_origin_is_where_homing_ends() -> None:
+def test_homing_ends_at_a_forced_origin() -> None:
     cell = ControllerCell("grblhal", {22: 9.0})
     cell.ready().move_to(FAR, 1.0)
     assert np.allclose(cell.truth(), FAR, atol=1e-3)
 
 
-def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
+def test_an_unhomed_tool_axis_is_where_the_operator_placed_it() -> None:
     cell = ControllerCell("grbl-mega-5x")
     driver = cell.ready()
     assert driver.read_joints().tool == 0.0
@@ -258,7 +258,7 @@ def test_a_tool_that_homing_leaves_alone_is_where_a_person_put_it() -> None:
     assert cell.truth().tool == pytest.approx(0.7, abs=1e-3)
 
 
-def test_an_arm_that_still_moves_is_not_homed_where_a_person_cannot_have_put_its_tool() -> None:
+def test_a_moving_arm_is_not_homed_if_the_operator_must_place_its_tool() -> None:
     """A move of another program ends far from the mark of the axis without a switch."""
     cell = ControllerCell("grbl-mega-5x")
     driver = cell.ready()
@@ -273,7 +273,7 @@ def test_an_arm_that_still_moves_is_not_homed_where_a_person_cannot_have_put_its
 
 
 @pytest.mark.parametrize("name", GRBL_NAMES)
-def test_a_controller_that_still_moves_after_an_unplug_is_connected_when_it_stands(
+def test_a_controller_moving_after_an_unplug_is_connected_once_it_is_at_rest(
     name: str,
 ) -> None:
     """Grbl answers ``$I`` and ``$$`` only at rest, as measured with grblHAL's simulator."""
@@ -291,7 +291,7 @@ def test_a_controller_that_still_moves_after_an_unplug_is_connected_when_it_stan
 
 
 @pytest.mark.parametrize("state", ["Sleep", "Hold"])
-def test_a_controller_that_is_held_is_refused_with_its_state(state: str) -> None:
+def test_a_controller_in_hold_is_refused_with_its_state(state: str) -> None:
     cell = ControllerCell("grbl")
     driver = cell.ready()
     cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
@@ -308,7 +308,7 @@ def test_a_controller_that_is_held_is_refused_with_its_state(state: str) -> None
     assert caught.value.reason is FaultReason.REJECTED
 
 
-def test_a_report_that_lost_an_axis_is_a_bad_line_also_after_a_fault_was_cleared() -> None:
+def test_a_report_without_an_axis_is_invalid_even_after_a_fault_was_cleared() -> None:
     cell = ControllerCell("grblhal")
     driver = cell.ready()
     driver.clear_fault()
@@ -360,7 +360,7 @@ def test_a_late_answer_is_never_credited_to_another_line(delay: float) -> None:
         assert driver.fault is None
 
 
-def test_a_slowed_move_is_stopped_and_told_with_its_override() -> None:
+def test_a_slowed_move_is_stopped_and_reported_with_its_override() -> None:
     cell = ControllerCell("grbl")
     driver = cell.ready()
     driver.read()
@@ -373,14 +373,14 @@ def test_a_slowed_move_is_stopped_and_told_with_its_override() -> None:
     assert not driver.homed
 
 
-def test_an_override_is_put_back_at_connect() -> None:
+def test_an_override_is_reset_at_connect() -> None:
     cell = ControllerCell("grbl")
     cell.emulator.receive(b"\x92" * 9, 0.0)
     cell.ready().move_to(FAR, 1.0)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_homing_that_does_not_end_is_stopped_and_named(name: str) -> None:
+def test_homing_that_does_not_end_is_stopped_and_reported(name: str) -> None:
     cell = ControllerCell(name, arm=ArmSettings(home_joints=HOME, homing_timeout=1.0))
     cell.driver.connect()
     if cell.driver.read().alarm:
@@ -398,7 +398,7 @@ def test_homing_that_does_not_end_is_stopped_and_named(name: str) -> None:
     assert not cell.emulator.moving(cell.clock.now)
 
 
-def test_a_halted_marlin_goes_on_saying_so() -> None:
+def test_a_halted_marlin_keeps_reporting_it() -> None:
     cell = ControllerCell("marlin")
     driver = cell.ready()
     cell.emulator.receive(b"\nM112\n", cell.clock.now)

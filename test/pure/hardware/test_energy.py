@@ -21,7 +21,7 @@ def curve_of(steps: list[tuple[float, float]]) -> EnergyCurve:
 
 
 @given(rises, st.floats(0, 1), st.floats(0, 1))
-def test_more_speed_takes_more_energy_and_back(
+def test_energy_and_speed_increase_together_and_convert_back(
     steps: list[tuple[float, float]], a: float, b: float
 ) -> None:
     curve = curve_of(steps)
@@ -55,7 +55,7 @@ def test_a_table_that_does_not_rise_is_refused(table: tuple[tuple[float, float],
         EnergyCurve(table)
 
 
-def test_outside_the_table_is_refused_in_words() -> None:
+def test_values_outside_the_table_are_refused_with_a_message() -> None:
     curve = EnergyCurve(((0.01, 0.2), (0.1, 1.0)))
     with pytest.raises(ValueError, match=r"1200\.0 mm/s is outside the tapper's 200\.0 to 1000"):
         curve.energy_for(1.2)

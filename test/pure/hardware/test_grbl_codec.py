@@ -43,7 +43,7 @@ def all_frames(data: bytes) -> list[grbl.Frame]:
         ),
     ],
 )
-def test_lines_of_the_documentation(line: bytes, frame: grbl.Frame) -> None:
+def test_lines_from_the_documentation_are_decoded(line: bytes, frame: grbl.Frame) -> None:
     assert all_frames(line + b"\r\n") == [frame]
 
 
@@ -63,14 +63,14 @@ def test_lines_of_the_documentation(line: bytes, frame: grbl.Frame) -> None:
         b"\xff\xfe",
     ],
 )
-def test_what_is_half_right_is_bad(line: bytes) -> None:
+def test_partly_valid_lines_are_invalid(line: bytes) -> None:
     (frame,) = all_frames(line + b"\n")
     assert isinstance(frame, Bad)
 
 
 @settings(max_examples=1000)
 @given(st.binary(max_size=700))
-def test_any_bytes_are_survived_and_used_up(data: bytes) -> None:
+def test_any_bytes_are_tolerated_and_consumed(data: bytes) -> None:
     while True:
         decoded = grbl.decode(data)
         assert decoded.frame is None or len(decoded.rest) < len(data)
@@ -89,7 +89,7 @@ lines = st.one_of(
 
 
 @given(st.lists(lines, max_size=8), st.lists(st.integers(1, 40), min_size=1))
-def test_pieces_give_what_the_whole_gives(parts: list[bytes], cuts: list[int]) -> None:
+def test_fragments_give_the_same_result_as_the_whole(parts: list[bytes], cuts: list[int]) -> None:
     whole = b"".join(part + b"\r\n" for part in parts)
     buffer, place, found, turn = b"", 0, [], 0
     while place < len(whole):
@@ -105,7 +105,9 @@ def test_pieces_give_what_the_whole_gives(parts: list[bytes], cuts: list[int]) -
 
 
 @given(positions, st.floats(0.01, 99999))
-def test_a_move_line_is_short_and_says_every_mode(position: tuple[float, ...], feed: float) -> None:
+def test_a_move_line_is_short_and_states_every_mode(
+    position: tuple[float, ...], feed: float
+) -> None:
     line = grbl.move_line("XYZA", position, feed)
     assert line.startswith(b"G21G90G94G1X") and line.endswith(b"\n")
     assert len(line) <= 80
@@ -113,6 +115,6 @@ def test_a_move_line_is_short_and_says_every_mode(position: tuple[float, ...], f
 
 
 @pytest.mark.parametrize(("values", "feed"), [((math.nan, 0, 0, 0), 1), ((0, 0, 0, 0), 0)])
-def test_no_line_for_what_is_not_finite(values: tuple[float, ...], feed: float) -> None:
+def test_non_finite_values_give_no_line(values: tuple[float, ...], feed: float) -> None:
     with pytest.raises(ValueError):
         grbl.move_line("XYZA", values, feed)

@@ -66,20 +66,20 @@ from tapping_cell.hardware.text_line import LONGEST_LINE, Bad, Decoded
         ),
     ],
 )
-def test_answers_of_real_boards(line: bytes, frame: marlin.Frame) -> None:
+def test_replies_of_real_boards_are_decoded(line: bytes, frame: marlin.Frame) -> None:
     assert marlin.decode(line + b"\r\n") == Decoded(frame, b"")
 
 
 @pytest.mark.parametrize(
     "line", [b"okay", b"o", b"Resend: x", b"X:1.5 Y:2.0 Z:", b"X:nan Y:0.00", b"\xffok", b"ok\x00"]
 )
-def test_what_is_half_right_is_bad(line: bytes) -> None:
+def test_partly_valid_lines_are_invalid(line: bytes) -> None:
     assert isinstance(marlin.decode(line + b"\n").frame, Bad)
 
 
 @settings(max_examples=1000)
 @given(st.binary(max_size=700))
-def test_any_bytes_are_survived_and_used_up(data: bytes) -> None:
+def test_any_bytes_are_tolerated_and_consumed(data: bytes) -> None:
     while True:
         decoded = marlin.decode(data)
         if decoded.frame is None:

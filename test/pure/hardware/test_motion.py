@@ -83,7 +83,7 @@ def test_withdrawing_backs_off_along_the_travel_then_raises_then_parks() -> None
     assert path[-1].joints == pytest.approx(SETTINGS.park)
 
 
-def test_the_quill_travels_with_the_other_joints_and_only_the_rest_of_its_way_alone() -> None:
+def test_the_quill_moves_with_the_other_joints_down_to_the_travel_height() -> None:
     """A tap from a high park pose: quill motion above the travel height takes no additional
     time."""
     tip = TipPose(0.45, 0.1, 0.006, 0.5)
@@ -101,18 +101,18 @@ def test_the_quill_travels_with_the_other_joints_and_only_the_rest_of_its_way_al
     assert back[-1].joints == pytest.approx(settings.park)
 
 
-def test_from_park_there_is_nothing_to_withdraw() -> None:
+def test_no_withdrawal_is_needed_from_the_park_pose() -> None:
     assert withdraw_path(GEOMETRY, SETTINGS.park, SETTINGS) == ()
 
 
-def test_out_of_reach_is_a_worded_refusal() -> None:
+def test_out_of_reach_is_refused_with_a_message() -> None:
     with pytest.raises(HardwareFault, match="beyond the reach of 800.0 mm") as caught:
         strike_path(GEOMETRY, SETTINGS.park, TipPose(1.2, 0, 0.01, 0), SETTINGS)
     assert caught.value.reason is FaultReason.UNREACHABLE
 
 
 @given(joint_values, joint_values, st.floats(0.05, 1.0))
-def test_duration_is_that_of_the_slowest_joint_alone(
+def test_the_duration_is_that_of_the_slowest_joint(
     start: Joints, goal: Joints, speed: float
 ) -> None:
     """Reference: the emulator's trapezoidal speed profile for each joint alone. No joint needs
@@ -146,7 +146,7 @@ def test_path_duration_adds_the_moves() -> None:
 
 
 @given(joint_values, st.floats(0.2, 0.7), st.floats(-0.4, 0.4), st.floats(-3.1, 3.1))
-def test_many_ways_to_strikes_take_as_long_as_each_path(
+def test_durations_of_many_strike_paths_match_each_single_path(
     start: Joints, x: float, y: float, yaw: float
 ) -> None:
     tips = np.array([[x, y, 0.01, yaw], [x, -y, 0.01, -yaw], [2.0, 0.0, 0.01, 0.0]])
@@ -168,7 +168,7 @@ def test_many_ways_to_strikes_take_as_long_as_each_path(
         ((math.nan, 0, 0, 0), "not four finite"),
     ],
 )
-def test_limits_are_worded(joints: tuple[float, ...], words: str) -> None:
+def test_limits_are_reported_with_a_message(joints: tuple[float, ...], words: str) -> None:
     with pytest.raises(HardwareFault, match=words) as caught:
         check_limits(GEOMETRY, joints)
     assert caught.value.reason is FaultReason.OUT_OF_RANGE

@@ -73,7 +73,7 @@ def cell(request: pytest.FixtureRequest) -> Cell:
     return made
 
 
-def test_a_shot_is_one_pulse_of_the_energys_length(cell: Cell) -> None:
+def test_a_shot_is_one_pulse_of_the_length_for_the_energy(cell: Cell) -> None:
     asked = cell.time
     result = cell.shoot(7)
     assert result.outcome is FireOutcome.FIRED and result.released_by is not None
@@ -85,7 +85,7 @@ def test_a_shot_is_one_pulse_of_the_energys_length(cell: Cell) -> None:
 
 
 @given(st.floats(1e-4, 4e-2))
-def test_the_pulse_rises_with_the_energy_and_meets_the_table(energy: float) -> None:
+def test_the_pulse_length_increases_with_energy_and_matches_the_table(energy: float) -> None:
     pulse = SETTINGS.pulse_for(energy)
     assert SETTINGS.pulses[0] <= pulse <= SETTINGS.pulses[-1]
     assert SETTINGS.pulse_for(min(1.1 * energy, 4e-2)) >= pulse
@@ -105,7 +105,7 @@ def test_without_a_read_back_the_outcome_is_unknown_until_seen(interface: str) -
     assert cell.shoot(8).outcome is FireOutcome.UNKNOWN, "the next shot is taken"
 
 
-def test_what_was_sent_once_is_never_sent_again_over_a_restart(cell: Cell) -> None:
+def test_a_sent_shot_is_never_sent_again_after_a_restart(cell: Cell) -> None:
     cell.shoot(7)
     again = OutputTapperDriver(cell.link, SETTINGS, cell.memory)
     again.connect()
@@ -118,14 +118,14 @@ def test_what_was_sent_once_is_never_sent_again_over_a_restart(cell: Cell) -> No
     assert len(cell.device.pulses()) == 2
 
 
-def test_a_shot_that_cannot_be_noted_is_not_fired(cell: Cell) -> None:
+def test_a_shot_that_cannot_be_stored_is_not_fired(cell: Cell) -> None:
     cell.memory.broken = True
     result = cell.shoot(7)
     assert result.outcome is FireOutcome.NOT_FIRED and "no space left" in result.sentence
     assert not cell.device.pulses()
 
 
-def test_nothing_is_switched_against_the_last_check_or_long_after_it(cell: Cell) -> None:
+def test_the_output_is_not_switched_if_the_last_check_refuses_or_is_too_old(cell: Cell) -> None:
     assert cell.shoot(7, allowed=False).outcome is FireOutcome.NOT_FIRED
     cell.driver.charge(8, 1e-2)
 
@@ -138,7 +138,7 @@ def test_nothing_is_switched_against_the_last_check_or_long_after_it(cell: Cell)
     assert not cell.device.pulses()
 
 
-def test_the_guard_is_needed_closed_and_heard(cell: Cell) -> None:
+def test_the_guard_must_be_closed_and_its_state_received(cell: Cell) -> None:
     cell.device.guard_closed = False
     with pytest.raises(HardwareFault) as caught:
         cell.driver.charge(7, 1e-2)
@@ -156,7 +156,7 @@ def test_the_guard_is_needed_closed_and_heard(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize("interface", ["service", "topic"])
-def test_a_stop_in_mid_pulse_switches_off(interface: str) -> None:
+def test_a_stop_during_a_pulse_switches_off(interface: str) -> None:
     cell = Cell(interface)
     cell.driver.connect()
     cell.driver.charge(7, 4e-2)
@@ -188,7 +188,7 @@ def test_an_output_that_is_not_proven_off_ends_the_session() -> None:
     assert cell.shoot(8).outcome is FireOutcome.FIRED
 
 
-def test_an_output_that_stays_on_is_refused_in_words() -> None:
+def test_an_output_that_stays_on_is_refused_with_a_message() -> None:
     cell = Cell("topic")
     cell.device.set_at(cell.time, True)
     cell.device.faults.lost_off = 99
@@ -214,7 +214,7 @@ def test_a_refused_request_is_not_fired_only_where_the_read_back_agrees() -> Non
         assert not cell.device.pulses()
 
 
-def test_silence_of_the_topics_is_told_at_connect() -> None:
+def test_silent_topics_are_reported_at_connect() -> None:
     cell = Cell()
     cell.device.faults.present = False
     with pytest.raises(HardwareFault) as caught:
@@ -233,7 +233,7 @@ FAULTS = st.sampled_from(
     st.booleans(),
     st.lists(st.tuples(FAULTS, st.floats(1e-4, 4e-2), st.floats(0.0, 0.06)), max_size=6),
 )
-def test_whatever_fails_no_shot_is_sent_twice_and_none_is_told_falsely(
+def test_no_failure_causes_a_second_shot_or_a_false_report(
     interface: str, reads_back: bool, plan: list[tuple[str, float, float]]
 ) -> None:
     cell = Cell(interface, reads_back)

@@ -87,7 +87,7 @@ speeds = st.floats(0.05, 1.0)
 
 @settings(max_examples=60, deadline=None)
 @given(joints, joints, speeds)
-def test_a_move_keeps_to_the_limits_and_takes_the_least_time(
+def test_a_move_respects_the_limits_and_takes_the_least_time(
     start: tuple[float, ...], goal: tuple[float, ...], speed: float
 ) -> None:
     """Check samples of the motion that the controller interpolates. The samples do not depend on
@@ -125,7 +125,7 @@ def test_a_move_keeps_to_the_limits_and_takes_the_least_time(
     st.floats(0.05, 0.25),
     st.floats(0.05, 0.25),
 )
-def test_moves_in_one_line_are_passed_without_a_stop_as_fast_as_can_be(
+def test_collinear_moves_are_joined_without_a_stop_at_maximum_speed(
     first: float, second: float, fast: float, slow: float
 ) -> None:
     pull = GEOMETRY.max_acceleration[2]
@@ -158,14 +158,14 @@ def test_moves_in_one_line_are_passed_without_a_stop_as_fast_as_can_be(
     assert points[-1].positions == pytest.approx(goal) and not any(points[-1].velocities)
 
 
-def test_a_corner_is_still_taken_at_rest() -> None:
+def test_the_arm_stops_at_a_corner() -> None:
     moves = [StraightMove((0.1, 0.2, -0.1, 0.3), 15.0), StraightMove((0.4, 0.2, -0.1, 0.3), 60.0)]
     points = straight_points((0.1, 0.2, 0.0, 0.3), moves, GEOMETRY.max_acceleration)
     (corner,) = [p for p in points if p.positions == pytest.approx((0.1, 0.2, -0.1, 0.3))]
     assert not any(corner.velocities)
 
 
-def test_the_way_down_is_not_stopped_where_it_becomes_slow() -> None:
+def test_the_descent_does_not_stop_where_it_slows_down() -> None:
     cell = Cell()
     driver = cell.ready()
     slow_from, goal = Joints(0.3, 1.2, -0.100, 0.0), Joints(0.3, 1.2, -0.115, 0.0)
@@ -179,7 +179,7 @@ def test_the_way_down_is_not_stopped_where_it_becomes_slow() -> None:
 
 
 @given(joints, st.tuples(*(st.floats(-v, v) for v in GEOMETRY.max_speed)))
-def test_braking_keeps_to_the_deceleration(
+def test_braking_respects_the_deceleration_limit(
     place: tuple[float, ...], speed: tuple[float, ...]
 ) -> None:
     point = brake_point(place, speed, GEOMETRY.max_acceleration)
@@ -194,7 +194,7 @@ def test_braking_keeps_to_the_deceleration(
         assert abs(v) / point.time <= a * (1 + 1e-9)
 
 
-def test_it_moves_and_stands_where_it_was_sent(cell: Cell) -> None:
+def test_the_arm_moves_to_its_target_and_rests_there(cell: Cell) -> None:
     driver = cell.ready()
     for goal in (GOAL, Joints(*START), GOAL):
         reading = driver.move_to(goal)
@@ -212,7 +212,7 @@ def test_nothing_moves_before_it_is_homed(cell: Cell) -> None:
     assert cell.controller.taken == 0
 
 
-def test_the_way_over_a_via_point_goes_through_it(cell: Cell) -> None:
+def test_a_path_passes_through_its_via_point(cell: Cell) -> None:
     driver, via = cell.ready(), Joints(0.1, 1.3, -0.030, 0.2)
     seen: list[float] = []
 
@@ -225,7 +225,7 @@ def test_the_way_over_a_via_point_goes_through_it(cell: Cell) -> None:
     assert min(seen) < 1e-3
 
 
-def test_a_lost_trajectory_is_sent_again_while_the_arm_stands() -> None:
+def test_a_lost_trajectory_is_sent_again_while_the_arm_is_at_rest() -> None:
     cell = Cell()
     driver = cell.ready()
     cell.link.faults.lost_trajectories = 1
@@ -259,7 +259,7 @@ def test_a_stop_brakes_and_latches(cell: Cell, after: float) -> None:
 
 
 @pytest.mark.parametrize("when", [-1.0, 0.2], ids=["at rest", "in motion"])
-def test_silent_joint_states_are_a_fault_with_a_sentence(cell: Cell, when: float) -> None:
+def test_a_joint_state_timeout_is_a_fault_with_a_message(cell: Cell, when: float) -> None:
     driver = cell.ready()
     began = cell.time
     if when < 0:
@@ -273,7 +273,7 @@ def test_silent_joint_states_are_a_fault_with_a_sentence(cell: Cell, when: float
     assert not driver.connected
 
 
-def test_old_stamps_are_told_from_silence(cell: Cell) -> None:
+def test_old_stamps_are_distinguished_from_a_timeout(cell: Cell) -> None:
     driver = cell.ready()
     cell.link.faults.late = 0.6
     cell.sleep(1.0)
@@ -293,13 +293,13 @@ def test_slow_joint_states_are_refused_at_connect() -> None:
         Cell(rate=10.0).driver.connect()
 
 
-def test_other_joints_are_named(cell: Cell) -> None:
+def test_unexpected_joints_are_named(cell: Cell) -> None:
     cell.link.faults.foreign_names = True
     with pytest.raises(HardwareFault, match=r"j1, j2, z, j4 .*gripper"):
         cell.driver.connect()
 
 
-def test_a_controller_that_is_not_there(cell: Cell) -> None:
+def test_a_missing_controller_is_reported(cell: Cell) -> None:
     cell.link.faults.present = False
     with pytest.raises(HardwareFault) as caught:
         cell.driver.connect(timeout=1.0)
@@ -315,7 +315,7 @@ def test_an_obstacle_stops_the_arm(cell: Cell) -> None:
     assert not close(cell.truth(), GOAL)
 
 
-def test_a_joint_beside_its_command_is_no_success(cell: Cell) -> None:
+def test_a_joint_off_its_commanded_position_is_not_a_success(cell: Cell) -> None:
     cell.controller = cell.link.controller = TrajectoryController(
         ControllerSettings(NAMES, offset=0.003), START, cell.time
     )
@@ -324,7 +324,7 @@ def test_a_joint_beside_its_command_is_no_success(cell: Cell) -> None:
         driver.move_to(GOAL)
 
 
-def test_another_program_that_moves_the_arm_at_rest_is_seen(cell: Cell) -> None:
+def test_a_motion_by_another_program_at_rest_is_detected(cell: Cell) -> None:
     driver = cell.ready()
     driver.move_to(GOAL)
     cell.controller.push((0.01, 0.0, 0.0, 0.0), cell.time)
@@ -334,7 +334,7 @@ def test_another_program_that_moves_the_arm_at_rest_is_seen(cell: Cell) -> None:
     assert caught.value.reason is FaultReason.POSITION_LOST
 
 
-def test_another_program_that_takes_the_controller_in_motion_fails_the_move() -> None:
+def test_the_move_fails_if_another_program_takes_the_controller() -> None:
     for by_action in (False, True):
         cell = Cell(by_action)
         driver = cell.ready()
@@ -351,7 +351,7 @@ def test_another_program_that_takes_the_controller_in_motion_fails_the_move() ->
         assert driver.counters.moves == 0
 
 
-def test_a_speed_slider_is_waited_for_within_reason(cell: Cell) -> None:
+def test_a_reduced_speed_override_is_waited_for_with_a_limit(cell: Cell) -> None:
     slow = Cell(speed_scaling=0.7)
     assert close(slow.ready().move_to(GOAL).joints, GOAL)
     slower = Cell(speed_scaling=0.1)
@@ -363,7 +363,7 @@ def test_a_speed_slider_is_waited_for_within_reason(cell: Cell) -> None:
     assert not slower.controller.moving(slower.time)
 
 
-def test_rest_is_seen_without_velocities(cell: Cell) -> None:
+def test_rest_is_detected_without_velocities(cell: Cell) -> None:
     cell.link.faults.no_velocities = True
     driver = cell.ready()
     assert "no velocities" in " ".join(driver.firmware.remarks if driver.firmware else ())
@@ -379,7 +379,7 @@ def test_a_moving_arm_is_not_homed(cell: Cell) -> None:
         cell.driver.home(HomingStrategy.NONE)
 
 
-def test_a_joint_that_is_not_a_number_is_a_lost_position(cell: Cell) -> None:
+def test_a_nan_joint_value_is_a_lost_position(cell: Cell) -> None:
     driver = cell.ready()
     cell.controller.push((math.nan, 0.0, 0.0, 0.0), cell.time)
     cell.sleep(0.2)
@@ -403,7 +403,7 @@ def test_a_joint_that_is_not_a_number_is_a_lost_position(cell: Cell) -> None:
         max_size=3,
     ),
 )
-def test_success_means_there_and_at_rest_whatever_happens(
+def test_success_always_means_at_the_target_and_at_rest(
     by_action: bool, plan: list[tuple[tuple[float, ...], float, str, float]]
 ) -> None:
     cell = Cell(by_action)

@@ -58,7 +58,7 @@ def independent_tip(geometry: ScaraGeometry, joints: Joints) -> complex:
 
 
 @given(st.data())
-def test_forward_is_the_chain_of_the_links(data: st.DataObject) -> None:
+def test_forward_kinematics_match_the_chain_of_links(data: st.DataObject) -> None:
     geometry = data.draw(geometries())
     joints = data.draw(joints_inside(geometry))
     tip = geometry.forward(joints)
@@ -67,7 +67,9 @@ def test_forward_is_the_chain_of_the_links(data: st.DataObject) -> None:
 
 
 @given(st.data())
-def test_inverse_undoes_forward_on_the_same_branch(data: st.DataObject) -> None:
+def test_inverse_kinematics_invert_forward_kinematics_on_the_same_branch(
+    data: st.DataObject,
+) -> None:
     geometry = data.draw(geometries())
     joints = data.draw(joints_inside(geometry))
     tip = geometry.forward(joints)
@@ -89,7 +91,7 @@ def test_inverse_undoes_forward_on_the_same_branch(data: st.DataObject) -> None:
     angles,
     st.sampled_from(Branch),
 )
-def test_a_refused_pose_is_truly_out_and_an_accepted_one_in(
+def test_refused_poses_are_out_of_reach_and_accepted_poses_within(
     data: st.DataObject, x: float, y: float, z: float, yaw: float, branch: Branch
 ) -> None:
     geometry = data.draw(geometries())
@@ -142,7 +144,7 @@ def test_a_refused_pose_is_truly_out_and_an_accepted_one_in(
             pytest.fail("a tool that turns beyond a whole turn reaches every heading")
 
 
-def test_a_tool_of_less_than_a_turn_refuses_by_its_limit() -> None:
+def test_a_tool_axis_of_less_than_one_turn_refuses_with_its_limit() -> None:
     geometry = ScaraGeometry(
         lower=(-2.3, -2.6, -0.148, -1.0), upper=(2.3, 2.6, 0.0, 1.0), tip_forward=0.0
     )
@@ -166,7 +168,7 @@ def test_both_elbows_reach_the_same_tip() -> None:
     assert near.branch is Branch.NEGATIVE
 
 
-def test_turns_near_the_present_ones_are_preferred() -> None:
+def test_joint_angles_near_the_current_ones_are_preferred() -> None:
     geometry = ScaraGeometry()
     for tool in (-3.4, 3.4):
         joints = Joints(0.1, 1.2, -0.1, tool)
@@ -175,7 +177,7 @@ def test_turns_near_the_present_ones_are_preferred() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_the_mask_of_many_is_the_answer_of_each(seed: int) -> None:
+def test_the_vectorised_mask_matches_each_single_result(seed: int) -> None:
     geometry = ScaraGeometry()
     rng = np.random.default_rng(seed)
     poses = rng.uniform((-0.9, -0.9, -0.02, -4), (0.9, 0.9, 0.17, 4), (6, 5, 4))
@@ -185,7 +187,7 @@ def test_the_mask_of_many_is_the_answer_of_each(seed: int) -> None:
         assert mask[index] == geometry.inverse(poses[index]).success
 
 
-def test_what_is_not_a_number_is_refused() -> None:
+def test_nan_values_are_refused() -> None:
     solution = ScaraGeometry().inverse((math.nan, 0.0, 0.0, 0.0))
     assert solution.code is ReachCode.NOT_FINITE and not solution.success
     assert not ScaraGeometry().reachable([[math.inf, 0, 0, 0]])[0]
@@ -200,6 +202,6 @@ def test_what_is_not_a_number_is_refused() -> None:
         {"singularity_margin": 2.0},
     ],
 )
-def test_dimensions_that_make_no_arm_are_refused(wrong: dict[str, object]) -> None:
+def test_impossible_arm_dimensions_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError):
         ScaraGeometry(**wrong)  # type: ignore[arg-type]

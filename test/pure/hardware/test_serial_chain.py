@@ -70,7 +70,7 @@ def test_forward_kinematics_agree_with_the_drawing(joints: tuple[float, ...]) ->
 
 @settings(deadline=None, max_examples=60)
 @given(JOINT_VALUES, st.lists(st.floats(-0.15, 0.15), min_size=6, max_size=6))
-def test_the_inverse_reaches_what_is_reachable_nearby(
+def test_inverse_kinematics_reach_nearby_reachable_poses(
     joints: tuple[float, ...], away: list[float]
 ) -> None:
     inside = 0.9 * np.array(joints)
@@ -90,16 +90,14 @@ def test_the_inverse_reaches_what_is_reachable_nearby(
 
 @given(st.floats(-0.25, 0.25), st.floats(-0.15, 0.15), st.floats(-1.5, 1.5))
 @settings(deadline=None, max_examples=60)
-def test_every_place_on_the_table_is_found_from_the_park_pose(
-    x: float, y: float, yaw: float
-) -> None:
+def test_every_table_position_is_solved_from_the_park_pose(x: float, y: float, yaw: float) -> None:
     target = upright(np.array([0.47 + y, x, 0.006, yaw]))
     solution = CHAIN.inverse(target, (0.0, 0.5, 0.5, 0.0, 0.57, 0.0))
     assert solution.success, solution.reason
     np.testing.assert_allclose(reference(solution.joints), target, atol=2e-5)
 
 
-def test_what_is_out_of_reach_is_told_with_its_cause() -> None:
+def test_an_unreachable_pose_is_reported_with_its_cause() -> None:
     far = CHAIN.inverse(upright(np.array([2.0, 0.0, 0.1, 0.0])), ELBOW_UP)
     assert not far.success and "x 2000 mm" in far.reason
 
@@ -159,7 +157,7 @@ def started_upright(chain: SerialChain = CHAIN) -> tuple[float, ...]:
 
 
 @pytest.mark.parametrize("by_action", [False, True], ids=["topic", "action"])
-def test_taps_all_over_the_table_end_at_their_strike_poses(by_action: bool) -> None:
+def test_taps_across_the_table_end_at_their_strike_poses(by_action: bool) -> None:
     cell = Cell(started_upright(), by_action)
     here = cell.park()
     assert here == pytest.approx(CELL.arm.park, abs=1e-3)
@@ -183,7 +181,7 @@ def test_taps_all_over_the_table_end_at_their_strike_poses(by_action: bool) -> N
         here = cell.driver.read_joints()
 
 
-def test_the_last_of_the_way_down_is_straight() -> None:
+def test_the_last_part_of_the_descent_is_straight() -> None:
     cell = Cell(started_upright())
     here = cell.park()
     strike = TipPose(0.50, 0.05, 0.006, 0.4)
@@ -211,7 +209,7 @@ def test_no_joint_is_driven_faster_than_its_urdf_allows() -> None:
             assert np.all(np.abs(speeds) <= 1.1 * CHAIN.max_speed)
 
 
-def test_a_leaning_striker_is_not_believed() -> None:
+def test_a_tilted_striker_is_refused() -> None:
     leaning = list(started_upright())
     leaning[4] += 0.05
     cell = Cell(tuple(leaning))
@@ -221,7 +219,7 @@ def test_a_leaning_striker_is_not_believed() -> None:
     assert "leans by" in caught.value.sentence and "panel" in caught.value.sentence
 
 
-def test_an_unreachable_way_is_refused_before_anything_moves() -> None:
+def test_an_unreachable_path_is_refused_before_anything_moves() -> None:
     own = CELL.arm.ros2_control
     assert own is not None and own.chain is not None
     # The arm is mounted so far back that it does not reach every pose that the SCARA of the cell
@@ -242,7 +240,7 @@ def test_an_unreachable_way_is_refused_before_anything_moves() -> None:
     cell.driver.move_to(here._replace(quill=here.quill - 0.01))
 
 
-def test_a_stop_brakes_the_six_joints_and_demands_homing() -> None:
+def test_a_stop_brakes_the_six_joints_and_requires_homing() -> None:
     cell = Cell(started_upright())
     here = cell.park()
     cell.after(0.3, cell.driver.stop)
@@ -257,7 +255,7 @@ def test_a_stop_brakes_the_six_joints_and_demands_homing() -> None:
     cell.driver.home(HomingStrategy.NONE)
 
 
-def test_a_push_is_seen_by_the_real_joints() -> None:
+def test_a_push_is_detected_from_the_measured_joints() -> None:
     cell = Cell(started_upright())
     here = cell.park()
     cell.controller.push((0.02, 0.0, 0.0, 0.0, 0.0, 0.0), cell.time)
@@ -281,7 +279,7 @@ URDF = (Path(__file__).parents[3] / "examples" / "six_axis_cell" / "six_axis_arm
         (URDF.replace('"revolute"', '"floating"', 1), "base_link", "flange", NAMES, "floating"),
     ],
 )
-def test_a_urdf_that_does_not_fit_is_refused_in_words(
+def test_an_incompatible_urdf_is_refused_with_a_message(
     text: str, base: str, tip: str, names: tuple[str, ...], words: str
 ) -> None:
     with pytest.raises(ValueError, match=words):

@@ -122,7 +122,7 @@ def test_a_board_is_charged_and_fired_only_while_all_others_are_at_rest(
 
 
 @given(st.lists(replies, min_size=1, max_size=4))
-def test_the_merged_reply_hides_no_trouble_of_any_board(answers: list[Reply]) -> None:
+def test_the_merged_reply_hides_no_fault_of_any_board(answers: list[Reply]) -> None:
     merged = device(*map(Board, answers)).status()
     assert merged.interlock_closed == all(one.interlock_closed for one in answers)
     assert merged.stop_latched == any(one.stop_latched for one in answers)
@@ -134,12 +134,12 @@ def test_the_merged_reply_hides_no_trouble_of_any_board(answers: list[Reply]) ->
             assert bit == one.at_mounts >> channel & 1
 
 
-def test_one_board_without_switches_leaves_the_mounts_of_all_unproven() -> None:
+def test_one_board_without_switches_leaves_all_mounts_unverified() -> None:
     merged = device(Board(reply()), Board(reply(channels=1, at_mounts=0))).status()
     assert (merged.channels, merged.at_mounts) == (1, 0)
 
 
-def test_a_fault_of_one_board_keeps_none_from_its_discharge_clear_or_stop() -> None:
+def test_a_fault_of_one_board_does_not_block_discharge_clear_or_stop_of_the_others() -> None:
     boards = [Board(reply()), Board(reply())]
     boards[0].fault = HardwareFault(FaultReason.TIMEOUT, "no answer")
     boards[0].port = "lost"
@@ -151,7 +151,7 @@ def test_a_fault_of_one_board_keeps_none_from_its_discharge_clear_or_stop() -> N
     assert boards[0].calls == boards[1].calls == ["discharge", "clear", "stop"]
 
 
-def test_a_board_that_cannot_be_reached_closes_all() -> None:
+def test_an_unreachable_board_closes_all_boards() -> None:
     boards = [Board(reply()), Board(reply())]
     boards[1].fault = HardwareFault(FaultReason.PORT_MISSING, "not there")
     with pytest.raises(HardwareFault, match="not there"):

@@ -27,16 +27,16 @@ def framed(body: bytes) -> bytes:
     return b"@%s*%04X\n" % (body, binascii.crc_hqx(body, 0xFFFF))
 
 
-def test_the_check_value_of_the_checksum() -> None:
+def test_the_checksum_has_its_published_check_value() -> None:
     assert protocol.crc16(b"123456789") == 0x29B1
 
 
 @given(st.binary(max_size=80))
-def test_the_checksum_is_that_of_the_library(data: bytes) -> None:
+def test_the_checksum_matches_the_library(data: bytes) -> None:
     assert protocol.crc16(data) == binascii.crc_hqx(data, 0xFFFF)
 
 
-def test_a_request_can_be_typed() -> None:
+def test_a_request_can_be_typed_by_hand() -> None:
     assert protocol.encode(7, 12, Command.CHARGE, 9, 12500, 3000) == framed(
         b"7,12,CHARGE,9,12500,3000"
     )
@@ -71,7 +71,9 @@ def test_a_reply_in_si_units() -> None:
         (b"7,12,WELCOME,whatever,comes,later,3.1.0-rc1", "3.1.0-rc1"),
     ],
 )
-def test_the_greeting_of_another_version_is_told_from_noise(body: bytes, version: str) -> None:
+def test_the_greeting_of_another_version_is_distinguished_from_noise(
+    body: bytes, version: str
+) -> None:
     assert protocol.decode(framed(body)).frame == OtherFirmware(7, 12, version)
 
 
@@ -81,19 +83,19 @@ def test_a_deadline_is_never_later_than_its_window(time_ms: int, window: float) 
     assert window * 1e3 - 1 < ahead <= window * 1e3
 
 
-def test_no_word_is_both_command_and_result() -> None:
+def test_no_keyword_is_both_command_and_result() -> None:
     assert not {c.value for c in Command} & {r.value for r in Result}
 
 
 @given(st.sampled_from(list(Command)), st.integers(1, 65535), st.integers(0, 65535))
-def test_an_echoed_request_is_no_reply(command: Command, session: int, sequence: int) -> None:
+def test_an_echoed_request_is_not_a_reply(command: Command, session: int, sequence: int) -> None:
     decoded = protocol.decode(protocol.encode(session, sequence, command))
     assert isinstance(decoded.frame, Bad)
 
 
 @settings(max_examples=1000)
 @given(st.binary(max_size=400))
-def test_any_bytes_are_survived_and_used_up(data: bytes) -> None:
+def test_any_bytes_are_tolerated_and_consumed(data: bytes) -> None:
     while data:
         decoded = protocol.decode(data)
         if decoded.frame is None:
@@ -104,7 +106,7 @@ def test_any_bytes_are_survived_and_used_up(data: bytes) -> None:
 
 
 @given(st.data())
-def test_a_frame_with_one_or_two_wrong_bits_is_never_taken(data: st.DataObject) -> None:
+def test_a_frame_with_one_or_two_bit_errors_is_never_accepted(data: st.DataObject) -> None:
     frame = bytearray(framed(GOOD))
     count = data.draw(st.integers(1, 2))
     bits = data.draw(
@@ -124,7 +126,7 @@ def test_a_frame_with_one_or_two_wrong_bits_is_never_taken(data: st.DataObject) 
 
 
 @given(st.lists(st.integers(1, 30), min_size=1), st.binary(max_size=20))
-def test_pieces_and_noise_before_the_frame(cuts: list[int], noise: bytes) -> None:
+def test_fragments_and_noise_before_the_frame_are_tolerated(cuts: list[int], noise: bytes) -> None:
     stream = noise.replace(b"@", b"").replace(b"\n", b"") + framed(GOOD) * 2
     buffer, place, turn = b"", 0, 0
     replies = []
@@ -146,7 +148,7 @@ def test_pieces_and_noise_before_the_frame(cuts: list[int], noise: bytes) -> Non
 @pytest.mark.parametrize(
     ("session", "sequence", "arguments"), [(0, 0, ()), (65536, 0, ()), (1, -1, ()), (1, 1, (-5,))]
 )
-def test_numbers_that_do_not_fit_are_refused(
+def test_numbers_out_of_range_are_refused(
     session: int, sequence: int, arguments: tuple[int, ...]
 ) -> None:
     with pytest.raises(ValueError):

@@ -42,7 +42,7 @@ class FreezingTransport(VirtualTransport):
         return data
 
 
-def test_no_release_outside_the_window_of_the_last_check() -> None:
+def test_the_striker_never_fires_outside_the_window_of_the_last_check() -> None:
     random, clock = Random(7), VirtualClock()
     device = TapperEmulator(now=clock.now)
     transport = FreezingTransport(FaultLayer(device), clock, random)

@@ -57,7 +57,7 @@ def arm_on(line: Line, dialect: str) -> ArmDriver:
 
 @given(st.binary(max_size=60), st.sampled_from((9600.0, 115200.0, 250000.0)))
 @settings(max_examples=50, deadline=None)
-def test_equal_rates_change_no_byte(data: bytes, rate: float) -> None:
+def test_equal_baud_rates_change_no_byte(data: bytes, rate: float) -> None:
     assert sampled(data, rate, rate) == data
 
 
@@ -84,7 +84,7 @@ def test_a_tapper_at_another_baud_rate_never_looks_like_a_tapper(rate: int) -> N
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_interference_on_the_line_of_a_connected_arm_is_told(dialect: str) -> None:
+def test_interference_on_the_line_of_a_connected_arm_is_reported(dialect: str) -> None:
     line = Line(board_of(dialect))
     driver = arm_on(line, dialect)
     driver.connect()
@@ -95,7 +95,7 @@ def test_interference_on_the_line_of_a_connected_arm_is_told(dialect: str) -> No
     assert "lines from the arm's controller on the port were unreadable" in str(caught.value)
 
 
-def test_interference_on_the_line_of_a_connected_tapper_is_told() -> None:
+def test_interference_on_the_line_of_a_connected_tapper_is_reported() -> None:
     line = Line(TapperEmulator())
     driver = TapperDriver(line.transport)
     driver.connect()
@@ -107,7 +107,7 @@ def test_interference_on_the_line_of_a_connected_tapper_is_told() -> None:
     assert "check tapper.baud" in str(caught.value)
 
 
-def test_interference_while_the_tapper_is_greeted_is_told() -> None:
+def test_interference_during_the_tapper_greeting_is_reported() -> None:
     line = Line(TapperEmulator())
     line.disturb(7)
     with pytest.raises(HardwareFault) as caught:
@@ -116,7 +116,7 @@ def test_interference_while_the_tapper_is_greeted_is_told() -> None:
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_a_silent_or_foreign_board_is_not_called_unreadable(dialect: str) -> None:
+def test_a_silent_or_foreign_board_is_not_reported_as_unreadable(dialect: str) -> None:
     other = DIALECTS[1 - DIALECTS.index(dialect)]
     for board in (TapperEmulator(), board_of(other)):
         with pytest.raises(HardwareFault) as caught:
@@ -128,7 +128,7 @@ def test_a_silent_or_foreign_board_is_not_called_unreadable(dialect: str) -> Non
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-def test_a_few_damaged_lines_are_survived_and_a_lost_line_is_a_timeout(dialect: str) -> None:
+def test_a_few_damaged_lines_are_tolerated_and_a_lost_line_is_a_timeout(dialect: str) -> None:
     line = Line(board_of(dialect))
     driver = arm_on(line, dialect)
     driver.connect()

@@ -81,7 +81,7 @@ def test_the_chain_ends_at_the_tip(values: tuple[float, ...]) -> None:
     assert abs(math.remainder(yaw - tip.yaw, 2 * math.pi)) < 1e-9
 
 
-def test_limits_are_those_of_the_geometry() -> None:
+def test_joint_limits_match_the_geometry() -> None:
     robot = ElementTree.fromstring(urdf(GEOMETRY))
     limits = {
         joint.get("name"): joint.find("limit")
@@ -139,7 +139,7 @@ def test_the_shoulder_turns_the_stretched_arm_with_its_effort() -> None:
 
 
 @pytest.mark.skipif(shutil.which("check_urdf") is None, reason="needs check_urdf (urdfdom)")
-def test_check_urdf_takes_it(tmp_path: Path) -> None:
+def test_check_urdf_accepts_the_urdf(tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(urdf(GEOMETRY))
     ended = subprocess.run(["check_urdf", path], capture_output=True, text=True, check=False)

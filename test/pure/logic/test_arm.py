@@ -44,7 +44,7 @@ def read(pair: Pair, joints: Joints, steady: float) -> list[ArmState]:
     return messages(made, "arm_state")
 
 
-def test_an_arm_that_is_pushed_off_its_place_is_a_fault() -> None:
+def test_an_arm_pushed_off_its_position_is_a_fault() -> None:
     pair = in_position()
     place = Joints(*CELL.file.arm.park)
     pushed = place._replace(shoulder=place.shoulder + 0.01)
@@ -58,7 +58,7 @@ def test_an_arm_that_is_pushed_off_its_place_is_a_fault() -> None:
     assert pair.arm.error[0] == ErrorCode.ARM_POSITION_MISMATCH
 
 
-def test_a_fault_in_mid_move_after_a_withdrawal_can_be_cleared() -> None:
+def test_a_fault_during_a_move_after_a_withdrawal_can_be_cleared() -> None:
     """The state must not remain WITHDRAWING: clear_fault and home must be accepted."""
     pair = Pair()
     now = at(START)
@@ -77,7 +77,7 @@ def test_a_fault_in_mid_move_after_a_withdrawal_can_be_cleared() -> None:
     assert jobs(arm.on_request("~/home", Trigger.Request(), 2, at(START + 4.0)))
 
 
-def test_a_strike_pose_that_the_arm_cannot_reach_is_no_fault() -> None:
+def test_an_unreachable_strike_pose_is_not_a_fault() -> None:
     pair = in_position()
     arm, here = pair.arm, Reading(True, Joints(*CELL.file.arm.park), False, START)
     (number,) = jobs(
@@ -104,7 +104,7 @@ def test_a_withdrawal_of_another_tap_does_nothing(tap_id: int) -> None:
     assert pair.arm.state is arms.State.IN_POSITION
 
 
-def test_a_stop_overtakes_whatever_is_under_way() -> None:
+def test_a_stop_preempts_any_activity() -> None:
     """The end of a job that was interrupted by a stop has no effect."""
     pair = in_position()
     arm = pair.arm
@@ -136,7 +136,7 @@ def report(pair: Pair, state: int, steady: float) -> Sequence[Effect]:
     return pair.arm.on_message("tapper_state", message, at(steady))
 
 
-def test_the_arm_leaves_once_the_tapper_that_asked_it_to_stand_still_lets_it_go() -> None:
+def test_the_arm_leaves_once_the_requesting_tapper_releases_it() -> None:
     pair = in_position()
     request = HoldStill.Request(tap_id=TAP, duration=0.26, key=7)
     pair.arm.on_request("hold_still", request, 1, at(START))
@@ -148,7 +148,7 @@ def test_the_arm_leaves_once_the_tapper_that_asked_it_to_stand_still_lets_it_go(
     assert withdraws(pair.arm.on_request("hold_still", over, 2, at(START + 0.35)))
 
 
-def test_a_report_that_arrives_after_the_tapper_has_let_the_arm_go_is_an_old_one() -> None:
+def test_a_report_received_after_the_tapper_released_the_arm_is_ignored() -> None:
     pair = in_position()
     for token, duration in ((1, 0.26), (2, 0.0)):
         request = HoldStill.Request(tap_id=TAP, duration=duration, key=7)
@@ -189,7 +189,7 @@ def test_an_arm_that_was_deactivated_homes_only_when_the_striker_is_discharged(
     assert job.run.keywords["not_before"] == START + 1.0 + arms.DISCHARGED_S
 
 
-def test_who_always_says_charged_holds_the_arm_for_a_limited_time() -> None:
+def test_a_tapper_that_always_reports_charged_holds_the_arm_for_a_limited_time() -> None:
     pair = leaving_with_a_charged_striker()
     steady = START + 1.0
     while not withdraws(pair.arm.on_tick(at(steady))):
@@ -198,7 +198,7 @@ def test_who_always_says_charged_holds_the_arm_for_a_limited_time() -> None:
         assert steady < START + 1.1 + arms.LONGEST_WAIT_S
 
 
-def test_a_restarted_arm_keeps_the_promise_of_one_with_another_cell_file() -> None:
+def test_a_restarted_arm_keeps_the_promise_made_with_another_cell_file() -> None:
     """The cell file was changed before the restart, but the striker was fired with the old cell
     file."""
     tapper = replace(CELL.file.tapper, stroke=0.1 * CELL.file.tapper.stroke)

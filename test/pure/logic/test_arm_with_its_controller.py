@@ -97,7 +97,7 @@ def cell(request: pytest.FixtureRequest) -> Cell:
     return made
 
 
-def test_it_homes_by_itself_and_reports_joints_only_then(cell: Cell) -> None:
+def test_the_arm_homes_automatically_and_reports_joints_only_afterwards(cell: Cell) -> None:
     unhomed = [s for s in cell.states if s.state in (ArmState.DISCONNECTED, ArmState.NOT_HOMED)]
     assert not any(state.homed for state in unhomed)
     assert cell.last.homed and cell.last.clear_of_camera
@@ -128,7 +128,7 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
     assert cell.last.clear_of_camera and cell.last.tap_id == 0
 
 
-def test_the_striker_is_lowered_only_at_its_place(cell: Cell) -> None:
+def test_the_striker_is_lowered_only_at_the_strike_pose(cell: Cell) -> None:
     """The arm raises its quill, travels, and lowers the quill. Below travel height, the tip moves
     only vertically, above its strike pose."""
     configuration = load_cell()
@@ -151,13 +151,15 @@ def test_the_striker_is_lowered_only_at_its_place(cell: Cell) -> None:
     ],
     ids=["frame", "not finite"],
 )
-def test_a_bad_command_moves_nothing(cell: Cell, strike: Pose, frame: str) -> None:
+def test_an_invalid_command_moves_nothing(cell: Cell, strike: Pose, frame: str) -> None:
     cell.command(100, strike, frame)
     assert not cell.moves(0.5)
     assert cell.last.state == ArmState.IDLE
 
 
-def test_a_pose_out_of_reach_ends_the_tap_in_words_and_the_next_is_served(cell: Cell) -> None:
+def test_an_unreachable_pose_ends_the_tap_with_a_message_and_the_next_tap_is_served(
+    cell: Cell,
+) -> None:
     cell.command(100, Pose(0.0, -3.0, 0.0))
     cell.wait(lambda: cell.last.error_code == ErrorCode.ARM_OUT_OF_REACH, "the refusal")
     assert "reach" in cell.last.error_msg
@@ -178,7 +180,7 @@ def test_a_tap_id_is_served_once(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize("cell", ["grbl", "marlin"], indirect=True)
-def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> None:
+def test_an_emergency_stop_during_a_move_stops_the_arm_and_requires_homing(cell: Cell) -> None:
     cell.command(100, Pose(0.15, -0.1, 0.0))
     cell.wait(cell.moving, "the arm moves")
     cell.publish("emergency_stop", Bool(data=True))
@@ -203,7 +205,7 @@ def test_an_emergency_stop_stops_in_mid_move_and_asks_for_homing(cell: Cell) -> 
     cell.wait_state(ArmState.IN_POSITION)
 
 
-def test_a_withdrawal_of_no_tap_moves_nothing(cell: Cell) -> None:
+def test_a_withdrawal_without_a_tap_moves_nothing(cell: Cell) -> None:
     """The default id of a message is 0, which must not be taken for a tap."""
     cell.withdraw(0)
     cell.withdraw(7)
@@ -234,7 +236,7 @@ def test_only_the_withdrawal_of_the_last_tap_parks_an_idle_arm(cell: Cell) -> No
     assert cell.moves(0.5)
 
 
-def test_the_view_is_cleared_once_for_each_id_and_in_time_only(cell: Cell) -> None:
+def test_the_view_is_cleared_once_per_id_and_only_in_time(cell: Cell) -> None:
     over_the_table = [0.4, 1.3, 0.0, 0.2]
     cell.publish("joint_trajectory", a_trajectory(np.array(over_the_table), 2.0))
     cell.wait_state(ArmState.MOVING)
@@ -261,7 +263,7 @@ def test_an_arm_that_is_not_homed_does_not_clear_the_view() -> None:
     assert not cell.moves(0.5) and cell.last.state == ArmState.NOT_HOMED
 
 
-def test_an_inactive_arm_is_still(cell: Cell) -> None:
+def test_an_inactive_arm_does_not_move(cell: Cell) -> None:
     cell.process.lifecycle(Deactivated())
     cell.wait_state(ArmState.FAULT)
     cell.withdraw(0)
@@ -291,7 +293,7 @@ def test_the_arm_stands_still_for_as_long_as_it_promised(cell: Cell) -> None:
     cell.wait_state(ArmState.IDLE)
 
 
-def test_an_outcome_ends_the_promise(cell: Cell) -> None:
+def test_a_tap_outcome_ends_the_promise_to_stand_still(cell: Cell) -> None:
     cell.command(100)
     cell.wait_state(ArmState.IN_POSITION)
     assert hold(cell, 100).granted
@@ -299,7 +301,7 @@ def test_an_outcome_ends_the_promise(cell: Cell) -> None:
     cell.wait(lambda: not hold(cell, 100).granted, "the tap is over")
 
 
-def test_withdrawing_in_mid_move_never_reports_in_position(cell: Cell) -> None:
+def test_withdrawing_during_a_move_never_reports_in_position(cell: Cell) -> None:
     cell.command(100)
     cell.wait(cell.moving, "the arm moves")
     received = len(cell.states)
@@ -314,7 +316,7 @@ def a_trajectory(target: np.ndarray, seconds: float) -> JointTrajectory:
     return JointTrajectory(joint_names=JOINT_NAMES, points=[point])
 
 
-def test_a_joint_trajectory_is_followed_in_any_order_of_names(cell: Cell) -> None:
+def test_a_joint_trajectory_is_followed_for_any_order_of_joint_names(cell: Cell) -> None:
     order = [2, 0, 3, 1]
     target = np.array([0.3, 1.0, -0.01, 0.5])
     message = JointTrajectory(joint_names=[JOINT_NAMES[index] for index in order])
@@ -349,7 +351,7 @@ BAD_TRAJECTORIES: dict[str, tuple[list[str], list[tuple[list[float], float]], st
 }
 
 
-def test_a_bad_trajectory_is_refused_in_words_and_moves_nothing(cell: Cell) -> None:
+def test_an_invalid_trajectory_is_refused_with_a_message_and_moves_nothing(cell: Cell) -> None:
     for names, points, words in BAD_TRAJECTORIES.values():
         message = JointTrajectory(joint_names=names)
         for positions, at in points:
@@ -386,7 +388,7 @@ def test_foreign_clients_on_the_bus_do_not_disturb_a_tap(cell: Cell) -> None:
     cell.wait_state(ArmState.MOVING)
 
 
-def test_a_deactivated_arm_comes_to_a_stand_and_says_what_it_needs(cell: Cell) -> None:
+def test_a_deactivated_arm_stops_and_reports_what_it_needs(cell: Cell) -> None:
     cell.command(100, Pose(0.15, -0.1, 0.0))
     cell.wait_state(ArmState.MOVING)
     cell.process.lifecycle(Deactivated())
@@ -401,7 +403,7 @@ def test_a_deactivated_arm_comes_to_a_stand_and_says_what_it_needs(cell: Cell) -
     cell.wait_state(ArmState.IN_POSITION)
 
 
-def test_a_stop_outlives_its_node_and_homes_nothing(cell: Cell) -> None:
+def test_a_stop_survives_a_node_restart_and_prevents_homing(cell: Cell) -> None:
     """After a stop, an arm whose node was killed and restarted must not home by itself."""
     assert cell.call("~/stop").success
     cell.wait_state(ArmState.STOPPED)
@@ -415,7 +417,7 @@ def test_a_stop_outlives_its_node_and_homes_nothing(cell: Cell) -> None:
     assert not cell.moves(0.5)
 
 
-def test_nothing_homes_by_itself_unless_an_option_says_so() -> None:
+def test_the_arm_homes_automatically_only_if_an_option_is_set() -> None:
     cell = Cell(home=False)
     cell.wait_state(ArmState.NOT_HOMED)
     assert not cell.moves(1.0)
@@ -423,7 +425,7 @@ def test_nothing_homes_by_itself_unless_an_option_says_so() -> None:
     cell.wait_state(ArmState.IDLE)
 
 
-def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell) -> None:
+def test_a_stop_source_lost_while_active_requires_a_confirmation(cell: Cell) -> None:
     """If the panel that stopped the cell disappears, a person must confirm that they have checked
     it before the stop can be cleared."""
     cell.network.publish("panel", "emergency_stop", Bool(data=True))
@@ -437,7 +439,7 @@ def test_a_source_that_vanished_while_it_held_asks_for_a_confirmation(cell: Cell
     cell.wait_state(ArmState.NOT_HOMED)
 
 
-def test_a_stop_published_before_the_node_was_there_keeps_it_from_homing() -> None:
+def test_a_stop_published_before_the_node_started_prevents_homing() -> None:
     cell = Cell(started=False)
     cell.publish("emergency_stop", Bool(data=True))
     cell.run(1.0)

@@ -181,7 +181,7 @@ def moved(pose: Pose, dx: float, dy: float, turn: float = 0.0) -> Pose:
     return Pose(pose.x + dx, pose.y + dy, pose.theta + turn)
 
 
-def test_every_object_is_brought_to_its_goal_and_told_of(cell: Table) -> None:
+def test_every_object_is_brought_to_its_goal_and_reported(cell: Table) -> None:
     goals = {
         name: moved(cell.poses[name], *step)
         for name, step in zip(
@@ -236,7 +236,7 @@ def test_a_goal_of_another_object_is_resumed_for_that_object(cell: Table) -> Non
     assert {tap.object_id for tap in cell.taps} == {name}
 
 
-def test_two_objects_change_places(cell: Table) -> None:
+def test_two_objects_swap_places(cell: Table) -> None:
     one, other = cell.names[:2]
     goals = {one: cell.poses[other], other: cell.poses[one]}
     cell.send(goals)
@@ -247,7 +247,7 @@ def test_two_objects_change_places(cell: Table) -> None:
     assert ObjectProgress.MAKING_WAY in states and ObjectProgress.WAITING in states
 
 
-def test_the_order_of_the_list_is_kept_where_it_is_asked_for(cell: Table) -> None:
+def test_the_order_of_the_list_is_kept_if_requested(cell: Table) -> None:
     names = cell.names[::-1]
     cell.send({name: moved(cell.poses[name], 0.015, 0.0) for name in names}, in_order=True)
     assert cell.end().error_code == ErrorCode.NONE
@@ -259,7 +259,7 @@ def test_the_order_of_the_list_is_kept_where_it_is_asked_for(cell: Table) -> Non
     "code",
     ["unknown", "twice", "may move", "none", "overlap", "off table", "not a number"],
 )
-def test_a_bad_layout_is_refused_before_the_first_tap(cell: Table, code: str) -> None:
+def test_an_invalid_layout_is_refused_before_the_first_tap(cell: Table, code: str) -> None:
     one, other = cell.names[:2]
     near = Pose(0.0, 0.0, 0.0)
     goals = [goal_of(one, near), goal_of(other, Pose(0.13, 0.0, 0.0))]
@@ -296,7 +296,7 @@ def test_a_bad_layout_is_refused_before_the_first_tap(cell: Table, code: str) ->
         assert f"'{other}'" in result.error_msg
 
 
-def test_an_object_that_was_touched_is_seen_and_planned_for_anew(cell: Table) -> None:
+def test_a_touched_object_is_observed_and_replanned(cell: Table) -> None:
     one, other = cell.names[:2]
     goals = {name: moved(cell.poses[name], 0.02, 0.0) for name in (one, other)}
 
@@ -313,7 +313,7 @@ def test_an_object_that_was_touched_is_seen_and_planned_for_anew(cell: Table) ->
     assert all(cell.poses[name].distance_to(goal) < 0.001 for name, goal in goals.items())
 
 
-def test_an_object_moved_by_hand_before_the_tap_gives_it_up(cell: Table) -> None:
+def test_an_object_moved_by_hand_before_the_tap_cancels_the_tap(cell: Table) -> None:
     one, other = cell.names[:2]
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
     cell.wait(lambda: cell.states[-1].state == PlanState.LOOKING, "it looks")
@@ -332,7 +332,7 @@ def test_an_object_moved_by_hand_before_the_tap_gives_it_up(cell: Table) -> None
     assert withdrawn == [cell.taps[0].tap_id]
 
 
-def test_a_hidden_object_is_waited_for_and_named_in_the_end(cell: Table) -> None:
+def test_a_hidden_object_is_waited_for_and_finally_named(cell: Table) -> None:
     one, other = cell.names[:2]
     cell.hidden = {other}
     cell.send({name: moved(cell.poses[name], 0.02, 0.0) for name in (one, other)})
@@ -341,7 +341,7 @@ def test_a_hidden_object_is_waited_for_and_named_in_the_end(cell: Table) -> None
     assert f"'{other}' is not seen" in result.error_msg
 
 
-def test_an_object_that_is_looked_at_seldom_is_not_taken_for_hidden(cell: Table) -> None:
+def test_a_rarely_observed_object_is_not_reported_as_hidden(cell: Table) -> None:
     one, other, third = cell.names
     cell.seldom = {third}
     cell.send({name: moved(cell.poses[name], 0.02, 0.0) for name in (one, other)})
@@ -364,7 +364,7 @@ def test_the_arm_withdraws_further_from_any_object_that_it_hides(cell: Table) ->
     assert all(cell.withdrawals.count(tap.tap_id) == 2 for tap in cell.taps)
 
 
-def test_an_object_without_goal_that_is_not_there_is_left_out(cell: Table) -> None:
+def test_a_missing_object_without_a_goal_is_ignored(cell: Table) -> None:
     one, _, third = cell.names
     cell.hidden = {third}
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
@@ -382,7 +382,7 @@ def test_a_cancelled_arrangement_ends_its_tap(cell: Table) -> None:
     assert cell.states[-1].state == PlanState.CANCELED and cell.arm_state == ArmState.IDLE
 
 
-def test_a_computation_that_fails_ends_the_arrangement_with_a_number(
+def test_a_failed_computation_ends_the_arrangement_with_an_error_code(
     cell: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: Any, **__: Any) -> None:
@@ -414,7 +414,7 @@ def test_an_emergency_stop_and_the_time_limit_end_an_arrangement() -> None:
         assert result.objects[0].error_code == code
 
 
-def test_every_change_of_an_open_object_leads_where_it_says() -> None:
+def test_every_transition_of_an_open_object_leads_to_its_stated_state() -> None:
     for progress in Progress:
         for change in Change:
             allowed = PROGRESS_TABLE.get((progress, change), frozenset())
@@ -438,7 +438,7 @@ def states_of(**poses: Pose) -> ObjectStates:
     return message
 
 
-def test_the_last_check_is_of_the_tapped_object() -> None:
+def test_the_last_check_uses_the_tapped_object() -> None:
     now = Now(10.0, 10_000_000_000)
     here, there, away = Pose(0.0, 0.0, 0.0), Pose(0.1, 0.0, 0.0), Pose(0.15, 0.0, 0.0)
     peers = TapperPeers(PeerLimits())

@@ -71,7 +71,7 @@ def test_a_confirmed_tap_is_made_as_it_was_shown(asked: Asked) -> None:
     assert tap.striker_speed == shown.striker_speed
 
 
-def test_every_tap_of_a_goal_is_asked_for(asked: Asked) -> None:
+def test_every_tap_of_a_goal_requires_confirmation(asked: Asked) -> None:
     asked.moves_when_fired = False
     asked.send()
     made = 0
@@ -87,7 +87,7 @@ def test_every_tap_of_a_goal_is_asked_for(asked: Asked) -> None:
 
 @given(offset=st.integers(-5, 5).filter(bool))
 @settings(max_examples=8, deadline=None)
-def test_an_answer_for_another_tap_releases_nothing(offset: int) -> None:
+def test_an_answer_for_another_tap_fires_nothing(offset: int) -> None:
     asked = Asked(ASKING)
     asked.send()
     shown = asked.proposal()
@@ -108,7 +108,7 @@ def test_the_same_answer_twice_makes_one_tap(asked: Asked) -> None:
     assert len(asked.taps()) == 1
 
 
-def test_a_moved_object_is_planned_for_anew(asked: Asked) -> None:
+def test_a_moved_object_is_replanned(asked: Asked) -> None:
     asked.send()
     first = asked.proposal()
     asked.pose = Pose(-0.06, 0.05, 0.1)
@@ -133,7 +133,7 @@ def test_an_answer_that_comes_with_the_motion_does_not_fire(asked: Asked) -> Non
     assert asked.taps() == []
 
 
-def test_an_object_that_is_covered_is_looked_at_again_first(asked: Asked) -> None:
+def test_an_occluded_object_is_observed_again_first(asked: Asked) -> None:
     asked.send()
     first = asked.proposal()
     asked.visible = False
@@ -156,7 +156,7 @@ def test_a_skipped_tap_is_not_proposed_again(asked: Asked) -> None:
     assert asked.taps() == []
 
 
-def test_skipping_for_ever_proposes_for_ever_and_makes_nothing() -> None:
+def test_repeated_skipping_gives_new_proposals_and_no_tap() -> None:
     asked = Asked(replace(ASKING, goal_time_limit=600.0))
     asked.send(Pose(0.10, 0.05, 0.0))
     last, seen = 0, []
@@ -167,7 +167,7 @@ def test_skipping_for_ever_proposes_for_ever_and_makes_nothing() -> None:
     assert seen == sorted(set(seen)) and asked.taps() == []
 
 
-def test_nobody_answers(asked: Asked) -> None:
+def test_an_unanswered_proposal_ends_the_goal(asked: Asked) -> None:
     asked.send()
     asked.proposal()
     began = asked.now()
@@ -201,7 +201,7 @@ def test_a_stop_ends_the_goal_and_the_proposal(asked: Asked, how: str) -> None:
     assert asked.taps() == []
 
 
-def test_a_confirmation_holds_for_a_tap_that_was_late(asked: Asked) -> None:
+def test_a_confirmation_remains_valid_for_a_late_tap(asked: Asked) -> None:
     asked.tapper_answers = TapperState.NOT_FIRED
     asked.tapper_error = (ErrorCode.CAMERA_SILENT, "the last image is 0.46 s old")
     asked.send()
@@ -240,7 +240,7 @@ def test_a_confirmation_given_while_the_camera_is_late_is_kept(asked: Asked) -> 
     ],
     ids=["moved", "turned", "old", "interlock"],
 )
-def test_a_tap_that_is_asked_for_again_says_why(
+def test_a_repeated_proposal_gives_its_reason(
     step: tuple[float, float, float], wait: float, code: int, word: str
 ) -> None:
     asked = Asked(replace(ASKING, withdraw_deadline=60.0))
@@ -280,7 +280,7 @@ def test_an_arm_that_is_busy_at_the_answer_gets_no_tap(asked: Asked) -> None:
     assert asked.taps() == []
 
 
-def test_the_mode_is_switched_while_the_cell_runs() -> None:
+def test_the_confirmation_mode_is_switched_while_the_cell_runs() -> None:
     asked = Asked(replace(ASKING, ask=False))
     asked.moves_when_fired = False
     asked.wait(lambda: asked.states, "the planner is up")
@@ -298,7 +298,7 @@ def test_the_mode_is_switched_while_the_cell_runs() -> None:
     asked.wait(lambda: len(asked.taps()) == 2, "the next tap, which is not asked for")
 
 
-def test_what_is_expected_is_shown_with_its_uncertainty(asked: Asked) -> None:
+def test_the_expected_result_is_shown_with_its_uncertainty(asked: Asked) -> None:
     """The ellipse of the expected result is at least as long as the scatter of a tap and grows with
     the length of the tap."""
     sizes = []
@@ -316,7 +316,7 @@ def test_what_is_expected_is_shown_with_its_uncertainty(asked: Asked) -> None:
     assert sizes[1] > sizes[0]
 
 
-def test_without_the_mode_nothing_waits() -> None:
+def test_without_the_confirmation_mode_no_tap_waits() -> None:
     actors = Actors(FAST)
     actors.send(GOAL)
     assert actors.end().state == PlanState.REACHED

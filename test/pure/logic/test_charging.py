@@ -52,7 +52,7 @@ def charged_while_lowered() -> tuple[tappers.TapperLogic, list[Effect]]:
         arm(ArmState.IDLE, STRIKE, START),
     ],
 )
-def test_nothing_is_charged_elsewhere_than_above_its_strike_pose(message: ArmState) -> None:
+def test_the_striker_is_charged_only_above_its_strike_pose(message: ArmState) -> None:
     tapper = waiting()
     assert jobs(tapper.on_message("arm_state", message, at(START))) == []
     assert tapper.state is tappers.State.WAITING
@@ -73,7 +73,9 @@ def test_a_tapper_charged_early_asks_when_the_arm_is_in_position() -> None:
 
 
 @pytest.mark.parametrize("off", [Pose(0.0, 0.006, 0.0), Pose(0.0, 0.0, 0.06)])
-def test_an_arm_in_position_for_another_tap_with_the_same_id_is_not_fired_at(off: Pose) -> None:
+def test_no_shot_is_fired_if_the_arm_is_in_position_for_another_tap_with_the_same_id(
+    off: Pose,
+) -> None:
     tapper, _ = charged_while_lowered()
     stands = arm(ArmState.IN_POSITION, STRIKE @ off, START + 0.5)
     made = tapper.on_message("arm_state", stands, at(START + 0.5))
@@ -81,7 +83,7 @@ def test_an_arm_in_position_for_another_tap_with_the_same_id_is_not_fired_at(off
     assert tapper.state is tappers.State.DISCHARGING
 
 
-def test_a_tapper_charged_early_is_discharged_when_the_arm_falls_silent() -> None:
+def test_a_tapper_charged_early_is_discharged_after_an_arm_timeout() -> None:
     tapper, _ = charged_while_lowered()
     made = tapper.on_tick(at(START + 0.7))
     (job,) = [e.job.name for e in made if isinstance(e, RunJob) and e.job.name != "read"]
@@ -99,7 +101,7 @@ def test_a_tapper_charged_early_is_discharged_when_the_arm_never_arrives() -> No
     assert steady > START + tappers.LONGEST_CHARGED_S
 
 
-def test_a_tapper_charged_early_is_discharged_when_the_arm_gives_the_tap_up() -> None:
+def test_a_tapper_charged_early_is_discharged_when_the_arm_aborts_the_tap() -> None:
     tapper, _ = charged_while_lowered()
     tapper.on_message("arm_state", arm(ArmState.WITHDRAWING, STRIKE, START + 0.4), at(START + 0.4))
     assert tapper.state is tappers.State.DISCHARGING

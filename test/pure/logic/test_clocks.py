@@ -73,13 +73,13 @@ DELAYS = st.lists(st.floats(0.0, 0.1), min_size=30, max_size=60)
 
 
 @given(st.floats(-0.38, 0.38), DELAYS)
-def test_clocks_within_the_budget_block_nothing(ahead: float, delays: list[float]) -> None:
+def test_clock_offsets_within_the_budget_block_nothing(ahead: float, delays: list[float]) -> None:
     monitor, now = monitor_with(ahead, delays)
     assert monitor.missing(at(now)) is None
 
 
 @given(st.floats(0.65, 3600.0), st.sampled_from([-1.0, 1.0]), DELAYS)
-def test_clocks_beyond_it_are_refused_with_the_numbers(
+def test_clock_offsets_beyond_the_budget_are_refused_with_the_values(
     ahead: float, sign: float, delays: list[float]
 ) -> None:
     monitor, now = monitor_with(sign * ahead, delays)
@@ -114,7 +114,7 @@ def test_the_planner_names_the_driver_whose_clock_is_off(
     arm_delay=st.floats(0.0, 0.1),
     withdrawn=st.floats(0.0, 2.0),
 )
-def test_no_observation_before_the_withdrawal_counts_as_one_after_it(
+def test_observations_before_the_withdrawal_do_not_count_as_later_ones(
     ahead: float, delays: list[float], arm_delay: float, withdrawn: float
 ) -> None:
     monitor = CellMonitor(silence_limit=0.5)

@@ -51,7 +51,7 @@ def working(steady: float = START) -> Pair:
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans(), st.floats(0, 1)), max_size=30))
-def test_held_means_heard_held_within_the_heartbeat(
+def test_a_device_counts_as_held_only_within_the_heartbeat_timeout(
     received: list[tuple[bool, bool, float]],
 ) -> None:
     device, now = EnablingDevice(), START
@@ -66,7 +66,7 @@ def test_held_means_heard_held_within_the_heartbeat(
 
 
 @pytest.mark.parametrize("what", ["tap", "trajectory", "home"])
-def test_nothing_begins_to_move_while_no_device_is_held(what: str) -> None:
+def test_no_motion_starts_while_no_device_is_held(what: str) -> None:
     arm, now = idle_arm(), at(START)
     if what == "tap":
         made = arm.on_message("tap_command", Pair().command(TapCommand.TAP, now), now)
@@ -86,7 +86,7 @@ def test_nothing_begins_to_move_while_no_device_is_held(what: str) -> None:
 
 
 @pytest.mark.parametrize("end", ["let go", "silence", "another node"])
-def test_an_arm_at_work_stops_when_the_key_is_no_longer_held(end: str) -> None:
+def test_a_moving_arm_stops_when_the_key_is_released(end: str) -> None:
     pair = working()
     arm, now = pair.arm, at(START + 1.1 * HEARTBEAT_S)
     assert arm.state is arms.State.IN_POSITION
@@ -105,7 +105,7 @@ def test_an_arm_at_work_stops_when_the_key_is_no_longer_held(end: str) -> None:
     assert not jobs(made) and arm.state is arms.State.STOPPED
 
 
-def test_an_idle_arm_is_not_stopped_by_letting_go() -> None:
+def test_releasing_the_key_does_not_stop_an_idle_arm() -> None:
     arm = idle_arm()
     arm.on_message(enabling.TOPIC, HELD, at(START))
     arm.on_message(enabling.TOPIC, RELEASED, at(START + 0.1))
@@ -121,7 +121,7 @@ def test_the_foot_switch_enables_as_the_key_does() -> None:
 
 
 @given(st.floats(0.0, 1.0))
-def test_the_last_check_before_fire_wants_the_key_held(late: float) -> None:
+def test_the_last_check_before_firing_requires_a_held_key(late: float) -> None:
     pair = working()
     now = at(START + late)
     reason = pair.tapper.check_firing(now.steady, now)
@@ -130,7 +130,7 @@ def test_the_last_check_before_fire_wants_the_key_held(late: float) -> None:
     assert (reason[0] == ErrorCode.ENABLING_RELEASED) != held
 
 
-def test_a_charged_tapper_discharges_when_the_key_is_let_go() -> None:
+def test_a_charged_tapper_discharges_when_the_key_is_released() -> None:
     pair = working()
     tapper = pair.tapper
     made = tapper.on_message(enabling.TOPIC, RELEASED, at(START + 0.05))
@@ -142,7 +142,7 @@ def test_a_charged_tapper_discharges_when_the_key_is_let_go() -> None:
     assert reported[-1].error_code == ErrorCode.ENABLING_RELEASED
 
 
-def test_a_tap_without_a_device_held_is_refused_and_surely_not_fired() -> None:
+def test_a_tap_without_a_held_device_is_refused_and_not_fired() -> None:
     tapper, now = tappers.TapperLogic(tappers.TapperOptions(set_up=True)), at(START)
     tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), now)
     tapper.on_lifecycle(Activated(), now)
@@ -154,7 +154,7 @@ def test_a_tap_without_a_device_held_is_refused_and_surely_not_fired() -> None:
     )
 
 
-def test_the_board_tells_its_switch() -> None:
+def test_the_board_reports_its_switch() -> None:
     tapper, now = tappers.TapperLogic(tappers.TapperOptions(set_up=True)), at(START)
     held = replace(board(BoardState.SAFE), enabled=True)
     tapper.on_lifecycle(Configured(CELL, held), now)
@@ -168,7 +168,7 @@ def test_the_board_tells_its_switch() -> None:
     assert tapper.state is tappers.State.WAITING
 
 
-def test_without_set_up_mode_no_device_is_wanted() -> None:
+def test_without_set_up_mode_no_device_is_required() -> None:
     pair = Pair()
     pair.begin()
     for machine in (pair.arm, pair.tapper):

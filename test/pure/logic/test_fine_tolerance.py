@@ -52,14 +52,14 @@ def answer(
 
 @pytest.mark.parametrize("arranged", [False, True])
 @pytest.mark.parametrize(("smallest_tap", "tolerance_mm"), [(0.0017, 0.3), (0.0005, 0.05)])
-def test_what_the_smallest_tap_allows_is_taken(
+def test_tolerances_achievable_with_the_smallest_tap_are_accepted(
     smallest_tap: float, tolerance_mm: float, arranged: bool
 ) -> None:
     assert isinstance(answer(smallest_tap, tolerance_mm, arranged=arranged), Task)
 
 
 @pytest.mark.parametrize("arranged", [False, True])
-def test_what_it_does_not_allow_is_refused_with_its_scatter(arranged: bool) -> None:
+def test_unachievable_tolerances_are_refused_with_the_scatter(arranged: bool) -> None:
     refused = answer(0.02, 0.2, arranged=arranged)
     assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_BAD_TOLERANCE
     assert "its 20 mm scatter by 1 mm" in refused.sentence

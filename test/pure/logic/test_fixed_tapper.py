@@ -77,7 +77,7 @@ def ring() -> Ring:
     return Ring()
 
 
-def test_it_proves_its_mounts_and_fires_the_tapper_that_is_named(ring: Ring) -> None:
+def test_the_node_verifies_its_mounts_and_fires_the_named_tapper(ring: Ring) -> None:
     ring.proven()
     assert list(ring.last.tappers) == list(CELL.tapper_names)
     assert ring.last.fixed_mounts
@@ -99,7 +99,7 @@ def test_it_proves_its_mounts_and_fires_the_tapper_that_is_named(ring: Ring) -> 
     assert not ring.reported_errors()
 
 
-def test_a_tap_must_name_one_of_several_tappers(ring: Ring) -> None:
+def test_a_tap_must_name_its_tapper_if_there_are_several(ring: Ring) -> None:
     ring.proven()
     for tap_id, name in ((100, ""), (101, "nobody")):
         ring.command(tap_id, name)
@@ -109,7 +109,7 @@ def test_a_tap_must_name_one_of_several_tappers(ring: Ring) -> None:
     assert ring.shots() == []
 
 
-def test_it_does_not_fire_at_an_object_that_moves_or_was_moved(ring: Ring) -> None:
+def test_a_moving_or_moved_object_is_not_tapped(ring: Ring) -> None:
     ring.proven()
     ring.see_for(0.2)
     ring.command(100, "west", valid=1.0)
@@ -124,7 +124,7 @@ def test_it_does_not_fire_at_an_object_that_moves_or_was_moved(ring: Ring) -> No
     assert ring.shots() == [102]
 
 
-def test_it_does_not_fire_blindly_when_the_camera_falls_silent(ring: Ring) -> None:
+def test_no_shot_is_fired_after_a_camera_timeout(ring: Ring) -> None:
     ring.proven()
     ring.see_for(0.2)
     ring.run(1.0)
@@ -134,7 +134,7 @@ def test_it_does_not_fire_blindly_when_the_camera_falls_silent(ring: Ring) -> No
     assert ring.last.outcome == TapperState.NOT_FIRED
 
 
-def test_a_striker_that_stays_out_is_a_fault_that_names_it(ring: Ring) -> None:
+def test_a_striker_that_stays_extended_is_a_fault_that_names_it(ring: Ring) -> None:
     ring.proven()
     ring.device.coils.flight = 1e6
     ring.command(100, "north")
@@ -155,7 +155,7 @@ def test_a_striker_that_does_not_leave_its_mount_is_a_fault(ring: Ring) -> None:
     assert ring.last.error_code == ErrorCode.TAPPER_STRIKER_AWAY
 
 
-def test_a_striker_pulled_off_its_mount_forbids_every_tap_until_it_is_back(ring: Ring) -> None:
+def test_a_striker_off_its_mount_blocks_every_tap_until_it_is_back(ring: Ring) -> None:
     ring.proven()
     ring.device.coils.keep_out(4, True)
     ring.wait(lambda: not ring.last.mounts_proven and ring.last.away, "told")

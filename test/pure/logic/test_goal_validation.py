@@ -35,7 +35,7 @@ def goal_message(pose: Pose = SOMEWHERE) -> PoseStamped:
     theta=st.floats(-3.1, 3.1),
     flip=st.sampled_from([1, -1]),
 )
-def test_a_planar_goal_in_table_is_read_as_it_was_meant(
+def test_a_planar_goal_in_the_table_frame_is_read_unchanged(
     x: float, y: float, theta: float, flip: int
 ) -> None:
     message = goal_message(Pose(x, y, theta))
@@ -72,7 +72,7 @@ def spoiled(**changes: float | str) -> PoseStamped:
         (spoiled(header__stamp__sec=1100), ErrorCode.GOAL_STALE, "-100.0 s"),
     ],
 )
-def test_a_bad_goal_is_refused_with_its_code_and_value(
+def test_an_invalid_goal_is_refused_with_its_code_and_value(
     message: PoseStamped, code: int, word: str
 ) -> None:
     refused = read_goal(message, NOW, TableOnly())
@@ -134,7 +134,7 @@ quaternions = (
     turn=quaternions,
     wanted=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3.1, 3.1)),
 )
-def test_a_goal_in_another_frame_is_the_same_place_on_the_table(
+def test_a_goal_in_another_frame_gives_the_same_table_pose(
     place: Numbers, turn: Numbers, wanted: tuple[float, float, float]
 ) -> None:
     # Express the goal in another frame, which may have any pose, such as the frame of a camera.
@@ -181,7 +181,7 @@ def test_a_goal_that_is_not_flat_on_the_table_in_its_frame_is_refused() -> None:
     assert isinstance(lifted, Refused) and "20.00 mm in 'table'" in lifted.sentence
 
 
-def test_an_unknown_frame_is_refused_with_those_that_are_known() -> None:
+def test_an_unknown_frame_is_refused_with_the_list_of_known_frames() -> None:
     message = goal_message()
     message.header.frame_id = "fixtrue"
     refused = read_goal(message, NOW, OneFrame((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)))
@@ -190,7 +190,9 @@ def test_an_unknown_frame_is_refused_with_those_that_are_known() -> None:
 
 
 @given(position=st.floats(), angle=st.floats())
-def test_tolerances_are_the_cells_own_or_sound(position: float, angle: float) -> None:
+def test_tolerances_are_the_defaults_of_the_cell_or_valid_values(
+    position: float, angle: float
+) -> None:
     found = read_tolerance(position, angle, (0.001, 0.017))
     if isinstance(found, Refused):
         assert found.code == ErrorCode.GOAL_BAD_TOLERANCE
@@ -200,5 +202,5 @@ def test_tolerances_are_the_cells_own_or_sound(position: float, angle: float) ->
 
 
 @given(x=st.floats(-1, 1), y=st.floats(-1, 1), theta=st.floats(-3.1, 3.1))
-def test_poses_survive_the_way_through_a_message(x: float, y: float, theta: float) -> None:
+def test_poses_survive_conversion_to_a_message_and_back(x: float, y: float, theta: float) -> None:
     assert from_message(to_message(Pose(x, y, theta))) == pytest.approx((x, y, theta))

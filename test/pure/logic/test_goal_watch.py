@@ -51,12 +51,12 @@ class Client:
         return None
 
 
-def test_a_planner_that_works_is_waited_for() -> None:
+def test_a_working_planner_is_waited_for() -> None:
     client = Client()
     assert client.wait(3600.0, PlanState.PLACING) is None and not client.watch.gone
 
 
-def test_a_planner_that_stays_away_ends_the_wait() -> None:
+def test_a_planner_that_does_not_return_ends_the_wait() -> None:
     client = Client()
     client.wait(10.0, PlanState.PLACING)
     died = client.now
@@ -76,7 +76,7 @@ def test_a_goal_that_is_resumed_is_followed_to_its_end() -> None:
     assert client.wait(5.0, PlanState.REACHED, NEW) == Ended(ErrorCode.NONE, "")
 
 
-def test_a_planner_that_is_back_before_its_silence_is_noticed() -> None:
+def test_a_planner_that_restarts_before_its_timeout_is_detected() -> None:
     client = Client()
     client.wait(5.0, PlanState.PLACING)
     client.wait(SILENCE_S / 2, None)
@@ -96,7 +96,7 @@ def test_a_planner_that_forgot_the_goal_ends_the_wait() -> None:
     assert client.now - back <= RESUMING_S + 2 * PERIOD
 
 
-def test_a_planner_that_was_frozen_answers_itself() -> None:
+def test_a_planner_that_continues_after_a_freeze_reports_the_end_of_its_goal() -> None:
     """After the freeze the planner continues. When it reports the end of the goal, the client still
     waits up to GRACE_S for the result of the action."""
     client = Client()

@@ -55,7 +55,7 @@ def seen_at(pose: Pose) -> ObjectState:
     return seen
 
 
-def test_an_idle_planner_tells_what_is_believed_of_a_new_object(goals: GoalHandling) -> None:
+def test_an_idle_planner_reports_its_estimate_of_a_new_object(goals: GoalHandling) -> None:
     logic = PlannerLogic(PlannerSettings())
     logic.on_lifecycle(Configured(goals.cell, goals), NOW)
     logic.on_lifecycle(Activated(), NOW)
@@ -63,7 +63,7 @@ def test_an_idle_planner_tells_what_is_believed_of_a_new_object(goals: GoalHandl
     assert logic.last.learnt.distance == 1.0 and logic.last.learnt.distance_deviation > 0.04
 
 
-def test_the_record_of_a_tap_holds_what_it_taught(goals: GoalHandling) -> None:
+def test_the_record_of_a_tap_contains_what_was_learnt(goals: GoalHandling) -> None:
     task, before = accepted(goals), Pose(0.0, 0.0, 0.0)
     strike = task.decide(seen_at(before), 0)
     assert isinstance(strike, Strike)

@@ -58,7 +58,7 @@ class Searching(Actors):
         return self.plans[-1]
 
 
-def test_an_object_without_a_file_is_gone_around() -> None:
+def test_an_object_without_a_file_is_avoided() -> None:
     actors = Searching(square_at(0.0, 0.0))
     actors.send(GOAL)
     assert actors.ended().state == PlanState.REACHED
@@ -66,7 +66,7 @@ def test_an_object_without_a_file_is_gone_around() -> None:
     assert max(abs(y) for y in way) > 0.05
 
 
-def test_a_goal_on_it_is_refused_with_its_place() -> None:
+def test_a_goal_on_an_unknown_object_is_refused_with_its_position() -> None:
     actors = Searching(square_at(0.10, 0.0))
     actors.send(GOAL)
     actors.wait(lambda: actors.plans[-1].error_code, "the refusal")

@@ -169,7 +169,7 @@ def test_no_release_falls_into_a_motion_of_the_arm(
     assert over + STROKE / speed < moves
 
 
-def test_a_prompt_answer_lets_the_shot_go() -> None:
+def test_a_prompt_answer_permits_the_shot() -> None:
     """With prompt answers, the shot is fired. Without this check, the previous test could pass
     because no shot is ever fired."""
     pair = Pair()
@@ -255,7 +255,7 @@ def test_an_answer_to_an_earlier_request_is_no_promise() -> None:
     after=st.floats(0.0, 0.2),
     outcome=st.sampled_from((TapperState.NOT_FIRED, TapperState.FIRED)),
 )
-def test_only_who_asked_for_the_promise_can_end_it(
+def test_only_the_requester_of_the_promise_can_end_it(
     key: int, tap_id: int, after: float, outcome: int
 ) -> None:
     """Neither a request with another key nor a tapper state from any publisher shortens the
@@ -284,7 +284,7 @@ def test_only_who_asked_for_the_promise_can_end_it(
     ),
     first=st.booleans(),
 )
-def test_no_sequence_of_other_requests_takes_the_promise_over(
+def test_no_sequence_of_other_requests_takes_over_the_promise(
     asked: list[tuple[int, int, float, float]], first: bool
 ) -> None:
     """Other requests to stand still, before or after the tapper's request, cannot end the arm's

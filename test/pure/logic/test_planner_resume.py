@@ -80,7 +80,7 @@ def test_an_old_goal_is_not_resumed() -> None:
     ],
     ids=range(10),
 )
-def test_a_content_without_a_goal_is_forgotten(content: dict[str, Any]) -> None:
+def test_stored_content_without_a_goal_is_discarded(content: dict[str, Any]) -> None:
     logic, made = started(content)
     assert logic.state is not State.WAITING_FOR_CELL
     assert KeepGoal(None) in made

@@ -197,7 +197,7 @@ def actors() -> Actors:
     return Actors()
 
 
-def test_with_good_actors_the_goal_is_reached(actors: Actors) -> None:
+def test_the_goal_is_reached_with_working_devices(actors: Actors) -> None:
     actors.send()
     end = actors.end()
     assert end.state == PlanState.REACHED, end.error_msg
@@ -235,7 +235,7 @@ def test_a_goal_for_an_object_that_the_cell_does_not_have_is_refused(actors: Act
     assert not actors.taps()
 
 
-def test_an_arm_that_does_not_arrive_is_given_up_in_words(actors: Actors) -> None:
+def test_an_arm_that_does_not_arrive_ends_the_goal_with_a_message(actors: Actors) -> None:
     actors.arm_arrives = False
     actors.send()
     end = actors.end()
@@ -254,7 +254,7 @@ def test_a_tap_out_of_the_arms_reach_is_replaced_by_another(actors: Actors) -> N
     assert end.taps == len(actors.taps()) - 1
 
 
-def test_an_arm_that_reaches_no_tap_ends_the_goal_with_its_own_words(actors: Actors) -> None:
+def test_an_arm_that_reaches_no_tap_ends_the_goal_with_its_own_message(actors: Actors) -> None:
     actors.taps_out_of_reach = 100
     actors.send()
     end = actors.end()
@@ -263,14 +263,14 @@ def test_an_arm_that_reaches_no_tap_ends_the_goal_with_its_own_words(actors: Act
     assert len(actors.taps()) == FAST.attempts
 
 
-def test_an_arm_that_does_not_withdraw_is_given_up_in_words(actors: Actors) -> None:
+def test_an_arm_that_does_not_withdraw_ends_the_goal_with_a_message(actors: Actors) -> None:
     actors.arm_withdraws = False
     actors.send()
     assert actors.end().error_code == ErrorCode.ARM_TIMEOUT
     assert len(actors.taps()) == 1
 
 
-def test_a_faulted_arm_ends_the_goal_with_the_arms_own_words(actors: Actors) -> None:
+def test_a_faulted_arm_ends_the_goal_with_its_own_message(actors: Actors) -> None:
     actors.arm_arrives = False
     actors.send()
     actors.wait(actors.taps, "a tap")
@@ -280,7 +280,9 @@ def test_a_faulted_arm_ends_the_goal_with_the_arms_own_words(actors: Actors) -> 
     assert (end.error_code, end.error_msg) == actors.arm_error
 
 
-def test_an_unknown_outcome_is_looked_at_and_never_fired_again(actors: Actors) -> None:
+def test_after_an_unknown_outcome_the_object_is_observed_and_the_tap_not_repeated(
+    actors: Actors,
+) -> None:
     actors.tapper_answers = TapperState.UNKNOWN
     actors.send()
     assert actors.end().state == PlanState.REACHED
@@ -288,7 +290,7 @@ def test_an_unknown_outcome_is_looked_at_and_never_fired_again(actors: Actors) -
     assert len(ids) == len(set(ids))
 
 
-def test_a_tapper_that_never_answers_is_looked_after_and_no_id_is_used_again(
+def test_a_tapper_that_never_answers_is_given_a_new_tap_id(
     actors: Actors,
 ) -> None:
     actors.tapper_answers = None
@@ -318,7 +320,7 @@ LATE_CODES = (
     ("code", "taps"),
     [*((code, 10) for code in LATE_CODES), (ErrorCode.OBJECT_MOVED, 3), (ErrorCode.NONE, 3)],
 )
-def test_a_tap_for_which_a_message_was_late_is_attempted_more_often(
+def test_a_tap_with_a_late_message_is_attempted_more_often(
     actors: Actors, code: int, taps: int
 ) -> None:
     actors.tapper_answers = TapperState.NOT_FIRED
@@ -338,7 +340,7 @@ def test_late_messages_before_a_tap_do_not_end_the_goal(actors: Actors) -> None:
     assert actors.end().state == PlanState.REACHED
 
 
-def test_taps_that_somebody_else_ended_are_told_as_such(actors: Actors) -> None:
+def test_taps_ended_by_another_program_are_reported_as_such(actors: Actors) -> None:
     """If the tapper fires nothing and reports no error, the planner concludes that another program
     has ended its taps."""
     actors.tapper_answers = TapperState.NOT_FIRED
@@ -348,7 +350,7 @@ def test_taps_that_somebody_else_ended_are_told_as_such(actors: Actors) -> None:
     assert "another program" in end.error_msg and "tap_command" in end.error_msg
 
 
-def test_taps_without_any_effect_end(actors: Actors) -> None:
+def test_taps_without_effect_end_the_goal(actors: Actors) -> None:
     actors.moves_when_fired = False
     actors.send()
     end = actors.end()
@@ -369,7 +371,7 @@ def test_taps_without_any_effect_end(actors: Actors) -> None:
     ],
     ids=lambda value: str(value),
 )
-def test_what_is_missing_is_named_and_no_tap_is_commanded(
+def test_a_missing_device_is_named_and_no_tap_is_commanded(
     actors: Actors, change: dict[str, object], code: int
 ) -> None:
     for name, value in change.items():
@@ -382,7 +384,7 @@ def test_what_is_missing_is_named_and_no_tap_is_commanded(
     assert actors.taps() == []
 
 
-def test_an_object_under_the_arm_is_told_with_the_arms_place_and_the_remedy(
+def test_an_object_under_the_arm_is_reported_with_the_arm_position_and_the_remedy(
     actors: Actors,
 ) -> None:
     """The object may be placed, or may stop, where the withdrawn arm hides it."""
@@ -396,7 +398,7 @@ def test_an_object_under_the_arm_is_told_with_the_arms_place_and_the_remedy(
     assert actors.taps() == []
 
 
-def test_an_arm_that_may_hide_the_object_is_asked_once_to_make_way(actors: Actors) -> None:
+def test_an_arm_that_may_hide_the_object_is_asked_once_to_move_away(actors: Actors) -> None:
     actors.visible = False
     actors.run(0.6)
     actors.send()
@@ -408,7 +410,7 @@ def test_an_arm_that_may_hide_the_object_is_asked_once_to_make_way(actors: Actor
     assert 0 < asked[0].tap_id < min(tap.tap_id for tap in actors.taps())
 
 
-def test_an_object_moved_before_the_tap_is_looked_at_again(actors: Actors) -> None:
+def test_an_object_moved_before_the_tap_is_observed_again(actors: Actors) -> None:
     actors.arm_arrives = False
     actors.send()
     actors.wait(actors.taps, "a tap")
@@ -421,7 +423,7 @@ def test_an_object_moved_before_the_tap_is_looked_at_again(actors: Actors) -> No
     assert from_message(second.object_pose).distance_to(Pose(-0.04, 0.03, 0.2)) < 1e-6
 
 
-def test_a_tap_left_behind_by_a_dead_planner_is_withdrawn(actors: Actors) -> None:
+def test_a_tap_left_by_a_crashed_planner_is_withdrawn(actors: Actors) -> None:
     actors.tap = TapCommand(tap_id=77)
     actors.arm_state = ArmState.IN_POSITION
     actors.send()
@@ -440,7 +442,7 @@ def test_the_residual_is_reported(actors: Actors) -> None:
     actors.end()
 
 
-def test_a_goal_ends_at_its_time_limit_and_takes_its_tap_back() -> None:
+def test_a_goal_ends_at_its_time_limit_and_withdraws_its_tap() -> None:
     made = Actors(replace(FAST, goal_time_limit=1.0, place_deadline=10.0))
     made.arm_arrives = False
     made.send()

@@ -87,7 +87,7 @@ def test_each_tapper_is_fired_by_its_own_board(ring: TwoBoards) -> None:
     assert not ring.reported_errors()
 
 
-def test_a_striker_out_at_one_board_forbids_the_taps_of_the_other(ring: TwoBoards) -> None:
+def test_an_extended_striker_of_one_board_blocks_the_taps_of_the_other(ring: TwoBoards) -> None:
     ring.devices[1].coils.keep_out(2, True)
     ring.wait(lambda: ring.last.away, "told")
     (away,) = ring.last.away
@@ -102,7 +102,7 @@ def test_a_striker_out_at_one_board_forbids_the_taps_of_the_other(ring: TwoBoard
     assert ring.shots() == [[101], []]
 
 
-def test_a_board_that_vanishes_stops_all(ring: TwoBoards) -> None:
+def test_a_lost_board_blocks_every_tap(ring: TwoBoards) -> None:
     layer = ring.lines[1].layer
     way = Direction.TO_HOST
     layer.add(LineFault(FaultKind.HANG_UP, way, layer.count(way), 1, 3.0))
@@ -116,7 +116,7 @@ def test_a_board_that_vanishes_stops_all(ring: TwoBoards) -> None:
     assert ring.shots() == [[101], []]
 
 
-def test_an_open_guard_at_one_board_forbids_every_tap(ring: TwoBoards) -> None:
+def test_an_open_guard_at_one_board_blocks_every_tap(ring: TwoBoards) -> None:
     ring.devices[1].set_interlock(False, ring.now())
     ring.lines[1].schedule()
     ring.wait(lambda: not ring.last.interlock_closed, "told")
@@ -125,7 +125,7 @@ def test_an_open_guard_at_one_board_forbids_every_tap(ring: TwoBoards) -> None:
     assert ring.shots() == [[], []]
 
 
-def test_a_stop_reaches_both_boards_and_a_person_at_both_clears_it(ring: TwoBoards) -> None:
+def test_a_stop_reaches_both_boards_and_must_be_cleared_at_both(ring: TwoBoards) -> None:
     ring.publish("emergency_stop", Bool(data=True))
     ring.wait(lambda: all(device.state == "STOPPED" for device in ring.devices), "both stopped", 1)
     ring.publish("emergency_stop", Bool(data=False))
@@ -143,7 +143,7 @@ def test_a_stop_reaches_both_boards_and_a_person_at_both_clears_it(ring: TwoBoar
     ring.wait_state(TapperState.SAFE)
 
 
-def test_a_shot_of_one_board_is_spent_for_the_other(ring: TwoBoards) -> None:
+def test_a_shot_number_used_by_one_board_is_used_for_the_other(ring: TwoBoards) -> None:
     ring.tap(100, "east")
     ring.command(100, "northeast")
     ring.run(1.0)

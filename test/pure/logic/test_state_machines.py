@@ -13,7 +13,7 @@ from tapping_cell.logic import arm, tapper
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def test_the_page_is_what_the_tables_draw() -> None:
+def test_the_page_matches_the_transition_tables() -> None:
     """If this fails after a change of a table, run ``python
     environment/draw_state_machines.py``."""
     program = ROOT / "environment" / "draw_state_machines.py"
@@ -27,7 +27,7 @@ def test_the_page_is_what_the_tables_draw() -> None:
 @pytest.mark.parametrize(
     ("machine", "rest"), [(arm, arm.State.IDLE), (tapper, tapper.State.SAFE)], ids=["arm", "tapper"]
 )
-def test_every_state_leads_back_to_rest(machine: ModuleType, rest: Enum) -> None:
+def test_every_state_leads_back_to_the_rest_state(machine: ModuleType, rest: Enum) -> None:
     """From each state, a sequence of transitions leads back to the resting state."""
     leads = {rest}
     grown = True

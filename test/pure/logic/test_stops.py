@@ -34,7 +34,7 @@ def test_a_confirmation_does_not_outlast_its_time() -> None:
     assert reset(latch, gone, 10.1 + CONFIRM_WITHIN_S)
 
 
-def test_a_level_that_is_not_repeated_is_confirmed_by_a_person() -> None:
+def test_a_level_that_is_not_repeated_requires_an_operator_confirmation() -> None:
     latch = StopLatch()
     latch.receive(True)
     latch.receive(False)

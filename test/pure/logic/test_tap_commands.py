@@ -19,7 +19,7 @@ NAMES = st.lists(st.text("abc123", min_size=1, max_size=4), min_size=1, max_size
 
 
 @given(names=NAMES, name=st.text("abc123", max_size=4))
-def test_a_name_means_that_tapper_or_none(names: list[str], name: str) -> None:
+def test_a_name_selects_exactly_that_tapper_or_none(names: list[str], name: str) -> None:
     found = tap_commands.named_tapper(name, names)
     if name in names:
         assert found == name
@@ -32,7 +32,7 @@ def test_a_name_means_that_tapper_or_none(names: list[str], name: str) -> None:
         assert all(f"'{known}'" in sentence for known in names)
 
 
-def test_the_tapper_refuses_a_tap_of_another_one_and_names_itself() -> None:
+def test_the_tapper_refuses_a_tap_for_another_tapper_and_names_itself() -> None:
     now = Now(steady=100.0, ros=10**18)
     machine = TapperLogic(TapperOptions())
     safe = Reply(

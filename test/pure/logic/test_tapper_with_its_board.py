@@ -125,7 +125,7 @@ def cell() -> Cell:
     return Cell()
 
 
-def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
+def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     cell.command(100)
     cell.run(0.2)
     assert cell.shots() == []
@@ -154,7 +154,9 @@ def test_it_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     ],
     ids=["another tap", "moving", "faulted", "stale", "from the future"],
 )
-def test_it_does_not_fire_on_doubt(cell: Cell, arm: dict[str, object], code: int) -> None:
+def test_the_tapper_does_not_fire_if_a_condition_is_not_met(
+    cell: Cell, arm: dict[str, object], code: int
+) -> None:
     cell.command(100, valid=1.0)
     cell.keep_publishing(1.2, **arm)
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
@@ -224,7 +226,7 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
     assert cell.shots() == [101]
 
 
-def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Cell) -> None:
+def test_no_shot_is_fired_unless_the_arm_promises_to_stand_still(cell: Cell) -> None:
     """The arm's state IN_POSITION alone does not permit a shot."""
     cell.arm_holds = False
     cell.command(100)
@@ -248,7 +250,7 @@ def test_nothing_is_fired_while_the_arm_does_not_promise_to_stand_still(cell: Ce
     ],
     ids=["turned", "moved", "hidden"],
 )
-def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
+def test_an_object_away_from_its_planned_pose_is_not_struck(
     cell: Cell, pose: Pose, visible: bool, code: int
 ) -> None:
     """An object that was turned, moved or hidden after planning is not struck."""
@@ -266,7 +268,7 @@ def test_an_object_that_is_not_where_the_tap_was_planned_is_not_struck(
     assert words.get(code, "has not been seen") in cell.last.error_msg
 
 
-def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read() -> None:
+def test_the_state_of_the_active_tap_is_never_overwritten_by_a_read() -> None:
     """Regression test: SAFE was reported while charging, and a second tap was accepted."""
     cell = Cell(SLOW)
     for number in range(4):
@@ -288,7 +290,7 @@ def test_the_state_of_a_tap_under_way_is_never_overwritten_by_a_read() -> None:
     assert cell.shots() == []
 
 
-def test_an_id_that_cannot_be_refuses_no_tap_after_it(cell: Cell) -> None:
+def test_an_invalid_id_does_not_cause_later_taps_to_be_refused(cell: Cell) -> None:
     """An invalid id must not block later taps."""
     cell.command(2**64 - 1)
     cell.command(2**63)
@@ -306,7 +308,7 @@ charged."""
 @pytest.mark.parametrize(
     "lost", ["planner", "arm", "camera", "pictures", "usable pictures"], ids=lambda name: name
 )
-def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
+def test_the_striker_is_discharged_if_a_peer_falls_silent(lost: str) -> None:
     """The delay until the striker is discharged is measured with real processes by
     benchmarks/disarm.py."""
     cell = Cell(SLOW)
@@ -340,7 +342,7 @@ def test_whoever_falls_silent_has_the_striker_let_down(lost: str) -> None:
     assert cell.shots() == []
 
 
-def test_nothing_is_drawn_while_the_planner_is_silent_and_goes_on_when_it_is_heard(
+def test_the_striker_is_not_charged_while_the_planner_is_silent(
     cell: Cell,
 ) -> None:
     cell.command(100)
@@ -371,7 +373,7 @@ def test_another_program_may_command_taps_while_the_planner_is_idle(cell: Cell) 
     assert cell.shots() == [100, 101, 102]
 
 
-def test_a_planner_that_was_restarted_does_not_fire_the_tap_of_the_one_before(cell: Cell) -> None:
+def test_a_restarted_planner_does_not_fire_the_tap_of_the_previous_planner(cell: Cell) -> None:
     cell.command(100)
     cell.wait(lambda: cell.last.tap_id == 100, "taken")
     cell.publish("plan_state", PlanState(state=PlanState.PLACING))
@@ -383,7 +385,7 @@ def test_a_planner_that_was_restarted_does_not_fire_the_tap_of_the_one_before(ce
     assert cell.shots() == []
 
 
-def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> None:
+def test_a_foreign_command_does_not_affect_the_active_tap(cell: Cell) -> None:
     cell.command(100)
     cell.wait(lambda: cell.last.tap_id == 100, "taken")
     cell.command(999)
@@ -410,7 +412,7 @@ def test_a_foreign_command_changes_nothing_of_the_tap_under_way(cell: Cell) -> N
     ],
     ids=["request", "frame", "NaN", "expires in a day", "from the future"],
 )
-def test_a_command_that_makes_no_sense_is_refused_in_words_and_blocks_nobody(
+def test_an_invalid_command_is_refused_with_a_message_and_blocks_no_other(
     cell: Cell, change: dict[str, float], code: int
 ) -> None:
     message = TapCommand(request=int(change.get("request", TapCommand.TAP)), tap_id=100)
@@ -426,7 +428,7 @@ def test_a_command_that_makes_no_sense_is_refused_in_words_and_blocks_nobody(
     assert cell.shots() == [101]
 
 
-def test_deactivating_in_mid_draw_lets_the_striker_down() -> None:
+def test_deactivation_during_charging_discharges_the_striker() -> None:
     cell = Cell(SLOW)
     cell.command(100)
     cell.publish_until(
@@ -442,7 +444,7 @@ def test_deactivating_in_mid_draw_lets_the_striker_down() -> None:
     assert cell.device.state in DISCHARGED and cell.shots() == []
 
 
-def test_a_stop_published_before_the_node_was_there_holds() -> None:
+def test_a_stop_published_before_the_node_started_is_held() -> None:
     cell = Cell(started=False)
     cell.publish("emergency_stop", Bool(data=True))
     cell.run(1.0)
@@ -455,7 +457,7 @@ def test_a_stop_published_before_the_node_was_there_holds() -> None:
 
 @pytest.mark.parametrize("withdrawn", ["before", "meanwhile", "never"])
 @pytest.mark.parametrize("moment", range(0, 20, 2))
-def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, moment: int) -> None:
+def test_a_frozen_tapper_recovers_automatically(withdrawn: str, moment: int) -> None:
     """The board has discharged by itself, so the state is known to be safe and nobody needs to
     clear a fault."""
     cell = Cell(SLOW)
@@ -485,7 +487,7 @@ def test_a_tapper_that_was_frozen_is_ready_again_by_itself(withdrawn: str, momen
     assert cell.device.state in DISCHARGED and cell.shots() == []
 
 
-def test_a_tapper_that_was_frozen_in_a_shot_tells_unknown_once_and_is_ready_again() -> None:
+def test_a_tapper_frozen_during_a_shot_reports_unknown_once_and_becomes_ready() -> None:
     """FIRE was sent and the board's answer was lost. The next tap needs no confirmation by a
     person."""
     cell = Cell()
@@ -514,7 +516,7 @@ def test_a_tapper_that_was_frozen_in_a_shot_tells_unknown_once_and_is_ready_agai
     assert cell.shots() == [100, 101]
 
 
-def test_a_restarted_tapper_does_not_report_an_id_that_its_board_has_used_as_not_fired(
+def test_a_restarted_tapper_does_not_report_an_id_used_by_its_board_as_not_fired(
     cell: Cell,
 ) -> None:
     """The tap may have been fired before the restart."""
@@ -530,7 +532,7 @@ def test_a_restarted_tapper_does_not_report_an_id_that_its_board_has_used_as_not
     assert cell.shots() == [100]
 
 
-def test_a_shot_that_the_board_refuses_carries_the_boards_reason(cell: Cell) -> None:
+def test_a_shot_refused_by_the_board_is_reported_with_the_boards_reason(cell: Cell) -> None:
     """The guard is opened between the last check and FIRE."""
     cell.command(100)
     cell.process.on_asked = lambda process, job, answer: (

@@ -61,7 +61,7 @@ strikes = st.tuples(
 
 
 @given(strikes)
-def test_object_and_markers_are_free_after_every_withdrawal(
+def test_object_and_markers_are_unobstructed_after_every_withdrawal(
     tap: tuple[float, float, float, float],
 ) -> None:
     made = struck(*tap)

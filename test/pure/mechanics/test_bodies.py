@@ -12,7 +12,7 @@ from tapping_cell.mechanics import Disk, InvalidBodyError, Polygon, Ring
 SQUARE = [(0, 0), (1, 0), (1, 1), (0, 1)]
 
 
-def test_a_disk_and_a_ring_have_their_moments():
+def test_a_disk_and_a_ring_have_correct_moments_of_inertia():
     disk, ring = Disk(0.048, 0.2455, 0.012), Ring(0.05, 0.1, 0.01)
     assert disk.inertia == pytest.approx(0.2455 * 0.048**2 / 2)
     assert disk.gamma == pytest.approx(2) and ring.gamma == pytest.approx(1)
@@ -22,7 +22,7 @@ def test_a_disk_and_a_ring_have_their_moments():
 
 @settings(deadline=None)
 @given(st.floats(0.01, 1), st.floats(0.01, 1), st.floats(-5, 5), st.floats(-3, 3), st.booleans())
-def test_a_rectangle_has_its_moments_wherever_and_however_it_is_given(a, b, offset, angle, flip):
+def test_a_rectangle_has_correct_moments_in_any_position_and_order(a, b, offset, angle, flip):
     corners = np.array([(0, 0), (a, 0), (a, b), (0, b)])
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     points = corners @ turn.T + offset
@@ -33,7 +33,7 @@ def test_a_rectangle_has_its_moments_wherever_and_however_it_is_given(a, b, offs
     assert np.abs(body.points.mean(axis=0)).max() < 1e-9
 
 
-def test_a_polygon_of_many_sides_is_a_disk():
+def test_a_polygon_with_many_sides_approximates_a_disk():
     angles = np.linspace(0, 2 * math.pi, 400, endpoint=False)
     body = Polygon(0.1 * np.stack([np.cos(angles), np.sin(angles)], axis=1), 1.0, 0.01)
     disk = Disk(0.1, 1.0, 0.01)
@@ -63,7 +63,7 @@ def test_the_boundary_of_a_square_lies_on_its_edges():
     ],
 )
 @pytest.mark.parametrize("shape", [Disk, Ring])
-def test_a_body_that_cannot_exist_is_refused(shape, radius, mass, height):
+def test_an_impossible_body_is_refused(shape, radius, mass, height):
     with pytest.raises(InvalidBodyError, match="above 0|must be a number"):
         shape(radius, mass, height)
 
@@ -90,7 +90,7 @@ PENTAGRAM = [(math.cos(0.8 * math.pi * k), math.sin(0.8 * math.pi * k)) for k in
         (3, "pairs"),
     ],
 )
-def test_a_polygon_that_is_none_is_refused(vertices, word):
+def test_an_invalid_polygon_is_refused(vertices, word):
     with pytest.raises(InvalidBodyError, match=word):
         Polygon(vertices, 1.0, 0.01)
 

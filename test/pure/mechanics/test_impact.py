@@ -65,7 +65,7 @@ def test_energy_is_never_gained_and_the_impulse_lies_in_the_cone(
 
 
 @pytest.mark.parametrize("constraint", ["linear_bearings", "free"])
-def test_the_cases_agree_with_small_steps(constraint):
+def test_the_impact_cases_agree_with_numerical_integration(constraint):
     generator = np.random.default_rng(0)
     seen = set()
     for _ in range(25):
@@ -88,7 +88,9 @@ def test_the_cases_agree_with_small_steps(constraint):
 
 @settings(deadline=None)
 @given(constraints, masses, restitutions, frictions, incidences, contacts)
-def test_mirror_image(constraint, mass, restitution, friction, incidence, contact):
+def test_a_mirrored_impact_has_a_mirrored_result(
+    constraint, mass, restitution, friction, incidence, contact
+):
     impact = Impact(STICK, Striker(mass, 0.005, constraint), restitution, friction)
     here = impact.strike(1.0, incidence, contact)
     there = impact.strike(1.0, -incidence, (contact[0], -contact[1]))
@@ -109,7 +111,7 @@ def test_poisson_scales_the_normal_impulse(constraint, mass, friction, incidence
 
 @settings(deadline=None)
 @given(masses, restitutions)
-def test_a_central_impact_is_the_textbooks(mass, restitution):
+def test_a_central_impact_matches_the_textbook_formula(mass, restitution):
     impact = Impact(DISK, Striker(mass, 0.005), restitution, 0.2)
     result = impact.strike(2.0, 0.0, (-DISK.radius, 0.0))
     common = mass * 2.0 / (mass + DISK.mass)
@@ -135,13 +137,13 @@ def test_incidence_for_finds_the_impulse(constraint, mass, restitution, friction
     )
 
 
-def test_no_incidence_gives_more_than_friction():
+def test_no_incidence_exceeds_the_friction_limit():
     impact = Impact(DISK, Striker(0.05, 0.005), 0.8, 0.2)
     assert np.isnan(impact.incidence_for([0.21, -0.3], (-DISK.radius, 0.0))).all()
     assert math.tan(float(impact.largest_impulse_angle((-0.048, 0)))) == pytest.approx(0.2)
 
 
-def test_a_disk_has_the_constants_of_the_books():
+def test_a_disk_has_the_textbook_constants():
     a_t, a_n = math.sin(0.4), math.cos(0.4)
     contact = (-DISK.radius, 0.0)
     m, ms = DISK.mass, 0.05

@@ -27,7 +27,7 @@ def test_sensitivity_prints_the_papers_jacobian(capsys):
     assert report["sweep"]["all_below_one_up_to_mm"] > 10
 
 
-def test_the_other_sense_of_rotation_is_the_mirror_image(capsys):
+def test_the_opposite_sense_of_rotation_is_the_mirror_image(capsys):
     _, here = sensitivity(capsys, "--rotation", "2.5")
     _, there = sensitivity(capsys, "--rotation", "-2.5")
     mirror = np.array([[1, -1, -1], [-1, 1, 1], [-1, 1, 1]])
@@ -36,7 +36,7 @@ def test_the_other_sense_of_rotation_is_the_mirror_image(capsys):
     )
 
 
-def test_sensitivity_for_people_and_its_figures(capsys, tmp_path):
+def test_sensitivity_prints_readable_text_and_figures(capsys, tmp_path):
     assert main(["sensitivity", "--figures", str(tmp_path / "new")]) == 0
     out, err = capsys.readouterr()
     assert "norm 0.24" in out and "degrees/mm" in out
@@ -52,7 +52,7 @@ def test_sensitivity_refuses_a_tap_outside_the_cone(capsys):
     assert "at most 3.28" in capsys.readouterr().err
 
 
-def test_bench_measures_speed_beside_accuracy(capsys, monkeypatch):
+def test_bench_measures_speed_and_accuracy(capsys, monkeypatch):
     for name, value in (
         ("_MANY", 20_000),
         ("_ONE", 200),

@@ -85,7 +85,7 @@ def brute_force(body, friction, kappa, speed, spin, direction, cells=40):
         (2.17, 0.2, -12.0, -1.0),
     ],
 )
-def test_rest_agrees_with_brute_force(name, kappa, speed, spin, direction):
+def test_rest_agrees_with_brute_force_integration(name, kappa, speed, spin, direction):
     body = BODIES[name]
     expected = brute_force(body, 0.17, kappa, speed, spin, direction)
     rest = Sliding(body, 0.17, kappa).rest(speed, spin, direction)
@@ -93,12 +93,12 @@ def test_rest_agrees_with_brute_force(name, kappa, speed, spin, direction):
     assert rest.lateral == pytest.approx(expected[3], abs=1e-3 * abs(expected[0]))
 
 
-def test_the_drift_is_there_and_counts():
+def test_the_lateral_drift_is_significant():
     rest = Sliding(TRIANGLE, 0.17).rest(0.05, 20.0, 2.0)
     assert abs(rest.lateral) > 0.1 * rest.distance
 
 
-def test_a_square_slides_nearly_as_its_equivalent_disk():
+def test_a_square_slides_nearly_like_its_equivalent_disk():
     """Accuracy of the axisymmetric approximation for initial motions with R omega up to v."""
     generator = np.random.default_rng(0)
     speed = generator.uniform(0.05, 0.5, 200)
@@ -111,7 +111,7 @@ def test_a_square_slides_nearly_as_its_equivalent_disk():
         assert np.abs(square.lateral / square.distance).max() < 0.015
 
 
-def test_a_polygon_of_many_sides_slides_as_a_disk():
+def test_a_polygon_with_many_sides_slides_like_a_disk():
     angles = np.linspace(0, 2 * math.pi, 120, endpoint=False)
     many = Polygon(0.05 * np.stack([np.cos(angles), np.sin(angles)], axis=1), 0.2, 0.01)
     disk = Sliding(Disk(0.05, 0.2, 0.01), 0.17, 2.0)
@@ -128,7 +128,7 @@ bodies = st.sampled_from(list(BODIES.values()))
 
 @settings(max_examples=15, deadline=None)
 @given(bodies, st.floats(0.3, 4.0), speeds, spins, directions)
-def test_launch_undoes_rest(body, kappa, speed, spin, direction):
+def test_launch_inverts_rest(body, kappa, speed, spin, direction):
     slide = Sliding(body, 0.17, kappa)
     rest = slide.rest(speed, spin, direction)
     launch = slide.launch(rest.distance, rest.rotation, direction)
@@ -137,7 +137,7 @@ def test_launch_undoes_rest(body, kappa, speed, spin, direction):
 
 @settings(max_examples=10, deadline=None)
 @given(bodies, speeds, spins, directions)
-def test_twist_for_undoes_displace(body, speed, spin, direction):
+def test_twist_for_inverts_displace(body, speed, spin, direction):
     slide = Sliding(body, 0.17, 2.0)
     twist = np.array([[speed * math.cos(direction), speed * math.sin(direction), spin]])
     moved = slide.displace(twist)
@@ -160,14 +160,14 @@ def test_a_square_slides_alike_after_a_quarter_turn_and_in_a_mirror(speed, spin,
 
 @given(bodies, speeds, directions)
 @settings(max_examples=15, deadline=None)
-def test_no_spin_is_a_straight_slide(body, speed, direction):
+def test_a_slide_without_spin_is_straight(body, speed, direction):
     rest = Sliding(body, 0.17).rest(speed, 0.0, direction)
     assert rest.distance == pytest.approx(speed**2 / (2 * 0.17 * G), rel=1e-5)
     assert rest.rotation == 0.0
     assert abs(rest.lateral) < 1e-12
 
 
-def test_friction_is_smooth_where_the_closed_form_gives_way():
+def test_friction_is_smooth_where_the_closed_form_is_replaced():
     """Force and torque are continuous where the formula changes and down to zero spin."""
     model = Sliding(TRIANGLE, 0.17)._model
     # ratio of speed to spin at which the formula changes
@@ -184,7 +184,7 @@ def test_friction_is_smooth_where_the_closed_form_gives_way():
     assert torque[0] / torque[1] == pytest.approx(1e3, rel=1e-6)
 
 
-def test_profiles_end_where_rest_says():
+def test_profiles_end_at_the_result_of_rest():
     slide = Sliding(PLATE, 0.17, 2.0)
     rest = slide.rest(0.3, 3.0, 0.4)
     times = np.linspace(0, 1.2 * rest.duration, 200)
@@ -207,7 +207,7 @@ def test_rows_that_stand_still_and_shapes():
         slide.rest(math.nan, 1.0)
 
 
-def test_the_inverse_is_found_where_its_quick_method_gives_up(monkeypatch):
+def test_the_inverse_is_found_where_its_fast_method_fails(monkeypatch):
     random = np.random.default_rng(3)
     wanted = random.uniform([-0.1, -0.1, -1.0], [0.1, 0.1, 1.0], (20, 3))
     slide = Sliding(SQUARE, 0.2, 3.64, G).tabulated()

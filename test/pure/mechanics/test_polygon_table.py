@@ -52,14 +52,14 @@ def test_the_table_agrees_with_the_integration(body: Polygon, factor: float) -> 
     )
 
 
-def test_the_inverse_undoes_it_and_nothing_moves_without_a_launch() -> None:
+def test_the_inverse_is_exact_and_nothing_moves_without_a_launch() -> None:
     table = Sliding(TRIANGLE, MU, 2.0, G).tabulated()
     twist = launches(TRIANGLE, 200, 2.0)[4:]
     assert table.twist_for(table.displace(twist)) == pytest.approx(twist, rel=1e-7, abs=1e-9)
     assert np.all(table.displace(np.zeros((2, 3))) == 0.0)
 
 
-def test_a_jump_of_the_slide_does_not_end_the_inverse() -> None:
+def test_a_discontinuity_of_the_slide_does_not_stop_the_inverse() -> None:
     """Outside the table, the number of integration steps is not continuous, so that the computed
     slide may jump."""
 
@@ -73,7 +73,7 @@ def test_a_jump_of_the_slide_does_not_end_the_inverse() -> None:
 
 
 @pytest.mark.parametrize("body", [SQUARE, PLANK, TRIANGLE], ids=["square", "plank", "triangle"])
-def test_a_launch_beyond_the_table_slides_into_it(body: Polygon) -> None:
+def test_a_launch_beyond_the_tabulated_range_slides_into_it(body: Polygon) -> None:
     exact = Sliding(body, MU, 2.0, G)
     twist = launches(body, 100, 2 * LARGEST_SIZE)
     rho = body.radius_of_gyration
@@ -104,7 +104,7 @@ def test_one_shape_has_one_table_at_every_scale_and_friction() -> None:
     )
 
 
-def test_a_round_body_needs_no_other_table() -> None:
+def test_a_round_body_needs_no_additional_table() -> None:
     disk = Sliding(Disk(0.04, 0.2, 0.01), MU)
     assert disk.tabulated() is disk
 

@@ -41,7 +41,7 @@ def test_rest_agrees_with_a_tight_integration(body, kappa):
 
 @settings(deadline=None)
 @given(bodies, kappas, either, either)
-def test_launch_undoes_rest(body, kappa, speed, spin):
+def test_launch_inverts_rest(body, kappa, speed, spin):
     slide = Sliding(body, 0.17, kappa)
     distance, rotation, _ = slide.rest(speed, spin)
     assert slide.launch(distance, rotation) == pytest.approx((speed, spin), rel=1e-9)
@@ -49,7 +49,7 @@ def test_launch_undoes_rest(body, kappa, speed, spin):
 
 @settings(deadline=None)
 @given(bodies, kappas, st.lists(st.tuples(either, either), min_size=1, max_size=20))
-def test_rest_undoes_launch_for_arrays(body, kappa, wanted):
+def test_rest_inverts_launch_for_arrays(body, kappa, wanted):
     slide = Sliding(body, 0.17, kappa)
     distance, rotation = np.array(wanted).T
     again = slide.rest(*slide.launch(distance, rotation))
@@ -71,7 +71,7 @@ def test_round_trip_from_pure_sliding_to_pure_spinning(body, kappa):
 
 @settings(deadline=None)
 @given(bodies, kappas, either, either)
-def test_one_and_many_agree(body, kappa, speed, spin):
+def test_scalar_and_array_results_agree(body, kappa, speed, spin):
     slide = Sliding(body, 0.17, kappa)
     assert np.array(slide.rest(np.array([speed]), np.array([spin])))[:, 0] == pytest.approx(
         np.array(slide.rest(speed, spin)), rel=1e-12
@@ -83,7 +83,7 @@ def test_one_and_many_agree(body, kappa, speed, spin):
 
 @settings(deadline=None)
 @given(bodies, kappas, either, either, st.floats(0.01, 100))
-def test_velocities_times_c_go_c_squared_as_far(body, kappa, speed, spin, c):
+def test_the_distance_scales_with_the_square_of_the_velocity(body, kappa, speed, spin, c):
     slide = Sliding(body, 0.17, kappa)
     near, far = slide.rest(speed, spin), slide.rest(c * speed, c * spin)
     expected = (c**2 * near.distance, c**2 * near.rotation, c * near.duration)
@@ -113,7 +113,7 @@ def test_mirror_images(body, kappa, speed, spin):
 
 @pytest.mark.parametrize("body", [DISK, RING], ids=["disk", "ring"])
 @pytest.mark.parametrize("kappa", KAPPAS)
-def test_more_speed_or_spin_goes_and_turns_farther(body, kappa):
+def test_more_speed_or_spin_increases_distance_and_rotation(body, kappa):
     slide = Sliding(body, 0.17, kappa)
     rising = np.geomspace(1e-3, 1e3, 4000)
     for arguments in (
@@ -129,7 +129,7 @@ def test_more_speed_or_spin_goes_and_turns_farther(body, kappa):
 
 @settings(deadline=None)
 @given(bodies, kappas, either)
-def test_no_spin_is_a_straight_slide(body, kappa, speed):
+def test_a_slide_without_spin_is_straight(body, kappa, speed):
     distance, rotation, duration = Sliding(body, 0.17, kappa).rest(speed, 0.0)
     g = 0.17 * 9.81
     assert distance == pytest.approx(math.copysign(speed**2 / (2 * g), speed), rel=1e-12)
@@ -139,7 +139,7 @@ def test_no_spin_is_a_straight_slide(body, kappa, speed):
 
 @settings(deadline=None)
 @given(kappas, either)
-def test_no_speed_is_a_spin_on_the_spot(kappa, spin):
+def test_a_launch_without_speed_is_a_spin_in_place(kappa, spin):
     slide = Sliding(DISK, 0.17, kappa)
     distance, rotation, _ = slide.rest(0.0, spin)
     slowing = kappa * 2 * 0.17 * 9.81 / DISK.radius * 2 / 3
@@ -147,7 +147,7 @@ def test_no_speed_is_a_spin_on_the_spot(kappa, spin):
     assert rotation == pytest.approx(math.copysign(spin**2 / (2 * slowing), spin), rel=1e-12)
 
 
-def test_nothing_stays_nothing():
+def test_zero_launch_gives_zero_displacement():
     assert PAPER.rest(0.0, 0.0) == (0.0, 0.0, 0.0)
     assert PAPER.launch(0.0, 0.0) == (0.0, 0.0)
     assert not np.any(PAPER.rest(np.zeros(3), 0.0))
@@ -171,21 +171,21 @@ def test_a_disk_ends_at_its_terminal_ratio(kappa, ratio):
     assert slide_table("disk", 2 * kappa).terminal_ratio == pytest.approx(ratio, abs=5e-4)
 
 
-def test_a_thin_ring_at_the_ratio_one():
+def test_a_thin_ring_ends_at_the_ratio_one():
     assert slide_table("ring", 1.0).terminal_ratio == pytest.approx(1.0, abs=1e-6)
     slide = Sliding(RING, 0.17)
     far = slide.rest(0.3, 0.3 / RING.radius).distance
     assert far == pytest.approx(math.pi / 2 * 0.3**2 / (2 * 0.17 * 9.81), rel=1e-9)
 
 
-def test_the_papers_taps():
+def test_the_taps_of_the_paper_are_reproduced():
     speed, spin = PAPER.launch(0.010, math.radians(3))
     assert speed == pytest.approx(0.1818, abs=5e-5)
     assert spin == pytest.approx(1.355, abs=5e-4)
     assert PAPER.launch(0.0017, 0.0).speed == pytest.approx(0.0753, abs=5e-5)
 
 
-def test_the_approximation_for_little_spin():
+def test_the_approximation_for_small_spin_holds():
     g = 0.17 * 9.81
     for speed, spin in ((0.2, 0.01), (0.2, 2.0), (0.2, 0.2 / 0.048)):
         x, theta, _ = PAPER.rest(speed, spin)
@@ -202,7 +202,7 @@ def test_results_broadcast_and_unpack():
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_refused(wrong):
+def test_non_finite_values_are_refused(wrong):
     for call in (PAPER.rest, PAPER.launch):
         for arguments in ((wrong, 1.0), (1.0, wrong), (np.array([1.0, wrong]), 1.0)):
             with pytest.raises(InvalidParameterError, match="finite"):
@@ -227,7 +227,7 @@ def test_parameters_out_of_range_are_refused(name, value):
 
 @pytest.mark.parametrize("body", [DISK, RING], ids=["disk", "ring"])
 @pytest.mark.parametrize("kappa", [0.5, 1.0, 3.64])
-def test_what_is_left_of_a_slide_is_a_slide(body, kappa):
+def test_the_remainder_of_a_slide_is_a_slide(body, kappa):
     slide = Sliding(body, 0.17, kappa)
     speed, spin = np.array([0.3, -0.2, 0.01]), np.array([1.0, -9.0, 12.0])
     end = slide.rest(speed, spin)

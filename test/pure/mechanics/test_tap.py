@@ -162,7 +162,7 @@ def test_a_strike_beside_the_object_misses():
     assert np.isfinite(PAPER.outcome((0, 0, 0), [(-0.2, 0.0, 0.0), (0.2, 0, 0)], 1.0)).all()
 
 
-def test_a_polygon_is_met_at_edges_and_corners():
+def test_a_polygon_is_hit_at_edges_and_corners():
     tap = make(SQUARE)
     face = tap.strike((0, 0, 0), (-0.2, 0.01, 0.0), 0.5)
     assert face.point == pytest.approx([-0.04, 0.01]) and face.normal == pytest.approx([1, 0])
@@ -175,7 +175,7 @@ def test_a_polygon_is_met_at_edges_and_corners():
     assert turned.point == pytest.approx([-0.04 * math.sqrt(2), 0.0], abs=1e-9)
 
 
-def test_a_faster_striker_goes_with_the_square_of_its_speed():
+def test_the_displacement_scales_with_the_square_of_the_striker_speed():
     slow, fast = (PAPER.outcome((0, 0, 0), (-0.2, 0.01, 0.1), v) for v in (0.2, 0.4))
     assert fast == pytest.approx(4 * slow, rel=1e-12)
     assert not PAPER.outcome((0, 0, 0), (-0.2, 0.01, 0.1), 0.0).any()
@@ -191,7 +191,7 @@ def test_the_launch_velocity_slides_to_the_outcome():
     assert math.atan2(moved[1], moved[0]) == pytest.approx(math.atan2(twist[1], twist[0]))
 
 
-def test_the_papers_cone():
+def test_the_cone_of_the_paper_is_reproduced():
     """Section 4 of the paper: 10 degrees over 10 mm are three times the rotation that one tap can
     cause."""
     slope = math.degrees(PAPER.cone_slope) / 1e3
@@ -213,7 +213,7 @@ def test_the_cones_edge_is_the_same_at_any_distance(body, friction, kappa, dista
     assert body.radius * spin / speed == pytest.approx(body.gamma * math.sin(angle), rel=1e-9)
 
 
-def test_what_cannot_be_reached_is_refused_by_name():
+def test_an_unreachable_displacement_is_refused_with_its_reason():
     with pytest.raises(UnreachableDisplacementError, match=r"9 degrees.*at most 3\.28.*two taps"):
         PAPER.plan((0.010, 0.0, math.radians(9)))
     with pytest.raises(UnreachableDisplacementError, match=r"1 mm long.*1\.7 mm"):
@@ -239,7 +239,7 @@ def test_what_cannot_be_reached_is_refused_by_name():
         lambda: Tap(PAPER.sliding, make(RING).impact),
     ],
 )
-def test_bad_input_is_refused(call):
+def test_invalid_input_is_refused(call):
     with pytest.raises(InvalidParameterError):
         call()
 
@@ -265,7 +265,7 @@ def test_the_jacobian_predicts_small_errors(rotation):
     assert PAPER.jacobian(np.stack([wanted, wanted])).shape == (2, 3, 3)
 
 
-def test_the_papers_jacobian():
+def test_the_jacobian_of_the_paper_is_reproduced():
     """The x and theta rows of the Jacobian agree with section 5.1 of the paper within 10 % rms. The
     product of the Jacobian and the paper's striker error agrees within 20 %."""
     both = sensitivity(paper_tap(), (0.010, 0.0, math.radians(3)))

@@ -27,7 +27,7 @@ EVENTS = st.lists(
 
 
 @given(EVENTS)
-def test_goals_leave_in_order_once_and_only_while_a_person_lets_them(events: list[str]) -> None:
+def test_queued_goals_are_sent_once_in_order_and_only_while_enabled(events: list[str]) -> None:
     queue, added, sent = GoalQueue(), 0, []
     running = busy = False
     removed: set[float] = set()
@@ -59,7 +59,7 @@ def test_goals_leave_in_order_once_and_only_while_a_person_lets_them(events: lis
     assert len(sent) + len(removed) + len(queue.rows()) == added
 
 
-def test_a_goal_that_failed_holds_the_queue_and_says_why() -> None:
+def test_a_failed_goal_holds_the_queue_and_gives_the_reason() -> None:
     queue = GoalQueue()
     for x in (1.0, 2.0):
         queue.add(RequestedGoal(Pose(x, 0.0, 0.0)))
@@ -73,7 +73,7 @@ def test_a_goal_that_failed_holds_the_queue_and_says_why() -> None:
     assert queue.held == "" and queue.next(False, "") == RequestedGoal(Pose(2.0, 0.0, 0.0))
 
 
-def test_what_does_not_fit_is_refused_in_words() -> None:
+def test_an_incompatible_description_is_refused_with_a_message() -> None:
     queue, names = GoalQueue(), NamedGoals()
     for number in range(MAX_WAITING):
         queue.add(RequestedGoal(Pose(0.0, 0.0, 0.0)))
@@ -87,7 +87,7 @@ def test_what_does_not_fit_is_refused_in_words() -> None:
     assert names.rows()[0] == ("place 0", Pose(1.0, 0.0, 0.0))
 
 
-def test_names_are_kept_over_a_restart() -> None:
+def test_names_are_kept_across_a_restart() -> None:
     names = NamedGoals()
     names.keep("home", Pose(0.01, -0.02, 0.5))
     names.keep("Left", Pose(-0.1, 0.0, 0.0))
@@ -100,5 +100,5 @@ def test_names_are_kept_over_a_restart() -> None:
 @pytest.mark.parametrize(
     "content", [None, [], "x", {"a": None}, {"a": [1, 2]}, {"a": ["x", 0, 0]}, {"a": 5}]
 )
-def test_a_file_of_names_that_cannot_be_read_is_empty(content: Any) -> None:
+def test_an_unreadable_name_file_is_treated_as_empty(content: Any) -> None:
     assert NamedGoals(content).rows() == []

@@ -71,7 +71,7 @@ GOAL = {"object": "red", "x": 0, "y": 0, "angle": 0}
 
 
 @given(st.text() | JSON.map(json.dumps) | st.binary())
-def test_anything_else_than_a_request_is_refused_in_a_sentence(message: str | bytes) -> None:
+def test_anything_other_than_a_request_is_refused_with_a_message(message: str | bytes) -> None:
     with pytest.raises(BadRequest) as refused:
         parse(message)
     assert len(str(refused.value)) > 15
@@ -151,7 +151,7 @@ def test_a_goal_is_in_millimetres_and_degrees() -> None:
         (b"{}", "binary"),
     ],
 )
-def test_what_is_wrong_is_said(message: str | bytes, words: str) -> None:
+def test_an_invalid_request_is_refused_with_a_message(message: str | bytes, words: str) -> None:
     with pytest.raises(BadRequest) as refused:
         parse(message)
     assert words in str(refused.value)
@@ -163,7 +163,7 @@ LOCAL = Guard.make("localhost", (), "")
 OPEN = Guard.make("0.0.0.0", ["Cell.example"], "")
 
 
-def test_the_network_needs_a_token_and_this_machine_does_not() -> None:
+def test_network_access_requires_a_token_and_local_access_does_not() -> None:
     assert is_loopback("127.0.0.1") and is_loopback("::1") and is_loopback("localhost")
     assert not any(is_loopback(each) for each in ("0.0.0.0", "::", "192.168.1.5", "cell", ""))
     assert LOCAL.token == "" and LOCAL.admits(None)
@@ -216,16 +216,16 @@ def test_the_pages_own_origin_may_command(guard: Guard, host: str, origin: str) 
         (OPEN, "192.168.1.5.evil.example", "http://192.168.1.5.evil.example"),
     ],
 )
-def test_everybody_else_may_not(guard: Guard, host: str, origin: str | None) -> None:
+def test_other_origins_may_not_command(guard: Guard, host: str, origin: str | None) -> None:
     assert len(guard.refusal(host, origin, command=True)) > 15
 
 
 @given(st.text(), st.text() | st.none())
-def test_any_other_host_is_refused_in_words(host: str, origin: str | None) -> None:
+def test_any_other_host_is_refused_with_a_message(host: str, origin: str | None) -> None:
     assert LOCAL.refusal(host, origin, command=True)
 
 
-def test_a_token_stands_where_browsers_do_not_send_it() -> None:
+def test_the_token_is_in_the_url_fragment_that_browsers_do_not_send() -> None:
     assert urls("localhost", 8010, "") == ["http://localhost:8010/"]
     assert urls("::1", 80, "") == ["http://[::1]:80/"]
     assert urls("192.168.1.5", 8010, "abc") == ["http://192.168.1.5:8010/#token=abc"]
@@ -249,7 +249,7 @@ places = st.builds(
 
 
 @given(places)
-def test_a_ghost_put_where_it_is_seen_lies_where_it_was(pose: Pose) -> None:
+def test_a_ghost_projected_to_the_image_and_back_keeps_its_pose(pose: Pose) -> None:
     made = ghost()
     seen = made.answer(Place(1, pose))
     (u, v), (hu, hv) = seen["centre"], seen["handle"]
@@ -262,7 +262,7 @@ def test_a_ghost_put_where_it_is_seen_lies_where_it_was(pose: Pose) -> None:
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6), st.floats(-1e4, 1e4))
-def test_any_pixel_and_any_pose_gets_numbers_or_a_sentence(a: float, b: float, c: float) -> None:
+def test_any_pixel_or_pose_gives_numbers_or_an_error_message(a: float, b: float, c: float) -> None:
     made = ghost()
     for request in (Move(1, a, b, c), Turn(1, a, b, c, a), Place(1, Pose(a, b, c))):
         try:
@@ -274,7 +274,7 @@ def test_any_pixel_and_any_pose_gets_numbers_or_a_sentence(a: float, b: float, c
 @pytest.mark.parametrize(
     ("turns", "right"), [(0, 0), (1, 90), (2, 180), (3, -90)], ids=["0", "90", "180", "270"]
 )
-def test_the_arrow_keys_follow_the_picture(turns: int, right: int) -> None:
+def test_the_arrow_keys_follow_the_image_axes(turns: int, right: int) -> None:
     made = ghost(spin=turns * math.pi / 2 + 0.1)
     before = made.answer(Place(1, Pose(0.0, 0.0, 0.0)))
     way = math.radians(before["right"])

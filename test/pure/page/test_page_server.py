@@ -159,7 +159,7 @@ def test_no_other_file_is_served(site: Site, path: str) -> None:
     assert status in (400, 403, 404) and b"import" not in body and b"root:" not in body
 
 
-def test_a_foreign_name_gets_no_file(site: Site) -> None:
+def test_a_foreign_host_name_gets_no_file(site: Site) -> None:
     status, _, body = site.get("", Host="evil.example")
     assert status == 403 and b"not served under the name 'evil.example'" in body
 
@@ -208,7 +208,9 @@ def test_without_the_token_nothing_is_shown_and_nothing_is_done(
 
 
 @with_token
-def test_the_first_word_must_be_hello_and_soon(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_message_must_be_hello_within_the_timeout(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(server, "HELLO_TIMEOUT_S", 0.2)
 
     async def scenario() -> None:
@@ -230,7 +232,7 @@ def test_the_first_word_must_be_hello_and_soon(site: Site, monkeypatch: pytest.M
 # ---- messages
 
 
-def test_nonsense_is_answered_in_words_and_harms_nobody(site: Site) -> None:
+def test_invalid_messages_are_answered_with_an_error_and_affect_no_other_page(site: Site) -> None:
     noise = random.Random(1)
     nonsense: list[str | bytes] = ["", "{", "[]", "null", '{"do": 7}', '{"do": "goal", "x": NaN}']
     nonsense += ["[" * 3000, '{"do": {"do": {}}}', bytes(noise.randbytes(64)), "\x00\ud7ff"]
@@ -250,7 +252,7 @@ def test_nonsense_is_answered_in_words_and_harms_nobody(site: Site) -> None:
     assert site.backend.requests == [Command("stop")]
 
 
-def test_a_message_that_is_too_long_or_one_too_many_ends_the_connection(site: Site) -> None:
+def test_too_long_or_too_many_messages_end_the_connection(site: Site) -> None:
     async def scenario() -> None:
         async with site.page({}) as page:
             await read(page)
@@ -272,7 +274,7 @@ def test_a_message_that_is_too_long_or_one_too_many_ends_the_connection(site: Si
 # ---- several pages
 
 
-def test_every_page_sees_the_same_state_and_the_room_is_bounded(
+def test_every_page_sees_the_same_state_and_the_number_of_pages_is_limited(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "MAX_PAGES", 2)
@@ -292,7 +294,7 @@ def test_every_page_sees_the_same_state_and_the_room_is_bounded(
     assert max(site.backend.counts) == 2
 
 
-def test_a_page_gets_the_next_picture_when_it_has_drawn_the_last_and_then_the_latest(
+def test_a_page_gets_the_latest_image_after_it_has_drawn_the_previous_one(
     site: Site,
 ) -> None:
     async def scenario() -> None:
@@ -315,7 +317,7 @@ def test_a_page_gets_the_next_picture_when_it_has_drawn_the_last_and_then_the_la
     asyncio.run(scenario())
 
 
-def test_a_page_that_does_not_read_is_dropped_and_the_others_go_on(
+def test_a_page_that_does_not_read_is_disconnected_and_the_others_continue(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "WRITE_TIMEOUT_S", 0.3)
@@ -441,7 +443,7 @@ def test_only_the_recorders_own_folders_are_runs(tmp_path: Path) -> None:
     assert runs.archive("link") is None
 
 
-def test_runs_are_listed_newest_first_and_a_broken_summary_is_said(tmp_path: Path) -> None:
+def test_runs_are_listed_newest_first_and_a_corrupt_summary_is_reported(tmp_path: Path) -> None:
     runs = Runs(tmp_path)
     for age, name in enumerate(("c", "b", "a")):
         run = make_run(tmp_path, name)
@@ -461,7 +463,7 @@ def test_runs_are_listed_newest_first_and_a_broken_summary_is_said(tmp_path: Pat
 
 @pytest.mark.parametrize("value", [10**400, float("nan"), "x" * 10_000, None, [], {}, -1, True])
 @pytest.mark.parametrize("key", ["outcome", "goal", "taps", "measured_residual", "began"])
-def test_whatever_a_summary_holds_the_list_is_json(tmp_path: Path, key: str, value: object) -> None:
+def test_the_list_is_valid_json_for_any_summary(tmp_path: Path, key: str, value: object) -> None:
     make_run(tmp_path, "run", **{key: value})
     assert len(json.dumps(Runs(tmp_path).rows(), allow_nan=False)) < 2000
 
@@ -475,7 +477,7 @@ def test_the_page_knows_where_stop_is_served(site: Site) -> None:
     assert f"connect-src 'self' http://127.0.0.1:{STOP_PORT};" in policy
 
 
-def test_a_page_that_asks_too_often_is_refused_but_not_its_stop(site: Site) -> None:
+def test_a_page_that_sends_too_many_requests_is_refused_except_for_stop(site: Site) -> None:
     async def scenario() -> None:
         async with site.page({}) as page:
             await read(page)
@@ -491,6 +493,6 @@ def test_a_page_that_asks_too_often_is_refused_but_not_its_stop(site: Site) -> N
     assert len(site.backend.requests) <= 2 * server.MAX_COMMANDS + 1
 
 
-def test_a_port_that_is_taken_is_an_error_at_once(site: Site) -> None:
+def test_a_port_in_use_is_an_immediate_error(site: Site) -> None:
     with pytest.raises(OSError, match="in use"):
         server.bind("127.0.0.1", site.port)

@@ -90,7 +90,7 @@ def test_a_stop_that_is_held_is_published_again_but_not_without_limit() -> None:
     play(scenario)
 
 
-def test_a_stop_of_a_process_that_died_is_held_by_the_next() -> None:
+def test_a_stop_of_a_crashed_process_is_held_by_the_next() -> None:
     published: list[bool] = []
     stop_server.StopLevel(published.append, lambda *_: None, held=True)
     assert published == [True]
@@ -127,7 +127,7 @@ def test_without_the_token_nothing_is_stopped(token: object) -> None:
 @pytest.mark.parametrize(
     "body", ["", "{", "[]", "7", '"stop"', "null", '{"do": 1}', "[" * 1000, b"\xff\x00", "{}"]
 )
-def test_nonsense_is_refused_and_stops_nothing(body: str | bytes) -> None:
+def test_invalid_requests_are_refused_and_stop_nothing(body: str | bytes) -> None:
     async def scenario(site: Site) -> None:
         assert (await site.post(body)).code == 400
 
@@ -161,7 +161,7 @@ def test_connections_that_stay_open_leave_room_for_a_stop() -> None:
     assert play(scenario).published == [True]
 
 
-def test_a_flood_of_connections_does_not_close_that_of_a_page() -> None:
+def test_a_flood_of_connections_does_not_close_the_connection_of_a_page() -> None:
     async def scenario(site: Site) -> None:
         body = json.dumps({"do": "check"}).encode()
         request = (

@@ -72,7 +72,7 @@ def test_no_slide_and_no_striker_touches_another_object(tap, settings, among, fr
     assert strikes > 15
 
 
-def test_an_object_that_comes_and_goes_changes_the_answer_and_is_named(
+def test_an_object_that_appears_and_disappears_changes_the_result_and_is_named(
     settings, space, free, known
 ):
     planner = make_planner("exact", settings)

@@ -69,7 +69,7 @@ def scene_of(bodies: Sequence[Body], *poses: Pose) -> Scene:
     return Scene(bodies, {body.name: pose for body, pose in zip(bodies, poses, strict=True)})
 
 
-def test_the_map_among_others_is_that_of_a_space_with_these_keep_outs(kind: Kind) -> None:
+def test_the_map_among_objects_equals_that_of_equivalent_keep_outs(kind: Kind) -> None:
     areas = [CircleArea(0.1, 0.05, 0.03), CircleArea(-0.1, -0.08, 0.04)]
     quick = kind.free.among(areas)
     slow = FreeSpace(kind.free.space.among(areas))
@@ -81,7 +81,7 @@ def test_the_map_among_others_is_that_of_a_space_with_these_keep_outs(kind: Kind
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_map_among_polygons_is_exactly_that_of_a_space_with_these_keep_outs(
+def test_the_map_among_polygons_exactly_equals_that_of_equivalent_keep_outs(
     kind: Kind, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -98,7 +98,7 @@ def test_the_map_among_polygons_is_exactly_that_of_a_space_with_these_keep_outs(
     assert np.array_equal(quick.tappable, slow.tappable)
 
 
-def test_an_obstacle_that_appears_is_avoided_and_one_on_a_goal_refuses(kind: Kind) -> None:
+def test_a_new_obstacle_is_avoided_and_one_on_a_goal_causes_refusal(kind: Kind) -> None:
     goal, start = Pose(0.15, 0.0, 0.0), Pose(-0.15, 0.0, 0.0)
     (body,) = bodies_of(kind, [goal])
     session = ArrangementSession([body])
@@ -141,7 +141,7 @@ def test_a_swap_needs_a_buffer_place_and_the_baseline_has_none(kind: Kind) -> No
     assert isinstance(refused, Refusal) and refused.reason is RefusalReason.NO_ARRANGEMENT
 
 
-def test_what_occupies_a_goal_goes_first(kind: Kind) -> None:
+def test_an_object_that_occupies_a_goal_is_moved_first(kind: Kind) -> None:
     scene = scene_of(
         bodies_of(kind, [Pose(0.08, 0.0, 0.0), Pose(0.08, 0.12, 0.0)]),
         Pose(-0.08, 0.0, 0.0),
@@ -152,7 +152,7 @@ def test_what_occupies_a_goal_goes_first(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("movable", [True, False])
-def test_an_object_without_a_goal_makes_way_only_where_allowed(kind: Kind, movable: bool) -> None:
+def test_an_object_without_a_goal_is_moved_away_only_if_allowed(kind: Kind, movable: bool) -> None:
     bodies = bodies_of(kind, [Pose(0.08, 0.0, 0.0), None], movable)
     scene = scene_of(bodies, Pose(-0.08, 0.0, 0.0), Pose(0.085, 0.0, 0.0))
     refusal = check_layout(scene, AmongOthers())
@@ -178,7 +178,7 @@ def test_a_layout_too_tight_for_the_striker_is_refused_before_the_first_tap(kind
     assert "cannot be reached" in decision.sentence and "'o" in decision.sentence
 
 
-def test_a_shift_of_an_object_that_was_not_tapped_is_noticed(kind: Kind) -> None:
+def test_a_shift_of_an_untapped_object_is_detected(kind: Kind) -> None:
     bodies = bodies_of(kind, [Pose(0.1, 0.0, 0.0), Pose(-0.1, 0.1, 0.0)])
     session = ArrangementSession(bodies)
     seen = {"o0": Observation(Pose(-0.05, 0.0, 0.0)), "o1": Observation(Pose(-0.05, -0.12, 0.0))}
@@ -225,7 +225,7 @@ def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(
     assert ("o0" in session.finished) == (shifted.distance_to(goals[0]) <= 1e-3)
 
 
-def test_a_move_without_progress_is_put_off_until_another_object_has_moved(kind: Kind) -> None:
+def test_a_move_without_progress_is_deferred_until_another_object_has_moved(kind: Kind) -> None:
     goals = [Pose(0.1, 0.0, 0.0), Pose(-0.1, 0.12, 0.0)]
     session = ArrangementSession(bodies_of(kind, goals))
     seen = {"o0": Observation(Pose(0.0, 0.0, 0.0)), "o1": Observation(Pose(-0.2, -0.15, 0.0))}
@@ -240,7 +240,9 @@ def test_a_move_without_progress_is_put_off_until_another_object_has_moved(kind:
 
 @settings(max_examples=2, deadline=None)
 @given(st.integers(0, 2**16))
-def test_what_is_called_done_is_truly_inside_and_nothing_was_hit(kind: Kind, seed: int) -> None:
+def test_objects_reported_done_are_inside_the_tolerance_and_nothing_was_hit(
+    kind: Kind, seed: int
+) -> None:
     task = ArrangementTask(2, "swap", gain_bias=(0.05, 0.1))
     trial, _ = run_arrangement(task, [kind], np.random.default_rng(seed))
     assert trial.end != "done" or trial.inside

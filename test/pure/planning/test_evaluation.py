@@ -34,7 +34,7 @@ def test_the_papers_task_takes_no_more_taps_than_the_reference(planner, variant,
     assert found["success_rate"] == 1.0 and found["truly_inside_rate"] == 1.0
 
 
-def test_multi_keeps_its_plan_of_five_taps():
+def test_multi_reaches_the_goal_with_its_plan_of_five_taps():
     results = evaluate(Evaluation("multi", PlannerSettings(), seed=8), processes=1)
     assert summarise(results, planned_taps=5)["within_planned_rate"] > 0.98
 
@@ -63,7 +63,7 @@ def test_adaptation_helps_against_bias():
     )
 
 
-def test_the_result_depends_on_the_seed_and_not_on_the_processes(monkeypatch):
+def test_the_result_depends_on_the_seed_but_not_on_the_number_of_processes(monkeypatch):
     task = Evaluation("exact", PlannerSettings(), trials=12_500, seed=3)
     one = evaluate(task, processes=1)
     monkeypatch.setattr(parallel, "WORTH_PROCESSES", 0.0)
@@ -74,7 +74,7 @@ def test_the_result_depends_on_the_seed_and_not_on_the_processes(monkeypatch):
     assert not np.array_equal(one.taps, other.taps)
 
 
-def test_summary_counts_what_it_says():
+def test_the_summary_counts_match_the_trials():
     results = Results(
         taps=np.array([2, 3, 100, 0, 4]),
         end=np.array([End.DONE, End.DONE, End.ENDLESS, End.REFUSED_BEFORE, End.REFUSED_LATER]),
@@ -122,7 +122,7 @@ def test_a_rounded_striker_still_brings_every_object_to_the_goal(capsys, planner
     assert found["taps"]["mean"] <= 6.0
 
 
-def test_the_command_line_answers_in_mm_and_degrees(capsys):
+def test_the_command_line_prints_mm_and_degrees(capsys):
     found = run_json(
         capsys,
         "--planner",
@@ -158,7 +158,7 @@ def test_the_command_line_answers_in_mm_and_degrees(capsys):
     assert set(found["taps"]) >= {"mean", "p50", "p90", "p99", "max", "histogram"}
 
 
-def test_goals_all_over_the_table_end_at_the_goal_or_are_refused_at_once(capsys):
+def test_goals_across_the_table_are_reached_or_refused_at_once(capsys):
     found = run_json(
         capsys,
         "--planner",
@@ -209,7 +209,7 @@ def test_the_report_has_a_table_and_plots(capsys, tmp_path):
         (["--model", "physics", "--truth", "/no/such/file.yaml"], "no/such/file"),
     ],
 )
-def test_bad_options_are_refused_in_words(capsys, words, sentence):
+def test_invalid_options_are_refused_with_a_message(capsys, words, sentence):
     assert main(["evaluate", *words]) == 2
     assert sentence in capsys.readouterr().err
 

@@ -40,7 +40,7 @@ def test_the_background_gives_a_coarse_solution_and_then_the_same_fine_one() -> 
     np.testing.assert_allclose(asked.solution.value, here.value)
 
 
-def test_a_goal_that_is_asked_for_later_is_answered_before_another_is_refined() -> None:
+def test_a_later_goal_is_answered_before_an_earlier_one_is_refined() -> None:
     space = assembly.make_fixed_space(CELL)
     settings = assembly.make_planner_settings(CELL, (0.02, math.radians(20.0)))
     solver = GoalSolver(background=True, finer=(0.3, 0.1))

@@ -72,7 +72,7 @@ def test_a_disk_is_hit_where_its_line_passes(x: float, y: float, theta: float) -
 
 @given(distance=st.floats(0.002, 0.08), index=st.integers(0, 7))
 @settings(max_examples=30, deadline=None)
-def test_the_planned_speed_makes_the_distance(distance: float, index: int) -> None:
+def test_the_planned_speed_gives_the_planned_distance(distance: float, index: int) -> None:
     pose = np.array([0.005, -0.003, 0.4])
     plan = SPACE.plan(index, pose, distance)
     mount = SPACE.tappers[index].mount
@@ -83,7 +83,7 @@ def test_the_planned_speed_makes_the_distance(distance: float, index: int) -> No
     assert plan.tapper == SPACE.tappers[index].name
 
 
-def test_the_shipped_cell_covers_its_area_and_a_mutilated_one_does_not() -> None:
+def test_the_shipped_cell_covers_its_area_and_an_incomplete_one_does_not() -> None:
     assert not np.any(coverage(SPACE).dead)
     half = make_fixed_space(
         replace(
@@ -139,7 +139,7 @@ def test_the_grading_is_monotone_and_its_steps_are_limited(
     assert np.all(np.diff(whole) <= grading.widest * math.cosh(step) * (1.0 + 1e-9))
 
 
-def test_trials_take_about_the_least_expected_time() -> None:
+def test_trials_take_about_the_minimum_expected_time() -> None:
     """If nothing needs to be learnt, goals take the predicted time, or a little less because
     interpolation on the coarse grid overestimates it."""
     space = make_fixed_space(CELL, objective="time")
@@ -179,7 +179,7 @@ def test_a_tap_has_the_expected_taps_and_seconds_of_the_solution(objective: str)
     assert 0.8 < np.mean(ratios) < 1.2
 
 
-def test_lines_that_are_off_are_learnt_while_tapping() -> None:
+def test_displaced_lines_are_learnt_while_tapping() -> None:
     evaluation = FixedEvaluation(
         SPACE, PLAN, trials=12, seed=2, mount_error=(5e-4, math.radians(0.5))
     )
@@ -194,7 +194,7 @@ def evaluate_fixed_coarse(evaluation: FixedEvaluation):
         return evaluate_fixed(evaluation)
 
 
-def test_refusals() -> None:
+def test_impossible_goals_are_refused() -> None:
     outside = session(goal=(0.0, 0.075, 0.0)).decide([0.0, 0.0, 0.0])
     assert isinstance(outside, Refusal)
     assert outside.reason is RefusalReason.GOAL_OUTSIDE_WORKING_AREA
@@ -223,7 +223,7 @@ def test_a_stroke_that_would_touch_a_keep_out_is_not_used() -> None:
     assert SPACE.lines(np.zeros(3)).usable[0]
 
 
-def test_a_tapper_that_missed_is_not_asked_again_at_once() -> None:
+def test_a_tapper_that_missed_is_not_used_again_at_once() -> None:
     run = session()
     pose = np.array([0.03, 0.01, 0.2])
     first = run.decide(pose)
@@ -253,7 +253,7 @@ def test_states_after_a_tap_have_the_scatter_with_its_floor() -> None:
 
 
 @pytest.mark.parametrize(("offset", "angle"), [(0.0006, 0.0), (0.0, 0.008), (-0.0005, 0.005)])
-def test_a_line_is_found_from_single_taps(offset: float, angle: float) -> None:
+def test_a_line_is_estimated_from_single_taps(offset: float, angle: float) -> None:
     """The object is placed by hand at a dozen poses. The line is found to 0.3 mm at the object."""
     rng = np.random.default_rng(3)
     nominal = SPACE.tappers[0].mount

@@ -69,7 +69,7 @@ def test_steady_gains_are_learnt_within_their_own_deviation(true):
     assert gains.deviation[0] / gains.value[0] < 0.012
 
 
-def test_the_error_is_as_large_as_the_belief_says():
+def test_the_error_matches_the_estimated_uncertainty():
     """The true gains differ from the file by errors with the standard deviations of the narrow
     prior."""
     rng = np.random.default_rng(5)
@@ -84,13 +84,13 @@ def test_the_error_is_as_large_as_the_belief_says():
 
 
 @pytest.mark.parametrize("friction", [0.25, 0.4, 2.5, 4.0])
-def test_a_friction_far_from_the_files_is_believed_after_two_taps(friction):
+def test_a_friction_far_from_the_file_is_learnt_after_two_taps(friction):
     for seed in range(20):
         gains = learn((1 / friction, 1.0, 0.0, 0.0, 0.0, 0.0), 2, seed)
         assert gains.value[0] == pytest.approx(1 / friction, rel=0.25)
 
 
-def test_one_improbable_component_leaves_the_others_to_be_learnt():
+def test_one_improbable_component_does_not_prevent_learning_of_the_others():
     """An improbable direction of motion does not prevent learning from the distance of the same
     tap."""
     gains = learn(FILE, 10)
@@ -100,7 +100,7 @@ def test_one_improbable_component_leaves_the_others_to_be_learnt():
     assert gains.value[0] > before + 0.03
 
 
-def test_a_bumped_object_is_not_a_gain():
+def test_a_disturbed_object_does_not_change_the_gains():
     gains = learn(FILE, 10)
     after = gains.observe([0.01, 0.0, 0.05], [-0.02, 0.03, 1.0], 0.0, SCATTER, CAMERA)
     assert np.allclose(after.value, gains.value, atol=0.02)
@@ -114,7 +114,7 @@ def test_a_bumped_object_is_not_a_gain():
 
 
 @pytest.mark.parametrize("changed", [0.4, 2.0, 3.0])
-def test_two_agreeing_taps_make_a_change_the_belief(changed):
+def test_two_consistent_taps_change_the_estimate(changed):
     gains = learn(FILE, 12)
     for _ in range(2):
         gains = gains.observe(
@@ -123,14 +123,14 @@ def test_two_agreeing_taps_make_a_change_the_belief(changed):
     assert gains.value[0] == pytest.approx(changed, rel=0.1)
 
 
-def test_two_bumps_that_do_not_agree_are_no_change():
+def test_two_inconsistent_disturbances_do_not_change_the_estimate():
     gains = learn(FILE, 12)
     for moved in (0.008, 0.07):
         gains = gains.observe([0.02, 0.0, 0.1], [moved, 0.0, moved * 5], 0.0, SCATTER, CAMERA)
     assert gains.value[0] == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_tap_without_rotation_says_nothing_about_the_rotation():
+def test_a_tap_without_rotation_gives_no_information_about_rotation():
     start = Gains.start()
     gains = start.observe([0.02, 0.0, 0.0], [0.02, 0.0, 0.0], 0.0, SCATTER, CAMERA)
     index = NAMES.index("rotation")
@@ -142,7 +142,7 @@ def test_a_tap_without_rotation_says_nothing_about_the_rotation():
     st.lists(st.tuples(*[st.floats(-0.2, 0.2)] * 6), min_size=1, max_size=12),
     st.floats(0.0, 0.3),
 )
-def test_whatever_is_measured_the_gains_stay_within_bounds(taps, scatter):
+def test_the_gains_stay_within_bounds_for_any_measurement(taps, scatter):
     gains = Gains.start()
     for numbers in taps:
         noise = Scatter(scatter, scatter, 0.02)
@@ -153,7 +153,7 @@ def test_whatever_is_measured_the_gains_stay_within_bounds(taps, scatter):
         assert np.isfinite(spread.longest) and np.all(np.isfinite(spread.aside))
 
 
-def test_a_pose_that_is_not_known_says_nothing():
+def test_an_unknown_pose_gives_no_information():
     start = Gains.start()
     gains = start.observe([0.01, 0, 0], [math.nan] * 3, 0.0, SCATTER, CAMERA)
     assert float(gains.outliers) == 1
@@ -172,13 +172,13 @@ def test_command_and_predict_are_inverse(dx, dy, turn, orientation):
     assert np.allclose(gains.predict(back, orientation), [-dx, -dy, turn], atol=1e-9)
 
 
-def test_a_rotation_beyond_the_cone_is_not_asked_for():
+def test_no_rotation_beyond_the_cone_is_commanded():
     gains = learn((1.0, 1.0, 0.0, 0.0, 3.0, 0.0), 20)
     commanded = gains.command(0.02, -0.1, 0.3, 1.0, cone_slope=5.0)
     assert abs(commanded[2]) <= 5.0 * math.hypot(commanded[0], commanded[1]) + 1e-12
 
 
-def test_many_objects_at_once_are_the_same_as_each_alone():
+def test_many_objects_at_once_give_the_same_result_as_each_alone():
     rng = np.random.default_rng(2)
     asked, seen = rng.normal(0, 0.02, (50, 3)), rng.normal(0, 0.02, (50, 3))
     angle = rng.normal(0, 1, 50)
@@ -190,14 +190,14 @@ def test_many_objects_at_once_are_the_same_as_each_alone():
 
 
 @pytest.mark.parametrize("friction", [0.25, 0.5, 1.0, 2.0, 4.0])
-def test_the_spread_holds_999_of_1000_first_slides_anywhere_in_the_prior(friction):
+def test_the_spread_covers_999_of_1000_first_slides_for_any_prior(friction):
     spread = Gains.start().spread([0.02, 0.0, 0.05], SCATTER, 3.0)
     rng = np.random.default_rng(1)
     slides = (1 / friction) * (1 + SCATTER.distance * rng.standard_normal(100_000))
     assert np.mean(slides > spread.longest) <= 1e-3
 
 
-def test_kept_gains_come_back_and_a_damaged_file_is_named():
+def test_saved_gains_are_restored_and_a_damaged_file_is_named():
     name = "my disk / no. 3"
     assert np.array_equal(load_gains(name, "domain0").value, Gains.start().value)
     gains = learn((1.8, 0.6, 0.01, 0.0, 1.0, 0.0), 12)

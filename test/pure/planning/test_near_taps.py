@@ -29,7 +29,7 @@ def method():
     return make_planner("optimal", PlannerSettings(camera=CAMERA))
 
 
-def test_the_plans_own_taps_are_worth_what_it_says(method):
+def test_the_planned_taps_have_the_value_of_the_plan(method):
     plan = load_policy(method.settings)
     rng = np.random.default_rng(1)
     found, tabulated = [], []
@@ -46,7 +46,7 @@ def test_the_plans_own_taps_are_worth_what_it_says(method):
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.4, 1.5, 3.0])
-def test_what_follows_a_tap_beside_the_line_is_what_many_taps_find(method, aside):
+def test_the_value_after_an_off_line_tap_matches_sampling(method, aside):
     rng = np.random.default_rng(3)
     distance, rotation, size, turn, count = 0.020, 0.25, 0.012, 0.06, 200_000
     scatter = method.settings.scatter
@@ -78,7 +78,7 @@ def cell():
     return made, space, FreeSpace(space), planner, ArmTimes(made)
 
 
-def test_a_quick_tap_is_quick_by_the_arms_own_way(cell):
+def test_the_fastest_tap_accounts_for_the_path_of_the_arm(cell):
     _, space, free, planner, times = cell
     pose, goal = np.zeros(3), np.array([0.01, 0.0, 0.3])
     chosen = []
@@ -109,7 +109,7 @@ def test_the_quickest_tap_comes_first(cell):
     assert (taps.follow[row] - taps.follow.min()) * times.mean_tap <= ways.sum()
 
 
-def test_without_values_or_a_place_of_the_arm_taps_are_counted(cell):
+def test_without_values_or_an_arm_position_taps_are_counted(cell):
     _, space, free, planner, times = cell
     goal, pose = (0.05, 0.02, 0.3), (0.0, 0.0, 0.0)
     plain = PositioningSession(goal, planner, space, free).decide(pose)
@@ -137,7 +137,7 @@ def test_a_strike_has_the_expected_taps_and_seconds_of_the_policy(cell, goal):
     assert strike.expected.seconds - after - way == pytest.approx(times.mean_tap - times.mean_way)
 
 
-def test_a_method_without_such_a_value_says_none(cell):
+def test_a_method_without_such_a_value_returns_none(cell):
     _, space, free, planner, times = cell
     exact = make_planner("exact", planner.settings)
     strike = PositioningSession((0.05, 0.02, 0.3), exact, space, free, times=times).decide(

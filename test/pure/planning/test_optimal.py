@@ -32,7 +32,7 @@ def simulate(planner, distance, degrees, count=20_000):
 
 
 @pytest.mark.parametrize(("distance", "degrees"), TASKS)
-def test_the_value_is_the_mean_number_of_taps_that_runs_take(planner, distance, degrees):
+def test_the_value_is_the_mean_number_of_taps_of_simulated_runs(planner, distance, degrees):
     value = float(planner.taps_to_go(distance, math.radians(degrees)))
     assert simulate(planner, distance, degrees)["mean"] == pytest.approx(value, rel=0.015)
 
@@ -63,7 +63,7 @@ def test_taps_stay_in_the_cone(planner):
     assert np.all(np.abs(tap.distance) >= planner.settings.smallest_distance * (1 - 1e-9))
 
 
-def test_expected_weights_against_sampling():
+def test_expected_weights_match_sampling():
     grid, _ = solver.state_grid(0.001, 0.0017, 0.35)
     rng = np.random.default_rng(1)
     cases = [(0.0, 0.0004, 0.0002), (0.0011, 0.0002, 0.0004), (-0.02, 0.001, 0.0005)]
@@ -80,7 +80,7 @@ def test_expected_weights_against_sampling():
         assert got == pytest.approx(within, rel=0.03, abs=2e-4)
 
 
-def test_a_solved_plan_is_found_on_disk_and_a_damaged_one_is_solved_again(
+def test_a_solved_plan_is_loaded_from_disk_and_a_damaged_one_is_solved_again(
     planner, caplog, monkeypatch
 ):
     settings = planner.settings
@@ -102,7 +102,7 @@ def test_a_solved_plan_is_found_on_disk_and_a_damaged_one_is_solved_again(
     assert float(again.choose(0.01, 0.1).distance) == float(planner.choose(0.01, 0.1).distance)
 
 
-def test_while_a_plan_is_solved_another_method_answers(planner, monkeypatch):
+def test_another_method_is_used_while_a_plan_is_solved(planner, monkeypatch):
     gate, solved = threading.Event(), load_policy(planner.settings)
     coarse, asked = threading.Event(), threading.Event()
 
@@ -127,7 +127,7 @@ def test_while_a_plan_is_solved_another_method_answers(planner, monkeypatch):
     assert planner.wait(60.0) and planner.name == "optimal"
 
 
-def test_a_failure_in_the_background_is_kept_and_the_fallback_goes_on(monkeypatch):
+def test_a_failure_in_the_background_is_stored_and_the_fallback_continues(monkeypatch):
     def broken(settings):
         raise MemoryError("no room")
 

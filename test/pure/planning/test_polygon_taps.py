@@ -45,7 +45,7 @@ class StraightPaths:
         return np.hypot(points[..., 0] - self.goal[0], points[..., 1] - self.goal[1])
 
 
-def test_every_tap_is_given_by_a_contact_and_one_trial_is_chosen_for_as_many_are():
+def test_every_tap_has_a_contact_and_single_and_batch_choices_agree():
     pose, goal, first, gains = states(40)
     chosen = contact_taps(pose, goal, first, gains.value, PLANNER, TAP)
     direct = TAP.reachable(first, pose)
@@ -58,7 +58,7 @@ def test_every_tap_is_given_by_a_contact_and_one_trial_is_chosen_for_as_many_are
         assert alone == pytest.approx(chosen[one], abs=1e-12)
 
 
-def test_the_choice_is_that_of_a_session():
+def test_the_choice_matches_that_of_a_session():
     """At least 80 % of the choices are those of a session."""
     pose, goal, first, gains = states(30, seed=8)
     chosen = contact_taps(pose, goal, first, gains.value, PLANNER, TAP)

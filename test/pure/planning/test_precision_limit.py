@@ -21,7 +21,7 @@ def at(tolerance: float, **others: float | CameraNoise | Scatter) -> PlannerSett
 
 
 @pytest.mark.parametrize("tolerance", [1.0, 0.3, 0.1, 0.05])
-def test_the_share_is_that_of_drawn_taps(tolerance: float) -> None:
+def test_the_share_matches_sampled_taps(tolerance: float) -> None:
     settings = at(tolerance)
     rng = np.random.default_rng(2)
     noise = rng.standard_normal((5, 200_000))
@@ -34,7 +34,7 @@ def test_the_share_is_that_of_drawn_taps(tolerance: float) -> None:
     assert smallest_tap_share(settings) == pytest.approx(inside.mean(), abs=0.004)
 
 
-def test_fine_tolerances_are_taken_down_to_what_the_smallest_tap_allows() -> None:
+def test_fine_tolerances_are_accepted_down_to_the_limit_of_the_smallest_tap() -> None:
     assert precision_limit(at(0.1)) == precision_limit(at(0.05)) == ""
     coarse = at(0.05, smallest_distance=0.006)
     refused = precision_limit(coarse)

@@ -66,7 +66,7 @@ poses = st.tuples(st.floats(-0.15, 0.15), st.floats(-0.1, 0.1), st.floats(-math.
     wanted=st.none() | st.floats(-math.pi, math.pi),
 )
 @settings(max_examples=40, deadline=None)
-def test_the_strike_has_the_speed_and_incidence_asked_for(cell, pose, speed, incidence, wanted):
+def test_the_strike_has_the_requested_speed_and_incidence(cell, pose, speed, incidence, wanted):
     space, _, _ = cell
     decision = session(cell, speed, incidence, wanted).decide(pose, in_view=WHOLE_TABLE)
     if isinstance(decision, Refusal):
@@ -91,7 +91,7 @@ def test_the_strike_has_the_speed_and_incidence_asked_for(cell, pose, speed, inc
     luck=st.floats(-2.0, 2.0),
 )
 @settings(max_examples=40, deadline=None)
-def test_the_object_stays_on_the_table_though_the_model_is_wrong(
+def test_the_object_stays_on_the_table_despite_model_errors(
     cell, pose, speed, incidence, friction, restitution, luck
 ):
     """The true motion is computed with other values of friction and restitution than the planned
@@ -111,7 +111,7 @@ def test_the_object_stays_on_the_table_though_the_model_is_wrong(
     assert np.all(np.abs(end) < (0.33, 0.25))
 
 
-def test_the_travel_is_as_near_as_can_be_to_the_direction(cell):
+def test_the_travel_is_as_close_as_possible_to_the_direction(cell):
     _, _, body = cell
     for wanted in np.linspace(-3, 3, 7):
         decision = session(cell, 0.5, 0.3, float(wanted)).decide((0.0, 0.0, 0.2))
@@ -122,7 +122,7 @@ def test_the_travel_is_as_near_as_can_be_to_the_direction(cell):
         assert off < (1e-6 if isinstance(body, Disk) else math.radians(45.1))
 
 
-def test_without_a_direction_the_object_goes_towards_the_middle(cell):
+def test_without_a_direction_the_object_moves_towards_the_middle(cell):
     decision = session(cell, 0.6, 0.2).decide((0.1, -0.08, 1.0))
     assert isinstance(decision, Strike)
     assert math.hypot(decision.predicted.x, decision.predicted.y) < math.hypot(0.1, 0.08)
@@ -147,7 +147,7 @@ def test_a_tap_out_of_the_cameras_view_is_refused(cell, seen):
     assert "reference markers" in refusal.sentence
 
 
-def test_without_slack_an_impossible_direction_is_refused():
+def test_an_impossible_direction_is_refused_without_slack():
     space = StrikeSpace(make_tap(DISK), Workspace(), lambda poses: np.cos(poses[..., 2]) > 0)
     free = FreeSpace(StrikeSpace(make_tap(DISK), Workspace()))
     session = PrescribedSession(
@@ -162,7 +162,7 @@ def test_without_slack_an_impossible_direction_is_refused():
     )
 
 
-def test_it_is_done_after_the_tap_whatever_came_of_it(cell):
+def test_the_task_is_done_after_the_tap_for_any_result(cell):
     made = session(cell, 0.6, 0.2)
     strike = made.decide((0.0, 0.0, 0.0))
     assert isinstance(strike, Strike)
@@ -183,6 +183,6 @@ def test_it_is_done_after_the_tap_whatever_came_of_it(cell):
     ],
     ids=str,
 )
-def test_numbers_that_cannot_be_are_refused(numbers):
+def test_impossible_values_are_refused(numbers):
     with pytest.raises(PlanningError):
         Prescription(*numbers)

@@ -28,7 +28,7 @@ def table(starts: list[tuple[float, float, float]]) -> dict[str, Pose]:
     st.floats(0.01, 0.05),
     st.floats(0.0, 0.06),
 )
-def test_neighbours_keep_the_gap_and_the_layout_is_about_its_middle(
+def test_objects_keep_the_gap_and_the_layout_is_centred(
     preset: str, starts: list[tuple[float, float, float]], radius: float, gap: float
 ) -> None:
     goals = preset_goals(preset, table(starts), radius, MIDDLE, gap)
@@ -43,7 +43,7 @@ def test_neighbours_keep_the_gap_and_the_layout_is_about_its_middle(
 
 
 @given(st.sampled_from(["line", "circle", "grid"]), st.lists(places, min_size=2, max_size=5))
-def test_no_other_assignment_has_shorter_ways(
+def test_no_other_assignment_has_shorter_paths(
     preset: str, starts: list[tuple[float, float, float]]
 ) -> None:
     poses = table(starts)
@@ -54,13 +54,13 @@ def test_no_other_assignment_has_shorter_ways(
         assert way <= other + 1e-9
 
 
-def test_a_swap_exchanges_pairs_and_leaves_an_odd_one() -> None:
+def test_a_swap_exchanges_pairs_and_leaves_an_odd_object_in_place() -> None:
     poses = table([(0.0, 0.0, 1.0), (0.1, 0.0, 2.0), (0.2, 0.1, 0.0)])
     goals = preset_goals("swap", poses, 0.03, MIDDLE)
     assert goals == {"o0": poses["o1"], "o1": poses["o0"]}
 
 
-def test_unknown_presets_and_lone_objects_are_refused() -> None:
+def test_unknown_presets_and_single_objects_are_refused() -> None:
     two = table([(0.0, 0.0, 0.0), (0.1, 0.0, 0.0)])
     with pytest.raises(PlanningError, match="'star'; it must be one of line, circle, grid, swap"):
         preset_goals("star", two, 0.03, MIDDLE)

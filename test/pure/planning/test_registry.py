@@ -12,7 +12,7 @@ from tapping_cell.planning import (
 )
 
 
-def test_the_four_methods_are_there_and_are_planners():
+def test_the_four_methods_are_registered_planners():
     assert planner_names()[:4] == ["exact", "conservative", "multi", "optimal"]
     for name in planner_names()[:4]:
         planner = make_planner(name)

@@ -72,12 +72,12 @@ def test_random_goals_with_biased_gains_end_at_the_goal(name, settings, space, f
         assert abs(float(wrap_angle(goal[2] - end[2]))) <= math.radians(1.0)
 
 
-def test_deciding_twice_is_deciding_once(planner, space, free):
+def test_deciding_twice_gives_the_same_decision(planner, space, free):
     session = PositioningSession((0.05, 0.02, 1.0), planner, space, free)
     assert session.decide((0.0, 0.0, 0.0)) == session.decide((0.0, 0.0, 0.0))
 
 
-def test_done_only_where_the_covariance_allows_it(planner, space, free):
+def test_a_goal_is_done_only_if_the_covariance_allows_it(planner, space, free):
     session = PositioningSession((0.0, 0.0, 0.0), planner, space, free)
     pose = (0.0009, 0.0, 0.0)
     assert isinstance(session.decide(pose, FINE), Done)
@@ -107,7 +107,7 @@ def test_the_covariance_of_the_worse_axis_counts_whatever_its_direction(planner,
         ((0.1, 0.04, 0), RefusalReason.GOAL_IN_KEEP_OUT, "keep-out"),
     ],
 )
-def test_bad_goals_are_refused_before_the_first_tap(tap, planner, goal, reason, words):
+def test_invalid_goals_are_refused_before_the_first_tap(tap, planner, goal, reason, words):
     space = StrikeSpace(tap, Workspace(keep_outs=(CircleArea(0.1, 0.05, 0.02),)))
     session = PositioningSession(goal, planner, space)
     refusal = session.decide((-0.1, 0.0, 0.0))
@@ -125,7 +125,7 @@ def test_a_goal_behind_a_wall_is_refused_before_the_first_tap(tap, planner):
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.NO_PATH_TO_GOAL
 
 
-def test_the_way_around_a_keep_out_is_found(tap, settings):
+def test_a_path_around_a_keep_out_is_found(tap, settings):
     wall = tuple(CircleArea(0.0, y, 0.02) for y in np.arange(-0.22, 0.0, 0.03))
     space = StrikeSpace(tap, Workspace(keep_outs=wall))
     free = FreeSpace(space)
@@ -191,7 +191,7 @@ def test_misses_are_not_repeated_until_every_direction_was_tried(planner, space,
         session.observe(strike, (0, 0, 0), (0, 0, 0))
 
 
-def test_taps_have_an_end(planner, space, free):
+def test_the_number_of_taps_is_limited(planner, space, free):
     session = PositioningSession((0.05, 0.0, 0.0), planner, space, free, most_taps=3)
     rng = np.random.default_rng(0)
     decision, _ = run(session, np.zeros(3), rng, gain=(0.02, 0.0))
@@ -217,7 +217,7 @@ def test_gains_of_an_earlier_run_are_used_at_once(planner, space, free, known):
     assert np.allclose(strike.predicted, (0.05, 0.0, 0.1))
 
 
-def test_plans_are_made_for_the_box_in_which_a_long_look_stops(tap, space, free):
+def test_plans_use_the_stopping_box_of_a_long_observation(tap, space, free):
     settings = PlannerSettings.for_tap(tap, camera=CameraNoise(1e-4, math.radians(0.1)))
     session = PositioningSession((0.0, 0.0, 0.0), make_planner("exact", settings), space, free)
     assert session.stopping(settings.camera.covariance / LONG_OBSERVATION) == settings.stopping
@@ -231,7 +231,7 @@ def with_friction(strike, pose, friction, rng):
 
 @pytest.mark.parametrize("friction", [0.25, 0.35, 0.6, 1.7, 4.0])
 @pytest.mark.parametrize("probe", [False, True])
-def test_with_any_friction_the_object_stays_on_the_table_and_comes_to_its_goal(
+def test_with_any_friction_the_object_stays_on_the_table_and_reaches_its_goal(
     planner, space, free, friction, probe
 ):
     rng = np.random.default_rng(int(100 * friction))
@@ -252,7 +252,7 @@ def test_with_any_friction_the_object_stays_on_the_table_and_comes_to_its_goal(
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("gain", [0.0, 0.02, 0.05, 0.2, 1.0])
-def test_an_object_that_taps_cannot_turn_is_refused_and_any_other_comes_to_its_goal(
+def test_an_object_that_taps_cannot_turn_is_refused_and_any_other_reaches_its_goal(
     planner, space, free, gain, seed
 ):
     rng = np.random.default_rng([seed, int(100 * gain)])
@@ -272,7 +272,9 @@ def test_an_object_that_taps_cannot_turn_is_refused_and_any_other_comes_to_its_g
     assert isinstance(end, Done), end
 
 
-def test_a_mass_off_centre_does_not_hide_that_taps_cannot_turn_an_object(planner, space, free):
+def test_an_object_that_taps_cannot_turn_is_detected_despite_an_off_centre_mass(
+    planner, space, free
+):
     taps = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -341,7 +343,7 @@ def test_an_object_over_the_edge_is_reported_and_never_struck_further_out(planne
                 assert abs(after[1]) <= y + 1e-9
 
 
-def test_after_a_slide_that_nothing_explains_the_next_tap_is_short(planner, space, free, known):
+def test_the_tap_after_an_unexplained_slide_is_short(planner, space, free, known):
     session = PositioningSession((0.2, 0.0, 0.0), planner, space, free, known())
     pose = np.array([-0.15, 0.0, 0.0])
     usual = session.decide(pose)

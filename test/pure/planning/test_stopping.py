@@ -32,7 +32,7 @@ def covariance(x, y, turn, correlation=0.0):
         ((1.0, 0.0, 0.0), covariance(0.015, 0.015, 0.01)),
     ],
 )
-def test_the_probability_of_being_inside_is_that_of_drawn_poses(residual, spread):
+def test_the_probability_of_being_inside_matches_sampled_poses(residual, spread):
     rng = np.random.default_rng(1)
     drawn = rng.multivariate_normal(residual, spread, 1_000_000)
     position = np.mean(np.hypot(drawn[:, 0], drawn[:, 1]) <= 1.0)
@@ -47,7 +47,7 @@ def test_the_probability_of_being_inside_is_that_of_drawn_poses(residual, spread
     st.floats(-1.3, 1.3),
     st.sampled_from([1e-6, 0.015, 0.05, 0.1, 0.25]),
 )
-def test_nothing_is_called_done_that_is_inside_with_less_than_the_confidence(x, y, turn, noise):
+def test_nothing_is_reported_done_below_the_confidence_level(x, y, turn, noise):
     """Independent reference: random samples of the true pose around the observation."""
     found = float(inside_probability((x, y, turn), np.eye(3) * noise**2, 1.0, 1.0))
     if found < CONFIDENCE:
@@ -58,7 +58,7 @@ def test_nothing_is_called_done_that_is_inside_with_less_than_the_confidence(x, 
     assert inside >= CONFIDENCE - 4 * math.sqrt(CONFIDENCE * (1 - CONFIDENCE) / 40_000)
 
 
-def test_a_nearly_perfect_camera_at_the_edge_of_the_box_claims_nothing_that_is_not_so(space, free):
+def test_a_nearly_perfect_camera_makes_no_false_claim_at_the_edge_of_the_box(space, free):
     session = PositioningSession((0, 0, 0), make_planner("exact", PlannerSettings()), space, free)
     spread = covariance(15e-6, 15e-6, 1e-4)
     assert isinstance(session.decide((0.00095, 0, 0), spread), Done)
@@ -66,7 +66,7 @@ def test_a_nearly_perfect_camera_at_the_edge_of_the_box_claims_nothing_that_is_n
         assert not isinstance(session.decide((distance, 0, 0), spread), Done)
 
 
-def test_a_doubtful_look_is_taken_again_before_another_tap(space, free):
+def test_an_uncertain_observation_is_repeated_before_another_tap(space, free):
     session = PositioningSession((0, 0, 0), make_planner("exact", PlannerSettings()), space, free)
     spread = covariance(1e-4, 1e-4, 1e-3)
     doubtful = session.decide((0.0009, 0, 0), spread, observe_again=True)
@@ -85,18 +85,18 @@ def test_a_perfect_camera_uses_the_whole_tolerance():
     assert stopping_box(0.001, 0.02, 0.0, 0.0) == (0.001, 0.02, True)
 
 
-def test_the_papers_camera_is_too_coarse_and_the_box_says_so():
+def test_the_camera_of_the_paper_is_too_coarse_for_the_box():
     box = stopping_box(0.001, math.radians(1.0), 0.0007, math.radians(0.8))
     assert not box.camera_suffices
 
 
-def test_a_share_given_by_the_user_is_taken():
+def test_a_share_given_by_the_user_is_used():
     box = stopping_box(0.002, 0.01, 0.0001, 0.001, 0.5)
     assert (box.distance, box.rotation) == (0.001, 0.005)
 
 
 @pytest.mark.parametrize("relative", [1e-4, 0.01, 0.1, 0.5, 2.0])
-def test_a_round_look_is_judged_as_by_a_fine_quadrature(relative):
+def test_an_isotropic_observation_matches_a_fine_quadrature(relative):
     """Independent reference: the Rice distribution of the distance, integrated numerically."""
     rng = np.random.default_rng(4)
     distance = np.abs(1.0 + relative * rng.normal(0.0, 2.0, 200))
@@ -114,7 +114,7 @@ def test_a_round_look_is_judged_as_by_a_fine_quadrature(relative):
         assert found[index] == pytest.approx(density.sum() * step, abs=1e-6)
 
 
-def test_far_and_near_looks_together_are_judged_as_each_alone():
+def test_far_and_near_observations_give_the_same_result_together_and_alone():
     rng = np.random.default_rng(5)
     residual = rng.uniform(-3.0, 3.0, (50, 3))
     spread = covariance(0.2, 0.1, 0.3, 0.5)

@@ -39,7 +39,7 @@ def outline_gap(space, pose, tip):
 
 @settings(max_examples=60)
 @given(angles, angles, st.floats(0.002, 0.1), st.floats(-0.99, 0.99))
-def test_a_strike_makes_the_displacement_from_its_standoff(space, tap, turn, heading, size, share):
+def test_a_strike_from_its_standoff_gives_the_displacement(space, tap, turn, heading, size, share):
     pose = Pose(0.02, -0.03, turn)
     wanted = np.array(
         [size * math.cos(heading), size * math.sin(heading), share * tap.cone_slope * size]
@@ -57,7 +57,7 @@ def test_a_strike_makes_the_displacement_from_its_standoff(space, tap, turn, hea
     assert outline_gap(space, pose, plan.strike_pose) >= space.settings.clearance - 1e-4
 
 
-def test_taps_beside_a_keep_out_come_from_where_the_tool_has_room(tap):
+def test_taps_beside_a_keep_out_come_from_free_space(tap):
     table = Workspace(keep_outs=(CircleArea(-0.13, 0.0, 0.03),))
     space = StrikeSpace(tap, table)
     planner = make_planner("exact", PlannerSettings.for_tap(tap))
@@ -81,7 +81,7 @@ def one_sided(tap):
     return StrikeSpace(tap, Workspace(), reach)
 
 
-def test_one_elbow_side_that_reaches_is_enough(one_sided):
+def test_one_reachable_elbow_side_is_sufficient(one_sided):
     for x, side in ((-0.2, 0), (0.2, 1)):
         found = one_sided.first_strike(Pose(x, 0.0, 0.0), np.array([[0.0, 0.01, 0.0]]))
         assert found is not None
@@ -89,7 +89,7 @@ def test_one_elbow_side_that_reaches_is_enough(one_sided):
         assert reached[side] and not reached[1 - side]
 
 
-def test_speeds_that_the_striker_cannot_make_are_not_struck(tap):
+def test_unachievable_striker_speeds_are_not_used(tap):
     slow = StrikeSpace(tap, Workspace(), settings=StrikeSettings(fastest=0.3))
     assert slow.first_strike(Pose(0, 0, 0), np.array([[0.1, 0, 0]])) is None
     index, _ = slow.first_strike(Pose(0, 0, 0), np.array([[0.1, 0, 0], [0.005, 0, 0]]))
@@ -113,7 +113,7 @@ def test_a_keep_out_beside_the_path_stops_a_long_tap_only(tap):
     assert bool(space.slide_is_safe((0, 0, 0), [0.04, 0, 0]))
 
 
-def test_places_that_cannot_be_tapped_back_are_not_tappable(tap):
+def test_positions_without_a_return_tap_are_not_tappable(tap):
     """An arm that can only strike towards +x can never move an object back."""
 
     def reach(poses):
@@ -139,7 +139,7 @@ def test_paths_lead_around_a_wall(tap):
     assert not free.to_goal(np.array([0.2, -0.1])).reachable([-0.2, -0.1])
 
 
-def test_the_outline_of_the_tappable_region_has_it_on_one_side_only(tap):
+def test_the_outline_of_the_tappable_region_separates_it_from_the_rest(tap):
     free = FreeSpace(StrikeSpace(tap, Workspace(keep_outs=(CircleArea(0.05, 0.02, 0.03),))))
     edges = free.outline()
     cells = {tuple(cell) for cell in np.round(free.centres[free.tappable], 6)}
@@ -192,7 +192,7 @@ def test_impossible_strikers_are_refused(change):
         StrikeSettings(**change)
 
 
-def test_a_decision_with_limits_and_keep_outs_is_quick(tap):
+def test_a_decision_with_limits_and_keep_outs_is_fast(tap):
     """The target is 20 ms. The median may be up to 100 ms, because the machine may be busy."""
     table = Workspace(keep_outs=(CircleArea(0.1, 0.05, 0.02), CircleArea(-0.1, -0.05, 0.02)))
     space = StrikeSpace(tap, table)

@@ -26,7 +26,7 @@ def test_every_tap_is_in_the_cone_and_between_the_sizes(distance, rotation, vari
 
 
 @given(distances, rotations, variants, lines)
-def test_the_other_sense_is_the_mirror_image(distance, rotation, variant, line):
+def test_the_opposite_sense_of_rotation_gives_the_mirror_image(distance, rotation, variant, line):
     one = two_tap_choice(distance, rotation, SETTINGS[variant], line)
     other = two_tap_choice(distance, -rotation, SETTINGS[variant], line)
     assert float(one.distance) == float(other.distance)
@@ -34,7 +34,7 @@ def test_the_other_sense_is_the_mirror_image(distance, rotation, variant, line):
 
 
 @given(st.floats(0.0017, 0.12), st.floats(-1.0, 1.0), variants, lines)
-def test_inside_the_cone_one_tap_does_it(distance, share, variant, line):
+def test_inside_the_cone_one_tap_is_sufficient(distance, share, variant, line):
     rotation = share * SETTINGS[variant].cone_slope * distance * (1 - 1e-9)
     tap = two_tap_choice(distance, rotation, SETTINGS[variant], line)
     assert float(tap.distance) == pytest.approx(distance)
@@ -45,7 +45,7 @@ def test_inside_the_cone_one_tap_does_it(distance, share, variant, line):
 # just outside the cone
 @example(0.0234375, 0.1875, "overshoot", 0.3, 1.0)
 @example(0.02, 0.13, "overshoot", 0.6, -1.0)
-def test_after_the_first_tap_another_reaches_the_goal_wherever_on_the_error_line(
+def test_a_second_tap_reaches_the_goal_from_anywhere_on_the_error_line(
     distance, rotation, variant, line, error
 ):
     settings = SETTINGS[variant]
@@ -68,14 +68,14 @@ def test_the_papers_task_has_the_published_subgoals():
     assert math.degrees(float(overshoot.rotation)) == pytest.approx(20.0 / 3.0)
 
 
-def test_conservative_taps_farther_than_exact():
+def test_conservative_taps_are_longer_than_exact_ones():
     for settings in SETTINGS.values():
         exact = make_planner("exact", settings).choose(0.010, math.radians(10.0))
         careful = make_planner("conservative", settings).choose(0.010, math.radians(10.0))
         assert abs(float(careful.distance)) > 1.1 * abs(float(exact.distance))
 
 
-def test_choices_are_the_same_one_at_a_time_and_together():
+def test_single_and_batch_choices_agree():
     rng = np.random.default_rng(3)
     r, theta = rng.uniform(0, 0.3, 200), rng.uniform(-3, 3, 200)
     for name in ("exact", "conservative", "multi", "optimal"):

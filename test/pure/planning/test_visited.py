@@ -19,7 +19,7 @@ SHARES = st.floats(0.0, 1.0)
     st.floats(0.0, 10.0),
     st.lists(st.floats(0, 9), max_size=5),
 )
-def test_a_pose_close_to_visited_ones_costs_at_least_the_most_that_was_found(
+def test_a_pose_near_visited_ones_costs_at_least_their_maximum(
     share: float, heading: float, turned: float, estimate: float, costs: list[float]
 ) -> None:
     visited = VisitedPoses(GOAL)
@@ -33,7 +33,7 @@ def test_a_pose_close_to_visited_ones_costs_at_least_the_most_that_was_found(
         assert visited.extra(np.array([far]), np.array([estimate])) == [0.0]
 
 
-def test_the_goal_itself_stays_free_however_close_a_visited_pose_was() -> None:
+def test_the_goal_has_no_cost_however_close_a_visited_pose_was() -> None:
     visited = VisitedPoses(GOAL)
     for distance in (0.0001, 0.001, 0.004, 0.02):
         visited.add(GOAL - [distance, 0.0, 0.0], 50.0)

@@ -22,7 +22,7 @@ def outline_points(vertices, count=4000):
 
 
 @given(st.floats(-0.2, 0.3), st.floats(-0.2, 0.3))
-def test_distance_to_a_polygon_that_is_not_convex(x, y):
+def test_distance_to_a_non_convex_polygon(x, y):
     found = float(PolygonArea(L_SHAPE).distance([x, y]))
     reference = np.min(np.hypot(*(outline_points(L_SHAPE) - [x, y]).T))
     assert abs(found) == pytest.approx(reference, abs=2e-4)
@@ -43,7 +43,7 @@ def test_a_circle_and_a_polygon_of_many_corners_agree(x, y):
     )
 
 
-def test_room_is_what_edges_and_keep_outs_leave():
+def test_clearance_is_limited_by_edges_and_keep_outs():
     table = Workspace(keep_outs=(CircleArea(0.1, 0.0, 0.02),))
     assert float(table.object_clearance([0.0, 0.0])) == pytest.approx(0.1 - 0.02 - 0.005)
     assert float(table.object_clearance([-0.25, 0.0])) == pytest.approx(0.05 - 0.005)

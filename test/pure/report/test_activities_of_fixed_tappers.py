@@ -33,7 +33,7 @@ def tapper(state: int, outcome: int = TapperState.NONE) -> TapperState:
     return TapperState(state=state, outcome=outcome, fixed_mounts=True)
 
 
-def test_a_tap_is_told_by_what_tapper_and_object_did() -> None:
+def test_a_tap_is_described_by_the_activities_of_tapper_and_object() -> None:
     bag = Recorded(
         ("plan_state", 0.0, PlanState(state=PlanState.LOOKING)),
         ("object_state", 0.1, ObjectState(visible=True, at_rest=True)),
@@ -78,6 +78,6 @@ def test_activities_follow_each_other_without_gaps(
     assert all(0.0 <= one.began <= two.began for one, two in itertools.pairwise(found))
 
 
-def test_without_arm_and_fixed_tappers_there_are_none() -> None:
+def test_there_are_no_activities_without_an_arm_or_fixed_tappers() -> None:
     bag = Recorded(("plan_state", 0.0, PlanState(state=PlanState.LOOKING)))
     assert activities(bag, 0.0, 1.0) == ()  # type: ignore[arg-type]

@@ -71,7 +71,7 @@ def write(run: ArrangementRun, folder: Path) -> Path:
     return folder
 
 
-def test_the_file_keeps_everything(run: ArrangementRun, tmp_path: Path) -> None:
+def test_the_file_preserves_every_value(run: ArrangementRun, tmp_path: Path) -> None:
     assert read_arrangement(write(run, tmp_path)) == run
 
 
@@ -88,7 +88,7 @@ def test_consecutive_taps_of_an_object_are_one_move(run: ArrangementRun) -> None
     assert moves[-1].after == {"disk": OTHER, "<b> 2": ONE}
 
 
-def test_the_page_tells_each_object_and_each_reason(run: ArrangementRun) -> None:
+def test_the_page_lists_each_object_and_each_reason(run: ArrangementRun) -> None:
     text = page(run)
     assert headline(run) == "Arrangement reached: 2 objects, 5 taps"
     assert "1. &#x27;&lt;b&gt; 2&#x27; makes way: it is in the way of &#x27;disk&#x27;." in text
@@ -101,7 +101,7 @@ def test_the_page_tells_each_object_and_each_reason(run: ArrangementRun) -> None
     assert "http" not in text
 
 
-def test_an_arrangement_that_failed_says_why(run: ArrangementRun) -> None:
+def test_a_failed_arrangement_gives_its_reason(run: ArrangementRun) -> None:
     failed = replace(
         run,
         error_code=314,
@@ -114,12 +114,12 @@ def test_an_arrangement_that_failed_says_why(run: ArrangementRun) -> None:
     assert "TOO_FEW_FRAMES" in text and "only 4 images" in text and "What to do" in text
 
 
-def test_an_arrangement_without_a_tap_or_any_sight_has_a_page(run: ArrangementRun) -> None:
+def test_an_arrangement_without_taps_or_observations_has_a_page(run: ArrangementRun) -> None:
     blind = replace(run.objects[0], start=None, end=None, end_true=None)
     assert "not seen" in page(replace(run, objects=(blind,), taps=(), contacts=None))
 
 
-def test_the_verb_report_writes_the_page_again(
+def test_the_report_verb_writes_the_page_again(
     run: ArrangementRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = write(run, tmp_path / "runs" / "run")
@@ -132,7 +132,7 @@ def test_the_verb_report_writes_the_page_again(
 
 
 @pytest.mark.parametrize("content", ["{", "{}", '{"run": {"taps": []}}'])
-def test_a_damaged_file_is_refused_in_words(tmp_path: Path, content: str) -> None:
+def test_a_damaged_file_is_refused_with_a_message(tmp_path: Path, content: str) -> None:
     (tmp_path / SUMMARY).write_text(content)
     with pytest.raises(RunError, match=r"arrangement\.json is damaged"):
         read_arrangement(tmp_path)

@@ -50,7 +50,7 @@ def write(folder: Path, count: int = 50) -> None:
                 bag.flush()
 
 
-def test_the_library_of_mcap_reads_messages_definitions_and_profile(tmp_path: Path) -> None:
+def test_the_mcap_library_reads_messages_definitions_and_profile(tmp_path: Path) -> None:
     write(tmp_path / "bag")
     with bag_file(tmp_path / "bag").open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -72,7 +72,7 @@ def test_the_library_of_mcap_reads_messages_definitions_and_profile(tmp_path: Pa
     assert b"MSG: builtin_interfaces/Time" in picture.data
 
 
-def test_the_metadata_is_rosbag2s_and_a_latched_topic_is_played_latched(tmp_path: Path) -> None:
+def test_the_metadata_matches_rosbag2_and_a_latched_topic_is_played_latched(tmp_path: Path) -> None:
     write(tmp_path / "bag")
     content = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
     content = content["rosbag2_bagfile_information"]
@@ -97,7 +97,7 @@ def test_the_metadata_is_rosbag2s_and_a_latched_topic_is_played_latched(tmp_path
     ),
     flush_every=st.integers(1, 10),
 )
-def test_what_is_written_is_read_by_us_and_by_rosbags_alike(
+def test_written_bags_are_read_identically_by_our_reader_and_by_rosbags(
     messages: list[tuple[str, int, str]],
     flush_every: int,
     tmp_path_factory: pytest.TempPathFactory,
@@ -123,9 +123,7 @@ def own_types() -> list[str]:
 
 
 @pytest.mark.parametrize("kind", own_types())
-def test_our_own_messages_explain_themselves_to_a_reader_without_the_package(
-    kind: str, tmp_path: Path
-) -> None:
+def test_our_messages_can_be_read_without_the_package(kind: str, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag:
         bag.add_topic("/state", kind)
         bag.write("/state", 5, b"\x00\x01\x00\x00" + bytes(100))
@@ -138,13 +136,13 @@ def test_our_own_messages_explain_themselves_to_a_reader_without_the_package(
         assert name == "structure_needs_at_least_one_member" or f" {name} " in source
 
 
-def test_a_definition_holds_constants_and_the_definitions_that_it_needs() -> None:
+def test_a_definition_contains_its_constants_and_dependencies() -> None:
     definition, fingerprint = MessageTypes().definition("tapping_cell_msgs/msg/PlanState")
     assert "uint8 REACHED=7" in definition and "MSG: tapping_cell_msgs/TapRecord" in definition
     assert fingerprint.startswith("RIHS01_")
 
 
-def test_the_hash_of_a_type_is_that_of_the_build() -> None:
+def test_the_type_hash_matches_that_of_the_build() -> None:
     try:
         folder = Path(get_package_share_directory("tapping_cell_msgs"))
     except (LookupError, OSError, ValueError):
@@ -170,7 +168,7 @@ def _write_for_ever(folder: Path, flushed: int, ready: multiprocessing.synchroni
     signal.pause()
 
 
-def test_a_killed_writer_leaves_all_that_was_flushed(tmp_path: Path) -> None:
+def test_a_killed_writer_leaves_all_flushed_messages(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     ready = context.Event()
     process = context.Process(target=_write_for_ever, args=(tmp_path / "bag", 40, ready))
@@ -197,7 +195,7 @@ def test_a_killed_writer_leaves_all_that_was_flushed(tmp_path: Path) -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(share=st.floats(0.0, 1.0))
-def test_a_bag_cut_anywhere_gives_the_messages_before_the_cut_or_a_sentence(
+def test_a_truncated_bag_gives_the_messages_before_the_cut_or_an_error(
     share: float, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("cut")
@@ -216,7 +214,7 @@ def test_a_bag_cut_anywhere_gives_the_messages_before_the_cut_or_a_sentence(
 
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 2**32))
-def test_a_bag_with_wrong_bytes_is_refused_in_words_or_read(
+def test_a_bag_with_corrupt_bytes_is_read_or_refused_with_a_message(
     seed: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("wrong")
@@ -247,7 +245,7 @@ def test_a_bag_is_never_overwritten(tmp_path: Path) -> None:
         ("tapping_cell_msgs/msg/Nothing", "there is no"),
     ],
 )
-def test_an_unknown_type_is_refused_in_words(kind: str, words: str, tmp_path: Path) -> None:
+def test_an_unknown_type_is_refused_with_a_message(kind: str, words: str, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as bag, pytest.raises(UnknownMessageType, match=words):
         bag.add_topic("/x", kind)
 
@@ -263,7 +261,7 @@ def test_a_message_of_an_unknown_topic_or_a_closed_bag_is_refused(tmp_path: Path
         bag.write("/x", 1, b"")
 
 
-def test_what_is_no_bag_is_refused_in_words(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_bag_is_refused_with_a_message(tmp_path: Path) -> None:
     for name, content in (("a.mcap", b"hello"), ("b.mcap", b""), ("c.mcap", b"\x89MCAP0\r\n")):
         (tmp_path / name).write_bytes(content)
     with pytest.raises(BagError, match="not an MCAP"):

@@ -30,5 +30,5 @@ def test_every_code_is_reported_somewhere_in_the_package() -> None:
     assert declared <= {a or b for a, b in used}
 
 
-def test_a_code_of_a_later_version_has_no_hint_and_its_number_for_a_name() -> None:
+def test_a_code_of_a_later_version_has_no_hint_and_is_named_by_its_number() -> None:
     assert (error_codes.name(999), error_codes.hint(999)) == ("999", "")

@@ -73,7 +73,7 @@ def make(folder: Path, made: MadeRun) -> Path:
     return made.write(folder)
 
 
-def test_the_folder_holds_its_files_and_they_agree(tmp_path: Path) -> None:
+def test_the_folder_contains_its_files_and_they_agree(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS, errors=[(3.0, 512, "busy <b>")]))
     run = write_folder(folder)
     content = json.loads((folder / "summary.json").read_text())
@@ -104,7 +104,7 @@ def test_the_folder_holds_its_files_and_they_agree(tmp_path: Path) -> None:
     assert "distance 1.25 \u00b1 0.04" in report.text
 
 
-def test_picture_and_page_are_made_again_from_summary_and_taps_alone(tmp_path: Path) -> None:
+def test_figure_and_page_are_regenerated_from_summary_and_taps_alone(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS, errors=[(3.0, 512, "busy")]))
     first = write_folder(folder, pictures=False)
     again = read_run(folder)
@@ -125,7 +125,7 @@ def test_picture_and_page_are_made_again_from_summary_and_taps_alone(tmp_path: P
         assert astuple(one.learnt) == pytest.approx(astuple(other.learnt), abs=1e-6)
 
 
-def test_the_table_of_an_earlier_version_is_read_without_what_was_learnt(tmp_path: Path) -> None:
+def test_the_table_of_an_earlier_version_is_read_without_learnt_values(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS))
     write_folder(folder, pictures=False)
     with (folder / "taps.csv").open() as stream:
@@ -183,7 +183,9 @@ def test_the_table_of_an_earlier_version_is_read_without_what_was_learnt(tmp_pat
         "namespace",
     ],
 )
-def test_every_end_is_told_truly(made: MadeRun, outcome: str, words: str, tmp_path: Path) -> None:
+def test_every_result_is_reported_correctly(
+    made: MadeRun, outcome: str, words: str, tmp_path: Path
+) -> None:
     folder = make(tmp_path / "run", made)
     run = write_folder(folder, pictures=False)
     content = json.loads((folder / "summary.json").read_text())
@@ -193,7 +195,7 @@ def test_every_end_is_told_truly(made: MadeRun, outcome: str, words: str, tmp_pa
     assert words in Page(page(read_illustrated_run(folder / "bag"))).text
 
 
-def test_a_run_without_start_or_goal_is_drawn_too(tmp_path: Path) -> None:
+def test_a_run_without_start_or_goal_is_plotted(tmp_path: Path) -> None:
     refused = MadeRun(STOPS[:1], refused=True, state=8, code=101, goal=Pose(math.nan, 0, 0))
     illustrated = read_illustrated_run(make(tmp_path / "run", refused) / "bag")
     for name, run in (
@@ -205,7 +207,7 @@ def test_a_run_without_start_or_goal_is_drawn_too(tmp_path: Path) -> None:
         assert "Goal refused" in Page(page(IllustratedRun(run, ()))).text
 
 
-def test_the_bag_of_a_killed_recorder_tells_the_run_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_the_bag_of_a_killed_recorder_gives_a_report_up_to_its_end(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS))
     file = bag_file(folder / "bag")
     whole = read_bag(file)
@@ -227,13 +229,13 @@ def test_a_recorder_that_saw_the_object_only_after_a_tap_knows_the_start(tmp_pat
     assert run.start == pytest.approx(STOPS[0])
 
 
-def test_a_bag_without_a_goal_is_refused_in_words(tmp_path: Path) -> None:
+def test_a_bag_without_a_goal_is_refused_with_a_message(tmp_path: Path) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS[:1], end_reported=False, refused=True))
     with pytest.raises(BagError, match="contains no goal"):
         read_illustrated_run(folder / "bag")
 
 
-def test_a_failure_before_any_goal_has_its_code_and_sentence(tmp_path: Path) -> None:
+def test_a_failure_before_any_goal_has_its_code_and_message(tmp_path: Path) -> None:
     write_failure(tmp_path, 902, "the cell was not ready", 1, 3.0)
     content = json.loads((tmp_path / "summary.json").read_text())
     assert content["error_code"] == 902 and content["reached"] is False
@@ -258,7 +260,9 @@ def test_a_failure_completes_an_unfinished_run_and_no_other(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("name", "content"), [("summary.json", "{"), ("summary.json", "{}"), ("taps.csv", "tap\nx\n")]
 )
-def test_a_damaged_folder_is_refused_in_words(name: str, content: str, tmp_path: Path) -> None:
+def test_a_damaged_folder_is_refused_with_a_message(
+    name: str, content: str, tmp_path: Path
+) -> None:
     folder = make(tmp_path / "run", MadeRun(STOPS))
     write_folder(folder, pictures=False)
     (folder / name).write_text(content)
@@ -266,7 +270,7 @@ def test_a_damaged_folder_is_refused_in_words(name: str, content: str, tmp_path:
         read_run(folder)
 
 
-def test_a_missing_folder_is_refused_in_words(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused_with_a_message(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="cannot be read"):
         read_run(tmp_path)
 
@@ -275,7 +279,9 @@ poses = st.builds(Pose, st.floats(-1, 1), st.floats(-1, 1), st.floats(-10, 10))
 
 
 @given(goal=poses, pose=poses)
-def test_residuals_are_short_ways_round_and_decide_what_is_inside(goal: Pose, pose: Pose) -> None:
+def test_residuals_use_the_shortest_rotation_and_decide_what_is_inside(
+    goal: Pose, pose: Pose
+) -> None:
     left = residual(goal, pose)
     assert left is not None
     assert 0 <= left["rotation_deg"] <= 180 + 1e-9
@@ -293,7 +299,7 @@ def test_residuals_are_short_ways_round_and_decide_what_is_inside(goal: Pose, po
         max_size=5,
     )
 )
-def test_a_run_of_any_taps_is_read_back_as_it_was(
+def test_a_run_with_any_taps_is_read_back_unchanged(
     stops: list[Pose], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("run")
@@ -307,7 +313,7 @@ def test_a_run_of_any_taps_is_read_back_as_it_was(
     assert re.fullmatch("reached|not truly reached", run.outcome)
 
 
-def test_the_time_is_told_by_what_the_devices_did(tmp_path: Path) -> None:
+def test_the_time_is_divided_by_device_activity(tmp_path: Path) -> None:
     run = write_folder(make(tmp_path / "run", MadeRun(STOPS)), pictures=False)
     assert [step.name for step in run.activities[:5]] == [
         "the arm travels",

@@ -43,11 +43,11 @@ def tap(number: int = 1, **changed: Any) -> TapRow:
     return TapRow(**{**plain, **changed})
 
 
-def test_a_tap_of_a_cell_with_several_tappers_names_its_own() -> None:
+def test_a_tap_of_a_cell_with_several_tappers_names_its_tapper() -> None:
     assert tap_sentence(tap(tapper="north"), None).startswith("Tapper 'north'. Expected")
 
 
-def test_the_expected_effort_is_told_if_the_planner_knew_it() -> None:
+def test_the_expected_effort_is_shown_if_the_planner_provides_it() -> None:
     text = tap_sentence(tap(expected_taps=2.23, expected_seconds=5.94), Pose(0.04, 0.0, 0.2))
     assert text.endswith("Expected effort before the tap: 2.2 taps, 5.9 s to the goal.")
     assert "1.0 taps to the goal" in tap_sentence(tap(expected_taps=1.0), None)
@@ -63,31 +63,31 @@ def test_the_expected_effort_is_told_if_the_planner_knew_it() -> None:
         (Pose(0.09, 0.0, 0.2), "The tap stops 50.0 mm short of the goal on purpose"),
     ],
 )
-def test_the_purpose_of_a_tap_is_told(goal: Pose, words: str) -> None:
+def test_the_purpose_of_a_tap_is_shown(goal: Pose, words: str) -> None:
     text = tap_sentence(tap(), goal)
     assert words in text
     assert "Expected to move the object by 40.0 mm and +11.5 deg" in text
     assert "measured 41.0 mm and +12.0 deg, within the scatter of a tap." in text
 
 
-def test_a_reason_that_the_planner_gave_is_told_in_its_words() -> None:
+def test_a_reason_given_by_the_planner_is_shown_unchanged() -> None:
     text = tap_sentence(tap(reason="a tap in this direction was skipped"), Pose(0.01, 0.0, 0.2))
     assert "because a tap in this direction was skipped." in text and "on purpose" not in text
 
 
-def test_a_result_far_from_what_was_expected_is_called_so() -> None:
+def test_an_unexpected_result_is_described_as_such() -> None:
     text = tap_sentence(tap(measured=Pose(0.02, 0.0, 0.1)), None)
     assert "outside the range of 95 % of taps" in text
     assert "within the scatter" not in text
 
 
-def test_the_word_for_scatter_holds_for_95_of_100_taps() -> None:
+def test_the_description_of_scatter_is_correct_for_95_of_100_taps() -> None:
     draws = np.random.default_rng(3).multivariate_normal([0.04, 0.0, 0.2], np.array(SPREAD), 1500)
     text = [tap_sentence(tap(measured=Pose(*draw)), None) for draw in draws]
     assert np.mean(["within the scatter" in each for each in text]) == pytest.approx(0.95, abs=0.02)
 
 
-def test_a_tap_that_was_never_seen_is_not_judged() -> None:
+def test_a_tap_without_an_observation_is_not_judged() -> None:
     unseen = Pose(math.nan, math.nan, math.nan)
     text = tap_sentence(tap(measured=unseen), Pose(0.1, 0.0, 0.0))
     assert "the object was not seen afterwards" in text and "nan" not in text
@@ -99,7 +99,7 @@ places = st.builds(Pose, st.floats(-0.2, 0.2), st.floats(-0.15, 0.15), angles)
 
 @given(st.lists(places, min_size=2, max_size=6))
 @settings(max_examples=40, deadline=None)
-def test_the_film_shows_every_pose_and_turns_the_short_way(poses: list[Pose]) -> None:
+def test_the_animation_shows_every_pose_and_the_shortest_rotation(poses: list[Pose]) -> None:
     taps = tuple(
         tap(index + 1, before=before, measured=after)
         for index, (before, after) in enumerate(pairwise(poses))
@@ -140,7 +140,7 @@ def test_the_film_shows_every_pose_and_turns_the_short_way(poses: list[Pose]) ->
     assert len(drawn) < 20_000
 
 
-def test_a_run_without_a_tap_has_no_film() -> None:
+def test_a_run_without_a_tap_has_no_animation() -> None:
     empty = Run(
         name="made",
         goal=None,

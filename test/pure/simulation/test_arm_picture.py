@@ -50,7 +50,7 @@ def test_the_striker_is_where_the_tip_is() -> None:
         assert bool(seen[int(row), int(column)]) is covered
 
 
-def test_the_parked_arm_covers_nothing_that_the_camera_needs() -> None:
+def test_the_parked_arm_occludes_nothing_that_the_camera_needs() -> None:
     seen = changed(solids(CELL.file.arm.park))
     places = [(marker.x, marker.y) for marker in CELL.references.markers]
     places += [(0.2 * x, 0.15 * y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
@@ -58,7 +58,7 @@ def test_the_parked_arm_covers_nothing_that_the_camera_needs() -> None:
         assert not seen[row - 20 : row + 20, column - 20 : column + 20].any()
 
 
-def test_a_covered_object_is_not_accepted_and_found_again() -> None:
+def test_an_occluded_object_is_rejected_and_found_again() -> None:
     tracker = PoseTracker(CELL.camera, CELL.references, CELL.object.seen())
     park, over = np.array(CELL.file.arm.park), reaching()
     accepted = []

@@ -75,7 +75,7 @@ class Camera:
 
 
 @pytest.mark.parametrize("too_strong", [1, 0])
-def test_after_a_true_contact_both_objects_are_brought_to_their_goals(too_strong: int) -> None:
+def test_after_a_contact_both_objects_are_brought_to_their_goals(too_strong: int) -> None:
     """The first ``too_strong`` taps have three times the planned speed. The first disk therefore
     hits the other one, although the planner leaves a clearance for slides of several times the
     planned length. Without such taps, the disks do not touch."""

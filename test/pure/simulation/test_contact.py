@@ -60,7 +60,7 @@ def collided(
     striker_mass=st.floats(0.02, 0.5),
     ring=st.booleans(),
 )
-def test_a_free_striker_launches_a_round_body_as_the_closed_form_says(
+def test_a_free_striker_launches_a_round_body_as_in_the_closed_form(
     speed: float,
     incidence: float,
     along: float,
@@ -100,7 +100,7 @@ def test_a_free_striker_launches_a_round_body_as_the_closed_form_says(
     friction=st.floats(0.05, 0.8),
     constraint=st.sampled_from(["free", "linear_bearings"]),
 )
-def test_off_centre_it_is_the_impact_with_energetic_restitution(
+def test_an_off_centre_contact_matches_the_impact_with_energetic_restitution(
     incidence: float,
     along: float,
     restitution: float,
@@ -162,7 +162,7 @@ def energetic(
     friction=st.floats(0.0, 1.0),
     along=st.floats(-0.039, 0.039),
 )
-def test_a_contact_never_makes_energy(
+def test_a_contact_never_creates_energy(
     incidence: float, stiffness: float, restitution: float, friction: float, along: float
 ) -> None:
     striker = Striker(0.1, 0.0054, "free")
@@ -176,13 +176,13 @@ def test_a_contact_never_makes_energy(
     assert energy <= striker.mass * 0.5**2 / 2 * 1.001
 
 
-def test_the_contact_lasts_as_long_as_the_truth_says() -> None:
+def test_the_contact_has_the_duration_of_the_simulation_parameters() -> None:
     law = ContactLaw(1.0, 0.2, 3e-4)
     _, _, time = collided(DISK, Striker(0.1, 0.0054, "free"), law, 0.0, 0.0, 0.3)
     assert time == pytest.approx(3e-4, rel=0.02)
 
 
-def test_a_contact_that_is_compliant_along_the_tangent_gives_back_of_the_sliding() -> None:
+def test_a_tangentially_compliant_contact_returns_sliding_energy() -> None:
     """A rigid contact that sticks keeps no sliding velocity; a tangential spring returns part of it
     in the opposite direction."""
     striker = Striker(0.1, 0.0054, "free")

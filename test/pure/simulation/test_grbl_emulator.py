@@ -41,7 +41,7 @@ def exchange(emulator: GrblEmulator, data: bytes, at: float, until: float) -> li
         (b"$110=1.2.3\n", 2),
     ],
 )
-def test_error_numbers(line: bytes, code: int) -> None:
+def test_error_numbers_match_grbl(line: bytes, code: int) -> None:
     assert exchange(board(), line, 1.0, 2.0) == [f"error:{code}"]
 
 
@@ -70,7 +70,7 @@ def test_a_move_is_a_trapezoid_within_rate_and_acceleration() -> None:
     assert end == pytest.approx(90 / rate + rate / pull, abs=2e-3)
 
 
-def test_hold_brakes_and_resume_goes_on() -> None:
+def test_hold_brakes_and_resume_continues() -> None:
     emulator = board()
     exchange(emulator, b"G1X90F1200\n", 1.0, 2.0)
     emulator.receive(b"!", 2.0)
@@ -83,7 +83,7 @@ def test_hold_brakes_and_resume_goes_on() -> None:
     assert math.degrees(emulator.joints(20.0)[0]) == pytest.approx(90)
 
 
-def test_reset_in_motion_is_alarm_3_and_loses_the_place() -> None:
+def test_reset_in_motion_is_alarm_3_and_loses_the_position() -> None:
     emulator = board()
     exchange(emulator, b"G1X90F1200\n", 1.0, 2.0)
     replies = exchange(emulator, b"\x18", 2.0, 2.1)
@@ -95,7 +95,7 @@ def test_reset_in_motion_is_alarm_3_and_loses_the_place() -> None:
     assert not emulator.moving(3.0)
 
 
-def test_reset_at_rest_keeps_the_place_and_forgets_the_modes() -> None:
+def test_reset_at_rest_keeps_the_position_and_resets_the_modes() -> None:
     emulator = board()
     exchange(emulator, b"G92X7\nG18\nG91\n", 1.0, 2.0)
     assert "G18" in exchange(emulator, b"$G\n", 2.0, 2.1)[0]
@@ -105,7 +105,7 @@ def test_reset_at_rest_keeps_the_place_and_forgets_the_modes() -> None:
     assert "[G92:0.000,0.000,0.000,0.000]" in exchange(emulator, b"$#\n", 5.0, 5.1)
 
 
-def test_the_offset_is_reported_at_once_after_a_change_and_now_and_then() -> None:
+def test_the_offset_is_reported_after_a_change_and_periodically() -> None:
     emulator = board()
     first = [exchange(emulator, b"?", 1 + i * 0.1, 1.05 + i * 0.1)[0] for i in range(40)]
     shown = [i for i, report in enumerate(first) if "WCO" in report]
@@ -114,7 +114,7 @@ def test_the_offset_is_reported_at_once_after_a_change_and_now_and_then() -> Non
     assert "WCO:-3.000" in exchange(emulator, b"?", 11.0, 11.1)[0]
 
 
-def test_lines_wait_for_room_and_all_are_run() -> None:
+def test_lines_wait_for_buffer_space_and_all_are_executed() -> None:
     emulator = board()
     sent = b"".join(b"G1X%dF6000\n" % (i % 2) for i in range(1, 9))
     replies = exchange(emulator, sent, 1.0, 30.0)
@@ -126,7 +126,7 @@ def test_lines_wait_for_room_and_all_are_run() -> None:
     assert not emulator.moving(60.0)
 
 
-def test_backlash_and_offset_are_in_the_truth_alone() -> None:
+def test_backlash_and_offset_affect_only_the_true_position() -> None:
     play = math.radians(0.5)
     emulator = board(errors=AxisErrors(offset=(0.01, 0, 0, 0), backlash=(play, 0, 0, 0)))
     exchange(emulator, b"G1X30F6000\n", 1.0, 5.0)

@@ -38,7 +38,7 @@ def test_wrong_lines(board: MarlinEmulator, sent: bytes, why: str) -> None:
     assert exchange(board, sent, 1.0, 2.0) == [f"Error:{why}, Last Line: 1", "Resend: 2", "ok"]
 
 
-def test_a_duplicate_is_met_with_silence_and_the_next_number_works(board: MarlinEmulator) -> None:
+def test_a_duplicate_gets_no_reply_and_the_next_number_is_accepted(board: MarlinEmulator) -> None:
     assert exchange(board, line(1, "G21"), 1.0, 5.0) == []
     assert exchange(board, line(2, "G21"), 5.0, 6.0) == ["ok"]
 
@@ -47,7 +47,7 @@ def test_an_unknown_code(board: MarlinEmulator) -> None:
     assert exchange(board, line(2, "M9999"), 1.0, 2.0) == ['echo:Unknown command: "M9999"', "ok"]
 
 
-def test_a_slow_move_says_busy_and_m114_runs_ahead(board: MarlinEmulator) -> None:
+def test_a_slow_move_reports_busy_and_m114_runs_ahead(board: MarlinEmulator) -> None:
     assert exchange(board, line(2, "G1 X100 F600"), 1.0, 1.1) == ["ok"]
     position = exchange(board, line(3, "M114"), 1.1, 1.2)[0]
     assert position.startswith("X:100.00") and " Count X:" in position
@@ -56,7 +56,7 @@ def test_a_slow_move_says_busy_and_m114_runs_ahead(board: MarlinEmulator) -> Non
     assert exchange(board, b"", 10.0, 12.0) == ["ok"]
 
 
-def test_kill_while_moving_then_mute_until_reset(board: MarlinEmulator) -> None:
+def test_a_kill_during_motion_silences_the_board_until_reset(board: MarlinEmulator) -> None:
     exchange(board, line(2, "G1 X100 F600"), 1.0, 1.1)
     exchange(board, b"M112\n", 2.0, 2.05)
     assert not board.moving(2.06)

@@ -32,7 +32,9 @@ def play(pace: Pace, ticks: list[float], launch: float, slide: float) -> list[tu
     slow_motion=st.sampled_from([1.0, 3.0]),
 )
 @settings(max_examples=60, deadline=None)
-def test_a_slide_is_evenly_sampled_by_a_late_machine(late: list[float], slow_motion: float) -> None:
+def test_a_slide_is_evenly_sampled_on_a_slow_computer(
+    late: list[float], slow_motion: float
+) -> None:
     ticks = (np.cumsum(np.full(300, PERIOD) + np.array(late) * (np.arange(300) % 3 == 0))).tolist()
     launch, slide = 1.5, 0.3
     taken = play(Pace(PERIOD, slow_motion), ticks, launch, slide)
@@ -45,13 +47,13 @@ def test_a_slide_is_evenly_sampled_by_a_late_machine(late: list[float], slow_mot
     assert len(steps) >= 0.9 * slide / PERIOD
 
 
-def test_at_rest_the_worlds_time_is_the_machines() -> None:
+def test_at_rest_the_simulated_time_matches_the_computer_clock() -> None:
     pace = Pace(PERIOD, 4.0)
     for now in (1.0, 1.03, 1.5, 9.0):
         assert pace.next_picture(now, at_rest=True) == now
 
 
-def test_after_a_slide_the_world_catches_up() -> None:
+def test_the_simulated_time_catches_up_after_a_slide() -> None:
     pace = Pace(PERIOD)
     ticks = [1.0 + 0.2 * k for k in range(60)]
     taken = play(pace, ticks, launch=1.5, slide=0.2)
@@ -60,7 +62,7 @@ def test_after_a_slide_the_world_catches_up() -> None:
     assert max(lag) > 0.5
 
 
-def test_slow_motion_takes_so_many_times_longer() -> None:
+def test_slow_motion_extends_a_slide_by_its_factor() -> None:
     ticks = [1.0 + k * PERIOD for k in range(600)]
     spans = []
     for slow_motion in (1.0, 5.0):

@@ -82,7 +82,7 @@ def test_the_marker_lies_where_it_should_to_a_few_thousandths_of_a_pixel(scene):
     assert np.sqrt(np.mean(left**2)) < 0.02 * answer[0]
 
 
-def test_noise_light_and_seed():
+def test_noise_and_light_are_applied_and_depend_on_the_seed():
     settings = SceneSettings(noise=3.0, light_falloff=0.5)
     first, again, other = (
         SceneRenderer(CAMERA, POSE, REFERENCES, DISK, MARKER, settings, seed=s) for s in (1, 1, 2)
@@ -114,7 +114,7 @@ def test_the_object_leaves_no_trace_and_may_leave_the_image(scene):
     assert not np.array_equal(half_out, empty)
 
 
-def test_the_side_wall_shows_towards_the_camera(scene):
+def test_the_side_wall_is_visible_towards_the_camera(scene):
     """The camera is above the middle. A disk on the right hides the table only beyond the outer
     edge of its top."""
     pose = np.array([0.25, -0.02, 0.0])
@@ -129,7 +129,7 @@ def test_the_side_wall_shows_towards_the_camera(scene):
     assert wall < image[row, round(inner_top) + 6] - 10
 
 
-def test_an_occluder_covers(scene):
+def test_an_occluder_hides_the_object(scene):
     square = 0.05 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     cover = Occluder(np.column_stack([square + HOME[:2], np.full(4, 0.1)]), 45.0)
     image = scene.render(HOME, occluders=[cover])
@@ -139,7 +139,7 @@ def test_an_occluder_covers(scene):
     assert np.mean(uncovered == 45) < 0.05
 
 
-def test_coverage_of_a_polygon_is_its_area():
+def test_pixel_coverage_of_a_polygon_equals_its_area():
     random = np.random.default_rng(0)
     for _ in range(10):
         angle = np.sort(random.uniform(0, 2 * np.pi, 7))
@@ -155,7 +155,7 @@ def test_coverage_of_a_polygon_is_its_area():
         assert np.all((inside > polygon.min(axis=0)) & (inside < polygon.max(axis=0)))
 
 
-def test_a_frame_takes_little_of_its_33_ms(scene):
+def test_rendering_a_frame_takes_a_small_part_of_33_ms(scene):
     def least(frames: int, step: float) -> float:
         """Return the shortest processor time of a frame, ms. It is hardly affected by other
         programs."""

@@ -40,7 +40,7 @@ def test_every_object_is_found_where_it_lies() -> None:
         assert np.hypot(*(np.array(observation.pose)[:2] - true[:2])) < 5e-4
 
 
-def test_what_has_moved_leaves_no_trace_and_the_rest_stays() -> None:
+def test_a_moved_object_leaves_no_trace_and_the_others_stay() -> None:
     renderer, fresh = scene(0.0), scene(0.0)
     first = renderer.render(POSES)
     moved = POSES.copy()
@@ -52,7 +52,7 @@ def test_what_has_moved_leaves_no_trace_and_the_rest_stays() -> None:
     assert not np.array_equal(first, fresh.render(moved))
 
 
-def test_two_that_move_side_by_side_are_both_drawn() -> None:
+def test_two_objects_moving_side_by_side_are_both_rendered() -> None:
     renderer = scene(0.0)
     close = np.array([[0.0, 0.0, 0.0], [0.105, 0.0, 0.0]])
     step = np.array([0.002, 0.0, 0.0])
@@ -64,7 +64,7 @@ def test_two_that_move_side_by_side_are_both_drawn() -> None:
     assert abs(np.mean(columns) - where[0]) < 40 and abs(np.mean(rows) - where[1]) < 40
 
 
-def test_objects_of_one_look_are_drawn_alike() -> None:
+def test_objects_of_the_same_appearance_are_rendered_identically() -> None:
     disk = SceneObject(np.asarray(CELL.outline()), CELL.object.seen())
     renderer = make_renderer(
         CELL, replace(CameraTruth(), noise=0.0), np.asarray(CELL.outline()), 1, [disk]
@@ -75,7 +75,7 @@ def test_objects_of_one_look_are_drawn_alike() -> None:
     assert one.mean() != pytest.approx(renderer.render(np.array([[-0.1, 0.0, 0.0]])).mean())
 
 
-def test_a_further_object_is_found_again_where_somebody_put_it() -> None:
+def test_an_object_placed_by_hand_is_found_again() -> None:
     renderer = scene()
     seen = [CELL.object.seen(), SQUARE.seen()]
     settings = TrackerSettings(other_ids=marker_ids(seen))
@@ -93,7 +93,7 @@ def test_a_further_object_is_found_again_where_somebody_put_it() -> None:
     assert found and np.hypot(*(np.array(found[-1])[:2] - moved[1][:2])) < 5e-4
 
 
-def test_objects_keep_their_names_through_occlusion_and_exchanged_places() -> None:
+def test_objects_keep_their_names_after_occlusion_and_swapped_places() -> None:
     renderer = scene()
     seen = [CELL.object.seen(), SQUARE.seen()]
     settings = TrackerSettings(other_ids=marker_ids(seen))
@@ -118,7 +118,7 @@ def test_objects_keep_their_names_through_occlusion_and_exchanged_places() -> No
             assert np.hypot(*(other - poses[1])[:2]) < 5e-4
 
 
-def test_looking_at_others_changes_nothing_of_the_first_object() -> None:
+def test_observing_other_objects_does_not_affect_the_first_object() -> None:
     seen = [CELL.object.seen(), SQUARE.seen()]
     settings = TrackerSettings(other_ids=marker_ids(seen))
     renderer = scene()
@@ -134,7 +134,9 @@ def test_looking_at_others_changes_nothing_of_the_first_object() -> None:
 
 @pytest.mark.parametrize("rate", [3.0, 30.0])
 @pytest.mark.parametrize("turn", [1, 7])
-def test_an_object_at_rest_is_known_to_rest_however_rare_its_turn(rate: float, turn: int) -> None:
+def test_an_object_at_rest_is_reported_at_rest_however_rarely_it_is_measured(
+    rate: float, turn: int
+) -> None:
     renderer = scene()
     seen = [CELL.object.seen(), SQUARE.seen()]
     settings = TrackerSettings(other_ids=marker_ids(seen))
@@ -151,7 +153,7 @@ def test_an_object_at_rest_is_known_to_rest_however_rare_its_turn(rate: float, t
     assert settled and all(settled) and len(since) == 1
 
 
-def test_every_frame_is_measured_while_somebody_waits_for_a_longer_observation() -> None:
+def test_every_frame_is_measured_while_a_longer_observation_is_requested() -> None:
     renderer = scene()
     seen = [CELL.object.seen(), SQUARE.seen()]
     settings = TrackerSettings(other_ids=marker_ids(seen))

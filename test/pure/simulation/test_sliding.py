@@ -39,7 +39,7 @@ def slide_of(
     torque_factor=st.floats(0.5, 4.0),
     body=st.sampled_from([DISK, Ring(radius=0.04, mass=0.2, height=0.01), SQUARE]),
 )
-def test_a_uniform_body_slides_as_the_closed_forms_say(
+def test_a_uniform_body_slides_as_in_the_closed_forms(
     speed: float, spin: float, friction: float, torque_factor: float, body: Disk | Ring | Polygon
 ) -> None:
     law = replace(PLAIN, friction=friction, torque_factor=torque_factor)
@@ -54,7 +54,7 @@ def test_a_uniform_body_slides_as_the_closed_forms_say(
 
 @settings(max_examples=8, deadline=None)
 @given(vx=st.floats(0.05, 0.5), spin=st.floats(-8.0, 8.0), anisotropy=st.floats(0.5, 2.0))
-def test_the_steps_are_short_enough_for_every_law_at_once(
+def test_the_time_steps_are_short_enough_for_all_friction_laws_combined(
     vx: float, spin: float, anisotropy: float
 ) -> None:
     """The reference integrates the same forces with another method and a small tolerance."""
@@ -103,7 +103,7 @@ def test_without_spin_it_is_a_straight_slide_of_v_squared_over_two_mu_g(
 
 @settings(max_examples=10, deadline=None)
 @given(vx=st.floats(-0.5, 0.5), vy=st.floats(-0.5, 0.5), spin=st.floats(-8.0, 8.0))
-def test_energy_never_grows(vx: float, vy: float, spin: float) -> None:
+def test_energy_never_increases(vx: float, vy: float, spin: float) -> None:
     body = Polygon(((0.04, 0.0), (0.0, 0.05), (-0.03, -0.02)), mass=0.3, height=0.01)
     law = replace(PLAIN, torque_factor=2.0, anisotropy=1.7, grain=1.0, slow_rise=-0.3, viscous=1.0)
     slide = slide_of(body, law)
@@ -115,7 +115,7 @@ def test_energy_never_grows(vx: float, vy: float, spin: float) -> None:
         motion, _ = slide.step(motion)
 
 
-def test_a_tilted_table_draws_downhill_but_does_not_move_what_rests() -> None:
+def test_a_tilted_table_deflects_slides_but_does_not_move_objects_at_rest() -> None:
     tilted = slide_of(DISK, replace(PLAIN, slope=(0.02, 0.0)))
     speed, pull = 0.3, GRAVITY * math.sin(0.02)
     end, _ = tilted.rest(Motion(0.0, 0.0, 0.0, speed))
@@ -128,7 +128,7 @@ def test_a_tilted_table_draws_downhill_but_does_not_move_what_rests() -> None:
 
 
 @pytest.mark.parametrize(("heading", "power"), [(0.4, -0.5), (0.4 + math.pi / 2, 0.5)])
-def test_the_grain_brakes_less_along_than_across(heading: float, power: float) -> None:
+def test_friction_is_lower_along_the_grain_than_across(heading: float, power: float) -> None:
     """The friction is mu / sqrt(ratio) along the grain and mu sqrt(ratio) across it."""
     ratio, speed = 1.6, 0.3
     slide = slide_of(DISK, replace(PLAIN, anisotropy=ratio, grain=0.4))
@@ -150,7 +150,7 @@ def test_friction_that_depends_on_speed() -> None:
     assert end.x == pytest.approx(quad(share, 0, 0.25)[0], rel=1e-3)
 
 
-def test_a_patch_has_its_own_friction() -> None:
+def test_a_table_patch_has_its_own_friction() -> None:
     """The object slides onto a patch that covers a half-plane and loses energy there at another
     rate."""
     law = replace(PLAIN, patches=((1.05, 0.0, 1.0, 2.5),))
@@ -163,7 +163,7 @@ def test_a_patch_has_its_own_friction() -> None:
     assert end.x == pytest.approx(0.3**2 / (0.17 * GRAVITY), rel=1e-3)
 
 
-def test_a_disk_that_rests_on_its_rim_slides_as_a_ring_of_its_inertia() -> None:
+def test_a_disk_supported_at_its_rim_slides_like_a_ring_of_the_same_inertia() -> None:
     law = replace(PLAIN, torque_factor=1.3)
     slide = slide_of(DISK, law, SupportTruth(pressure="rim"))
     end, _ = slide.rest(Motion(0.0, 0.0, 0.0, 0.2, 0.0, 4.0))
@@ -175,7 +175,7 @@ def test_a_disk_that_rests_on_its_rim_slides_as_a_ring_of_its_inertia() -> None:
     assert end.theta == pytest.approx(float(rotation), rel=5e-3)
 
 
-def test_three_points_carry_what_the_centre_of_mass_says() -> None:
+def test_three_support_points_carry_loads_given_by_the_centre_of_mass() -> None:
     support = SupportTruth(pressure="three_points", feet_radius=1.0, mass_offset=(0.012, 0.0))
     points, grip = sample_support(DISK, support)
     assert grip @ points == pytest.approx([0.012, 0.0], abs=1e-12)
@@ -185,7 +185,9 @@ def test_three_points_carry_what_the_centre_of_mass_says() -> None:
 
 @pytest.mark.parametrize("pressure", ["even", "rim", "three_points", "pads"])
 @pytest.mark.parametrize("body", [DISK, Ring(0.03, 0.1, 0.01), SQUARE])
-def test_the_pressure_is_centred_under_the_mass(body: Disk | Ring | Polygon, pressure: str) -> None:
+def test_the_pressure_is_centred_under_the_centre_of_mass(
+    body: Disk | Ring | Polygon, pressure: str
+) -> None:
     points, grip = sample_support(
         body, SupportTruth(pressure=pressure, mass_offset=(0.004, -0.003), edge_weight=0.5)
     )
@@ -194,14 +196,14 @@ def test_the_pressure_is_centred_under_the_mass(body: Disk | Ring | Polygon, pre
     assert grip @ points == pytest.approx([0.004, -0.003], abs=1e-9)
 
 
-def test_a_mass_beside_the_support_is_refused() -> None:
+def test_a_centre_of_mass_outside_the_support_is_refused() -> None:
     support = SupportTruth(pressure="three_points", feet_radius=0.3, mass_offset=(0.03, 0.0))
     with pytest.raises(ValueError, match="tip over"):
         sample_support(DISK, support)
 
 
 @pytest.mark.parametrize("body", [DISK, Ring(radius=0.03, mass=0.1, height=0.01)])
-def test_the_sampled_support_is_of_the_right_width(body: Disk | Ring) -> None:
+def test_the_sampled_support_has_the_correct_width(body: Disk | Ring) -> None:
     points, grip = sample_support(body, EVEN)
     second = float(grip @ np.sum(points**2, axis=1))
     assert second == pytest.approx(body.inertia / body.mass, rel=0.01)

@@ -60,7 +60,7 @@ def rim(solid: Solid, motion: Motion) -> np.ndarray:
 
 @settings(max_examples=60, deadline=None)
 @given(solids, solids, motions, motions)
-def test_the_gap_is_the_least_distance_of_the_outlines(
+def test_the_gap_is_the_minimum_distance_of_the_outlines(
     first: Solid, second: Solid, here: Motion, there: Motion
 ) -> None:
     gap = gap_between(first, second, here, there)
@@ -139,7 +139,7 @@ def settle(top: Tabletop) -> None:
     raise AssertionError("the objects do not come to rest")
 
 
-def test_one_object_on_a_table_is_the_world_that_it_was() -> None:
+def test_one_object_on_a_table_gives_the_single_object_world() -> None:
     truth = TruthFile(object_start=(0.05, -0.03, 0.7))
     world = World(CELL.object, STRIKER, STROKE, truth, 3)
     top = Tabletop((CELL.object,), STRIKER, STROKE, truth, 3, SIZE)
@@ -176,7 +176,7 @@ def test_a_hit_off_the_middle_turns_the_other_object() -> None:
     assert top.poses["square 1"].theta < -0.02
 
 
-def test_the_striker_meets_the_first_object_on_its_way_and_no_other_moves() -> None:
+def test_the_striker_hits_only_the_first_object_on_its_path() -> None:
     top = tabletop((0.15, 0.0, 0.0), (0.0, 0.0, 0.0))
     before = dict(top.poses)
     assert top.strike(Pose(-0.055, 0.0, 0.0), 0.006, 0.2, 0.0)
@@ -188,7 +188,7 @@ def test_the_striker_meets_the_first_object_on_its_way_and_no_other_moves() -> N
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 1000))
-def test_objects_without_a_start_lie_apart_on_the_table(seed: int) -> None:
+def test_objects_without_a_start_pose_are_placed_apart_on_the_table(seed: int) -> None:
     files = (CELL.object, *(named(SQUARE, f"square {n}") for n in range(1, 4)))
     top = Tabletop(files, STRIKER, STROKE, TruthFile((0.0, 0.0, 0.0)), seed, SIZE)
     worlds = list(top.worlds.values())
@@ -199,7 +199,7 @@ def test_objects_without_a_start_lie_apart_on_the_table(seed: int) -> None:
             assert between >= START_GAP_M - 1e-9
 
 
-def test_a_table_without_room_says_so() -> None:
+def test_a_table_without_free_space_is_reported() -> None:
     files = (CELL.object, *(named(SQUARE, f"square {n}") for n in range(1, 20)))
     with pytest.raises(ValueError, match="no free place for 'square"):
         Tabletop(files, STRIKER, STROKE, TruthFile((0.0, 0.0, 0.0)), 1, SIZE)

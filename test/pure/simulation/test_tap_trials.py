@@ -44,7 +44,7 @@ def test_without_errors_it_agrees_with_the_closed_forms() -> None:
     assert np.max(np.abs(moved[:, 2] - closed[:, 2]) * 0.048 / distance) < 0.01
 
 
-def test_the_truth_and_the_gains_count_and_the_generator_decides() -> None:
+def test_results_depend_on_simulation_parameters_gains_and_random_generator() -> None:
     poses, wanted = commanded(4)
     truth = replace(
         PLAIN, support=SupportTruth(friction_factor=2.0), scatter=ScatterTruth(0.02, 0.1, 0.01)

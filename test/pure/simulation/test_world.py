@@ -43,7 +43,7 @@ def settled(world: World) -> Pose:
 
 @settings(max_examples=10, deadline=None)
 @given(distance=st.floats(0.003, 0.08), heading=st.floats(-3.1, 3.1), share=st.floats(-0.9, 0.9))
-def test_a_world_without_errors_does_what_was_planned(
+def test_a_world_without_errors_gives_the_planned_result(
     distance: float, heading: float, share: float
 ) -> None:
     tap = CELL.object.tap(STRIKER)
@@ -82,7 +82,7 @@ def test_the_object_stays_until_the_striker_arrives() -> None:
     ],
     ids=["beside", "away from it", "above it", "into the table", "beyond the stroke"],
 )
-def test_a_striker_that_cannot_meet_the_object_moves_nothing(tip: Pose, height: float) -> None:
+def test_a_striker_that_misses_the_object_moves_nothing(tip: Pose, height: float) -> None:
     world = world_of(PLAIN)
     assert not world.strike(tip, height, 0.3, 0.0)
     world.advance(1.0)
@@ -99,7 +99,7 @@ def spread(truth: TruthFile) -> np.ndarray:
     return np.asarray(ends)
 
 
-def test_taps_scatter_from_one_to_the_next_as_the_truth_says() -> None:
+def test_taps_scatter_as_given_by_the_simulation_parameters() -> None:
     ends = spread(replace(PLAIN, scatter=ScatterTruth(speed=0.05, spin=0.0, direction=0.02)))
     distance = np.hypot(ends[:, 0] - START.x, ends[:, 1] - START.y)
     # The distance is proportional to the square of the speed, so 5 % becomes 10 %. 40 samples
@@ -109,12 +109,12 @@ def test_taps_scatter_from_one_to_the_next_as_the_truth_says() -> None:
     assert 0.014 < heading.std() < 0.028
 
 
-def test_the_same_seed_is_the_same_world() -> None:
+def test_the_same_seed_gives_the_same_world() -> None:
     truth = replace(PLAIN, scatter=ScatterTruth(speed=0.05, spin=0.1, direction=0.02))
     assert np.array_equal(spread(truth), spread(truth))
 
 
-def test_true_parameters_count() -> None:
+def test_the_simulation_parameters_affect_the_result() -> None:
     tip = Pose(START.x - 0.07, START.y, 0.0)
 
     def distance(truth: TruthFile) -> float:
@@ -129,7 +129,7 @@ def test_true_parameters_count() -> None:
     assert faster == pytest.approx(plain * 1.21, rel=0.01)
 
 
-def test_a_placed_object_lies_still_where_it_was_put() -> None:
+def test_a_placed_object_stays_where_it_was_placed() -> None:
     world = world_of(PLAIN)
     world.strike(Pose(START.x - 0.07, START.y, 0.0), 0.006, 0.3, 0.0)
     world.advance(0.12)
@@ -141,7 +141,7 @@ def test_a_placed_object_lies_still_where_it_was_put() -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(gaps=st.lists(st.floats(0.0005, 0.05), min_size=5, max_size=60))
-def test_where_it_comes_to_rest_does_not_depend_on_when_it_is_looked_at(gaps: list[float]) -> None:
+def test_the_rest_pose_does_not_depend_on_the_observation_times(gaps: list[float]) -> None:
     tip = Pose(START.x - 0.07, START.y + 0.01, 0.1)
     glimpsed, once = world_of(PLAIN), world_of(PLAIN)
     for world in (glimpsed, once):
@@ -222,7 +222,7 @@ def test_every_supplied_world_answers_a_tap(file: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.7])
-def test_small_taps_end_beside_their_end_by_the_floor(share: float) -> None:
+def test_small_taps_scatter_by_the_floor(share: float) -> None:
     """For taps of two lengths, the final pose scatters by the constant floor: along the tap, across
     it, and in rotation."""
     floor = ScatterTruth(position_floor=3e-4, angle_floor=0.004)

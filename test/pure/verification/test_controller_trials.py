@@ -11,7 +11,7 @@ from tapping_cell.verification.controller_trials import FAULTS, run_faults, run_
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_one_trial_of_each_kind_is_right_on_every_controller(kind: str) -> None:
+def test_one_trial_of_each_kind_succeeds_on_every_controller(kind: str) -> None:
     for name in FAULTS[kind].controllers:
         outcome = run_faults(name, kind, 1, seed=2)
         assert outcome.tried == 1 and outcome.wrong == [], name

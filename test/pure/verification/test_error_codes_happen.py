@@ -1,7 +1,7 @@
 """Error codes provoked in the simulated cell, in virtual time.
 
 Each scenario ends with a code in a published state or in a goal's result, and checks that the
-message names the cause. ``test_every_code_is_named_in_a_test`` finds codes without a test.
+message names the cause. ``test_every_error_code_is_used_in_a_test`` finds codes without a test.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def ready_cell(cell: ReportedCell) -> ReportedCell:
 # The boards and their lines.
 
 
-def test_ports_that_are_swapped_are_told_by_both_drivers() -> None:
+def test_swapped_ports_are_reported_by_both_drivers() -> None:
     cell = ReportedCell(SwappedPorts)
     cell.trial.start()
     cell.read(ErrorCode.ARM_FIRMWARE_UNKNOWN, "answers like", "check the port")
@@ -196,7 +196,7 @@ def test_an_unplugged_tapper_is_not_connected(ready_cell: ReportedCell) -> None:
     assert ready_cell.run(20.0, lambda: ready_cell.states["tapper_state"].error_code == 0)
 
 
-def test_a_tapper_that_loses_its_power_for_a_moment_was_reset(ready_cell: ReportedCell) -> None:
+def test_a_brief_power_loss_of_the_tapper_is_reported_as_a_reset(ready_cell: ReportedCell) -> None:
     ready_cell.trial.interrupt_tapper_power()
     ready_cell.read(ErrorCode.TAPPER_RESET, "restarted")
 
@@ -218,12 +218,12 @@ def test_a_motor_without_power_is_a_fault_of_the_tapper(ready_cell: ReportedCell
 # Commands.
 
 
-def test_a_command_that_comes_after_its_expiry_is_refused(ready_cell: ReportedCell) -> None:
+def test_a_command_received_after_its_expiry_is_refused(ready_cell: ReportedCell) -> None:
     ready_cell.send(ready_cell.tap(1, expires_in=-0.5))
     ready_cell.read(ErrorCode.ARM_COMMAND_EXPIRED, "its expiry passed", "check the clocks")
 
 
-def test_a_tap_that_was_executed_is_refused_when_it_comes_again(ready_cell: ReportedCell) -> None:
+def test_a_repeated_command_of_an_executed_tap_is_refused(ready_cell: ReportedCell) -> None:
     command = ready_cell.tap(1, expires_in=60.0)
     ready_cell.send(command)
     assert ready_cell.run(
@@ -260,7 +260,7 @@ def test_a_goal_with_more_taps_than_the_cell_allows_is_refused(ready_cell: Repor
     ready_cell.read(ErrorCode.GOAL_BAD_TAP_LIMIT, "max_taps is 1000", f"at most {limit}")
 
 
-def test_a_goal_that_needs_more_taps_than_it_was_given_ends(ready_cell: ReportedCell) -> None:
+def test_a_goal_that_needs_more_taps_than_allowed_ends(ready_cell: ReportedCell) -> None:
     ready_cell.goal(Pose(0.12, 0.05, 2.5), max_taps=1)
     ready_cell.read(ErrorCode.TAP_LIMIT_REACHED, "after 1 of at most 1 taps")
 
@@ -273,7 +273,7 @@ def test_more_frames_than_the_camera_delivers_are_too_few(cell: ReportedCell) ->
 
 
 @pytest.mark.parametrize("state", [TapperState.CHARGING, TapperState.CHARGED])
-def test_a_tapper_that_is_charged_for_somebody_else_is_busy_for_a_goal(state: int) -> None:
+def test_a_tapper_charged_by_another_program_is_busy_for_a_goal(state: int) -> None:
     """The tapper's state only matters in a cell without an arm, because otherwise the arm is busy
     as well."""
     monitor = CellMonitor(silence_limit=0.5)
@@ -283,7 +283,7 @@ def test_a_tapper_that_is_charged_for_somebody_else_is_busy_for_a_goal(state: in
     assert missing == (ErrorCode.TAPPER_BUSY, "the tapper is busy")
 
 
-def test_a_planner_that_does_not_exist_is_refused_with_the_known_ones(
+def test_an_unknown_planner_is_refused_with_the_known_planners(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(UnknownPlannerError) as caught:
@@ -310,7 +310,7 @@ def test_a_board_that_is_charged_keeps_the_other_from_charging() -> None:
     assert "only one tapper may be charged at a time" in str(caught.value)
 
 
-def test_every_code_is_named_in_a_test() -> None:
+def test_every_error_code_is_used_in_a_test() -> None:
     """Each error code must be provoked by a test."""
     text = "\n".join(path.read_text() for path in TESTS.rglob("*.py"))
     codes = {name for name, value in vars(ErrorCode).items() if isinstance(value, int)}

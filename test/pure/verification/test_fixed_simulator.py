@@ -42,7 +42,7 @@ def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
     assert len(report.outcomes) == 4
 
 
-def test_the_invariants_notice_what_they_forbid() -> None:
+def test_the_invariants_detect_violations() -> None:
     """Modified copies of a real release each violate one of the invariants."""
     trial = FixedTrial(1, faults=False, mix=MIX)
     assert trial.run(1).violations == []
@@ -71,7 +71,7 @@ def test_the_invariants_notice_what_they_forbid() -> None:
 
 
 @pytest.mark.parametrize("mutant", FIXED_MUTANTS, ids=lambda mutant: mutant.name)
-def test_every_mutant_fits_the_source(mutant: Mutant) -> None:
+def test_every_mutant_applies_to_the_source(mutant: Mutant) -> None:
     for part in parts_of(mutant):
         compile(mutated(part), "mutant", "exec")
     assert mutant.fixed

@@ -53,19 +53,19 @@ def press(trial: Trial) -> None:
 
 
 @pytest.mark.parametrize("event", [kill, shut_down, stop, press])
-def test_a_motion_after_a_crash_or_a_stop_is_noticed(
+def test_a_motion_after_a_crash_or_a_stop_is_detected(
     trial: Trial, event: Callable[[Trial], None]
 ) -> None:
     event(trial)
     assert "moved by itself" in violated_by_a_motion(trial)
 
 
-def test_a_motion_that_nobody_asked_for_is_noticed(trial: Trial) -> None:
+def test_an_unrequested_motion_is_detected(trial: Trial) -> None:
     assert violated_by_a_motion(trial) == {"moved unasked"}
 
 
 @pytest.mark.parametrize("event", [kill, stop])
-def test_a_motion_that_a_person_asked_for_is_none_of_them(
+def test_a_motion_requested_by_an_operator_is_not_a_violation(
     trial: Trial, event: Callable[[Trial], None]
 ) -> None:
     event(trial)

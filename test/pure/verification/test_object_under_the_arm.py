@@ -98,7 +98,9 @@ def test_the_arm_moves_off_the_object_and_the_goal_is_reached(
     assert cell.trial.checker.violations == []
 
 
-def test_without_an_object_the_arm_is_moved_once_a_goal_and_then_told(cell: ScenarioCell) -> None:
+def test_without_an_object_the_arm_is_moved_once_per_goal_and_then_reported(
+    cell: ScenarioCell,
+) -> None:
     move_by_hand(cell)
     cell.trial.hide_object(600.0)
     for goals in (1, 2):

@@ -82,7 +82,7 @@ def test_a_second_goal_replaces_the_first_and_is_reached(cell: ScenarioCell) -> 
     assert cell.trial.checker.violations == []
 
 
-def test_an_object_pushed_off_by_hand_between_taps_is_still_brought_to_the_goal(
+def test_an_object_moved_by_hand_between_taps_is_still_brought_to_the_goal(
     cell: ScenarioCell,
 ) -> None:
     cell.begin()
@@ -116,7 +116,7 @@ def test_an_emergency_stop_ends_the_goal_and_latches_both_devices(cell: Scenario
 
 
 @pytest.mark.parametrize("node", ["tap_planner", "camera_pose"])
-def test_nothing_is_drawn_while_a_node_hangs_and_the_tap_goes_on_after_it(
+def test_the_striker_is_not_charged_while_a_node_hangs_and_the_tap_continues_afterwards(
     cell: ScenarioCell, node: str
 ) -> None:
     cell.begin()
@@ -129,7 +129,7 @@ def test_nothing_is_drawn_while_a_node_hangs_and_the_tap_goes_on_after_it(
     assert cell.ends() == [0] and cell.at(GOAL)
 
 
-def test_nothing_moves_while_the_emergency_stop_flaps_and_impatient_people_clear_and_home(
+def test_nothing_moves_during_a_flapping_emergency_stop_despite_clear_and_home_requests(
     cell: ScenarioCell,
 ) -> None:
     """The emergency stop has a loose contact that switches at 100 Hz, while each service is called

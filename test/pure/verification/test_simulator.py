@@ -45,7 +45,7 @@ def test_a_fiber_waits_in_virtual_time_and_ends_where_it_is_killed() -> None:
     assert events == [7.0, "killed"] and fiber.ended
 
 
-def test_events_without_time_are_a_hang() -> None:
+def test_endless_events_at_one_time_are_reported_as_a_hang() -> None:
     scheduler = Scheduler()
 
     def again() -> None:
@@ -70,11 +70,11 @@ def test_nothing_unsafe_happens_under_random_faults(seed: int) -> None:
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
-def test_every_mutant_fits_the_source(mutant: Mutant) -> None:
+def test_every_mutant_applies_to_the_source(mutant: Mutant) -> None:
     for part in parts_of(mutant):
         compile(mutated(part), "mutant", "exec")
 
 
-def test_there_are_enough_mutants_with_names_of_their_own() -> None:
+def test_there_are_enough_mutants_with_unique_names() -> None:
     names = [mutant.name for mutant in MUTANTS]
     assert len(set(names)) == len(names) >= 30

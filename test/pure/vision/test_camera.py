@@ -36,7 +36,7 @@ def by_definition(camera: CameraModel, x: float, y: float) -> tuple[float, float
     st.sampled_from([0, 5, 8]),
 )
 @settings(max_examples=60, deadline=None)
-def test_projection_is_the_definition_and_rays_undo_it(values, x, y, count):
+def test_projection_follows_its_definition_and_rays_invert_it(values, x, y, count):
     model = "rational_polynomial" if count == 8 else "plumb_bob"
     values = [v * (0.02 if i in (2, 3) else 1.0) for i, v in enumerate(values)]
     try:
@@ -64,7 +64,7 @@ def wide_lens(half_angle: float) -> CameraModel:
 
 
 @pytest.mark.parametrize("half_angle", [50.0, 60.0, 65.0, 70.0])
-def test_rays_of_a_wide_lens_are_seen_at_their_pixels(half_angle):
+def test_rays_of_a_wide_lens_project_to_their_pixels(half_angle):
     camera = wide_lens(half_angle)
     pixels = np.stack(np.meshgrid(np.linspace(0, 1279, 60), np.linspace(0, 1023, 50)), axis=-1)
     rays = camera.rays(pixels)
@@ -91,7 +91,7 @@ def test_a_lens_that_folds_back_inside_the_image_is_refused():
     st.floats(0.0, 0.1),
 )
 @settings(max_examples=60, deadline=None)
-def test_a_ray_meets_the_plane_where_the_point_was(position, spin, x, y, height):
+def test_a_ray_intersects_the_plane_at_the_original_point(position, spin, x, y, height):
     camera = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5, (-0.12, 0.08, 4e-4, -3e-4, 0.0))
     view = View(camera, CameraPose.above(position, spin=spin))
     assert view.pose.position == pytest.approx(position, abs=1e-12)
@@ -100,7 +100,7 @@ def test_a_ray_meets_the_plane_where_the_point_was(position, spin, x, y, height)
     assert view.on_plane(view.project(scaled, height), height) == pytest.approx(scaled, abs=1e-9)
 
 
-def test_a_higher_plane_is_seen_further_out():
+def test_a_point_on_a_higher_plane_projects_further_out():
     view = View(
         CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5), CameraPose.above((0, 0, 0.7))
     )
@@ -120,7 +120,7 @@ def test_a_higher_plane_is_seen_further_out():
         ({"width": 4}, "too small"),
     ],
 )
-def test_what_is_no_camera_is_refused_in_words(change, words):
+def test_an_invalid_camera_is_refused_with_a_message(change, words):
     info = {
         "width": 1280,
         "height": 1024,
@@ -140,13 +140,13 @@ def test_what_is_no_camera_is_refused_in_words(change, words):
         np.zeros((480, 640), np.uint8),
     ],
 )
-def test_an_image_of_another_kind_is_told_apart(image):
+def test_an_image_of_another_type_is_distinguished(image):
     camera = CameraModel(1280, 1024, 1150.0, 1150.0, 639.5, 511.5)
     assert "1280" in camera.check_image(image)
     assert camera.check_image(np.zeros((1024, 1280), np.uint8)) is None
 
 
-def test_a_calibrations_own_deviations_are_read_and_belong_to_its_numbers(tmp_path):
+def test_the_standard_deviations_of_a_calibration_are_read_with_its_parameters(tmp_path):
     text = (shared_folder() / "camera_info.yaml").read_text()
     plain = load_camera_model(shared_folder() / "camera_info.yaml")
     path = tmp_path / "camera_info.yaml"

@@ -99,7 +99,7 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
     assert np.mean(np.array(normalised) < 7.815) > 0.90
 
 
-def test_a_measured_map_may_be_stretched_and_turned_as_a_whole():
+def test_a_measured_map_may_be_scaled_and_rotated_as_a_whole():
     """The covariance includes a deformation that all markers have in common. The covariance is
     compared with the errors of many randomly deformed maps."""
     deviation, place = 3e-5, np.array([0.2, -0.1, 0.7])

@@ -38,14 +38,14 @@ def test_a_camera_that_repeats_its_buffers_is_frozen(pictures, buffers):
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.5, 4.0])
-def test_a_dark_picture_is_called_dark_whatever_its_noise(noise):
+def test_a_dark_image_is_reported_as_dark_at_any_noise_level(noise):
     random = np.random.default_rng(1)
     dark = np.clip(8.0 + noise * random.standard_normal((1024, 1280)), 0, 255).astype(np.uint8)
     seen = PoseTracker(CAMERA, REFERENCES, MARKER).update(dark, 0.0)
     assert seen.problem is Problem.DARK
 
 
-def test_what_a_search_found_wrong_is_said_of_every_frame_until_the_next(pictures):
+def test_errors_found_by_a_search_are_reported_for_every_frame_until_the_next(pictures):
     tracker = PoseTracker(CAMERA, REFERENCES, MARKER)
     tracker.update(pictures[0], 0.0)
     corners = tracker.view.project(HOME[:2] + 0.03 * np.array([[-1, -1], [1, 1]]), 0.012)
@@ -59,13 +59,13 @@ def test_what_a_search_found_wrong_is_said_of_every_frame_until_the_next(picture
     assert set(problems[first:]) == {Problem.DUPLICATE_MARKER}
 
 
-def test_a_mirrored_picture_is_named_from_the_first_frame(pictures):
+def test_a_mirrored_image_is_reported_from_the_first_frame(pictures):
     tracker = PoseTracker(CAMERA, REFERENCES, MARKER)
     seen = tracker.update(np.ascontiguousarray(pictures[0][:, ::-1]), 0.0)
     assert seen.problem is Problem.MIRRORED_MARKER
 
 
-def test_a_copy_of_a_reference_marker_is_told_and_not_used(pictures):
+def test_a_copy_of_a_reference_marker_is_reported_and_not_used(pictures):
     tracker = PoseTracker(CAMERA, REFERENCES, MARKER)
     tracker.update(pictures[0], 0.0)
     corners = tracker.view.project(tracker.table.points[0])

@@ -13,7 +13,7 @@ place = st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4))
 
 
 @given(place, place, st.floats(0.02, 0.4), st.floats(0.02, 0.4), place, st.floats(0.001, 0.05))
-def test_what_a_bar_hides_is_not_called_free(
+def test_an_area_hidden_by_a_bar_is_not_reported_as_free(
     first: tuple[float, float],
     second: tuple[float, float],
     low: float,
@@ -53,6 +53,6 @@ def test_a_level_bar_hides_exactly_its_shadow(
     assert abs(clearance * (1.0 - share) - distance) < 1e-3
 
 
-def test_a_bar_above_the_lens_hides_all_around_its_place() -> None:
+def test_a_bar_above_the_lens_hides_everything_around_its_position() -> None:
     start, end = [[[0.0, 0.0, 0.7]]], [[[0.1, 0.0, 0.7]]]
     assert view_clearance(LENS, start, end, [0.03], [[0.0, 0.0, 0.0]]) < 0

@@ -72,7 +72,7 @@ def test_poses_in_mm_and_degrees(folder, capsys):
     assert results[2]["problem"] == "object_hidden"
 
 
-def test_a_viewers_rotation_of_a_photograph_is_not_applied(folder, capsys):
+def test_the_exif_rotation_of_a_photograph_is_not_applied(folder, capsys):
     """The EXIF orientation of a JPEG is ignored, because the lens model refers to the pixels as
     stored."""
     good, data = cv2.imencode(".jpg", cv2.imread(str(folder / "shot0.png")))
@@ -89,7 +89,7 @@ def test_a_viewers_rotation_of_a_photograph_is_not_applied(folder, capsys):
     assert result["x"] == pytest.approx(PLACES[0][0] * 1e3, abs=0.05)
 
 
-def test_files_as_strangers_have_them(folder, capsys):
+def test_images_in_other_formats_are_read(folder, capsys):
     """Images with 12 bits stored in 16, rotated portrait photographs, colour images and other
     formats give the same result."""
     grey = cv2.imread(str(folder / "shot0.png"), cv2.IMREAD_GRAYSCALE)
@@ -130,12 +130,12 @@ def test_nothing_found_is_exit_status_1(folder, capsys):
     assert "not found" in text and "cannot be read" in text
 
 
-def test_pictures_are_written(folder, capsys):
+def test_annotated_images_are_written(folder, capsys):
     assert locate(folder, "shot0.png", "--annotate", str(folder / "out")) == 0
     assert cv2.imread(str(folder / "out" / "shot0.png")).shape == (1024, 1280, 3)
 
 
-def test_a_bad_file_is_named(folder, capsys):
+def test_an_invalid_file_is_named(folder, capsys):
     bad = folder / "bad.yaml"
     bad.write_text("dictionary: nonsense_9x9\nmarkers: [{id: 1, size: 0.04, x: 0, y: 0}]\n")
     assert main(["locate", str(folder / "shot0.png"), f"--table={bad}"]) == 2

@@ -68,7 +68,7 @@ def test_one_frame_by_edges_and_by_all_pixels():
     assert 40 / 24 < np.mean(normalised) < 115 / 24
 
 
-def test_a_marker_that_stays_is_aligned_in_one_step_as_by_a_whole_alignment():
+def test_a_stationary_marker_is_aligned_in_one_step_as_by_a_full_alignment():
     template = make_template(MARKER, PIXEL, 0.65 * PIXEL)
     for seed in range(6):
         first, pose, quad = scene(seed)
@@ -91,7 +91,7 @@ def test_a_marker_that_stays_is_aligned_in_one_step_as_by_a_whole_alignment():
         assert align_again(beside, known.linearisation, MARKER, start) is None
 
 
-def test_alignment_refuses_what_the_pattern_does_not_explain():
+def test_alignment_refuses_an_image_that_does_not_match_the_pattern():
     image, pose, quad = scene(1)
     fit = fit_marker(VIEW, refine(image, quad[None], 8), 0, MARKER)
     other = ObjectMarker(MARKER.dictionary, 7, MARKER.size, MARKER.height)
@@ -101,7 +101,7 @@ def test_alignment_refuses_what_the_pattern_does_not_explain():
     assert align(image, VIEW, template, MARKER, pose + np.array([0.003, 0.0, 0.0])) is None
 
 
-def test_blur_moves_nothing_and_is_estimated():
+def test_blur_is_estimated_and_causes_no_bias():
     image, pose, quad = scene(2)
     soft = cv2.GaussianBlur(image, (0, 0), 1.1)
     fit = fit_marker(VIEW, refine(soft, quad[None], 8), 0, MARKER)
@@ -114,14 +114,14 @@ def test_blur_moves_nothing_and_is_estimated():
     assert aligned.blur / PIXEL == pytest.approx(np.sqrt(1.1**2 + 1 / 12), rel=0.05)
 
 
-def test_an_edge_half_hidden_is_not_good():
+def test_a_half_hidden_edge_is_rejected():
     image, _, quad = scene(3)
     x, y = quad.mean(axis=0).astype(int)
     image[y - 60 : y + 60, x : x + 70] = 120
     assert not refine(image, quad[None], 8).good[0]
 
 
-def test_the_object_lies_where_its_marker_says():
+def test_the_object_pose_follows_from_its_marker():
     marker = ObjectMarker(MARKER.dictionary, 3, 0.05, 0.012, (0.02, -0.01, 0.7))
     true = np.array([0.1, -0.05, 2.9])
     pose, covariance = object_pose(
@@ -155,7 +155,7 @@ def test_marker_search_offsets_and_orientation():
         ("DICT_ARUCO_ORIGINAL", "DICT_ARUCO_ORIGINAL"),
     ],
 )
-def test_dictionaries_by_their_usual_names(name, official):
+def test_dictionaries_are_selected_by_their_usual_names(name, official):
     assert dictionary_name(name).upper() == official
 
 
@@ -168,7 +168,7 @@ def test_markers_that_do_not_exist_are_refused():
         ObjectMarker("apriltag_36h11", 1, 0.0, 0.01)
 
 
-def test_rays_of_a_window_are_the_cameras():
+def test_rays_of_a_window_match_the_camera():
     strong = CameraModel(1280, 1024, 800.0, 800.0, 639.5, 511.5, (-0.3, 0.12, 1e-3, -1e-3, -0.02))
     window = window_rays(strong, 900, 700, 1100, 880)
     y, x = np.mgrid[700:880:20, 900:1100:20]
@@ -188,7 +188,7 @@ def test_camera_pose_of_a_tilted_view_is_not_square():
     assert fit.size == pytest.approx(MARKER.size, rel=3e-4)
 
 
-def test_light_that_falls_across_a_marker_moves_no_side():
+def test_a_light_gradient_across_a_marker_moves_no_side():
     """The brightness on the marker grows by 0.15 % per pixel, as in the darkest corner of the
     table."""
     shifts = []
@@ -208,7 +208,7 @@ def test_light_that_falls_across_a_marker_moves_no_side():
 
 
 @pytest.mark.parametrize("smear", [5.0, 8.5, 11.0, 15.0])
-def test_a_marker_smeared_by_motion_is_right_or_known_to_be_uncertain(smear):
+def test_a_motion_blurred_marker_is_accurate_or_reported_as_uncertain(smear):
     """The marker is smeared by ``smear`` pixels, and the search begins up to three pixels away."""
     random = np.random.default_rng(int(smear))
     measured = 0

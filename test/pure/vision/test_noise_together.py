@@ -32,7 +32,7 @@ def compressed(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("camera", [smoothed, compressed])
-def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(camera):
+def test_the_normalised_error_is_correct_for_any_camera_noise_processing(camera):
     """The mean normalised squared error should be 3. If the smoothed noise were treated as
     independent, this mean would be 14."""
     clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)
@@ -56,7 +56,7 @@ def test_the_normalised_error_is_right_whatever_the_camera_does_to_its_noise(cam
 
 
 @pytest.mark.parametrize(("block", "least", "most"), [(1, 0.8, 1.2), (4, 2.0, 4.0)])
-def test_rows_that_err_alike_tell_less(block, least, most):
+def test_correlated_rows_carry_less_information(block, least, most):
     """``spread`` grows if the noise of neighbouring rows is correlated. In this test, the noise is
     constant in blocks of rows."""
     clean = area_sampled_marker(VIEW, MARKER, PLACE, samples=20).astype(float)

@@ -68,7 +68,7 @@ def error(seen: Observation, pose: np.ndarray) -> np.ndarray:
 
 @given(count=st.integers(3, 9), size=st.floats(0.02, 0.1), turn=st.floats(0.0, 6.0))
 @settings(max_examples=25, deadline=None)
-def test_a_regular_polygon_looks_the_same_after_as_many_turns_as_it_has_sides(count, size, turn):
+def test_a_regular_polygon_has_as_many_symmetries_as_sides(count, size, turn):
     angle = turn + np.arange(count) * 2.0 * math.pi / count
     corners = tuple((size * math.cos(a), size * math.sin(a)) for a in angle)
     dot = Dot(0.002, (0.3 * size, 0.0), True) if size > 0.06 else None
@@ -96,7 +96,7 @@ def test_a_regular_polygon_looks_the_same_after_as_many_turns_as_it_has_sides(co
         ({}, "either a disk"),
     ],
 )
-def test_an_outline_that_says_no_angle_is_refused(given, words):
+def test_an_outline_that_determines_no_angle_is_refused(given, words):
     with pytest.raises(OutlineError, match=words):
         ObjectOutline(0.01, False, **given)
 
@@ -151,7 +151,7 @@ def test_sharp_images_made_by_brute_force_are_measured_without_bias(outline, pos
 
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
-def test_an_object_that_stays_is_measured_as_by_a_whole_fit(outline):
+def test_a_stationary_object_is_measured_as_by_a_full_fit(outline):
     shown = scene(outline, noise=3.0, light_falloff=0.4)
     known = fit_outline(shown.render(HOME), shown.view, outline, HOME)
     for _ in range(3):
@@ -169,7 +169,7 @@ def test_an_object_that_stays_is_measured_as_by_a_whole_fit(outline):
     assert fit_again((image * 0.8).astype(np.uint8), known.linearisation, HOME) is None
 
 
-def test_a_tall_triangle_is_not_explained_by_a_wall_that_is_not_there():
+def test_a_tall_triangle_is_not_fitted_with_a_nonexistent_wall():
     """A model with walls as bright as the top would shift and shrink the triangle by a pixel."""
     random = np.random.default_rng(21)
     corners = 0.042 * np.array([[1.0, 0.0], [-0.5, 0.8], [-0.55, -0.8]])
@@ -183,7 +183,7 @@ def test_a_tall_triangle_is_not_explained_by_a_wall_that_is_not_there():
 
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
-def test_the_normalised_error_is_that_of_the_covariance(outline):
+def test_the_normalised_error_matches_the_covariance(outline):
     random = np.random.default_rng(4)
     normalised, errors = [], []
     for number in range(2):
@@ -214,7 +214,7 @@ def test_the_normalised_error_is_that_of_the_covariance(outline):
 
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
-def test_where_no_rim_can_be_none_is_fitted(outline):
+def test_no_rim_is_fitted_where_none_is_possible(outline):
     """The outline is accepted a few pixels from the true pose, but not on the empty table."""
     shown = scene(outline, noise=4.0, light_falloff=0.67)
     random = np.random.default_rng(7)
@@ -228,7 +228,7 @@ def test_where_no_rim_can_be_none_is_fitted(outline):
         assert not stands_out(image, shown.view, outline, away)
 
 
-def test_a_slide_is_followed_and_its_end_noticed():
+def test_a_slide_is_tracked_and_its_end_detected():
     shown = scene(DISK, noise=3.0)
     film = Film(DISK)
     assert film.rest(shown, 14).at_rest
@@ -244,7 +244,7 @@ def test_a_slide_is_followed_and_its_end_noticed():
     assert film.rest(shown, 14, pose).at_rest
 
 
-def test_a_shadow_moves_nothing():
+def test_a_shadow_causes_no_bias():
     shown = scene(DISK, noise=2.0, shadow=(0.005, -0.003), shadow_depth=0.2)
     seen = Film(DISK).rest(shown, 4)
     assert np.all(np.abs(error(seen, HOME)) < [8e-5, 8e-5, 2e-3])
@@ -257,7 +257,7 @@ def cover(pose: np.ndarray, low: float, high: float) -> Occluder:
     return Occluder(np.column_stack([corners, np.full(4, 0.02)]), level=20.0)
 
 
-def test_a_covered_part_is_done_without_and_most_of_it_is_not_guessed():
+def test_a_partly_occluded_object_is_measured_and_a_mostly_occluded_one_is_not():
     shown = scene(DISK)
     film = Film(DISK)
     film.rest(shown, 8)
@@ -285,7 +285,7 @@ def test_wrong_and_missing_objects_are_named():
     assert seen.problem is Problem.DOT_HIDDEN and "dot" in seen.sentence
 
 
-def test_two_of_a_kind_are_not_chosen_from():
+def test_two_identical_objects_are_ambiguous():
     shown = scene(DISK)
     image = shown.render(HOME)
     there = np.array([-0.15, -0.05, 1.0])

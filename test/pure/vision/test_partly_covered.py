@@ -15,7 +15,7 @@ from tapping_cell.vision.markers.object_pose import fit_marker
 from tapping_cell.vision.markers.search import patterns_agree
 
 
-def test_a_plate_along_a_side_moves_no_accepted_pose():
+def test_a_plate_along_a_side_does_not_bias_accepted_poses():
     """Plates at any grey level, whose edge is within 5 mm of one or two sides."""
     scene = renderer()
     random = np.random.default_rng(3)

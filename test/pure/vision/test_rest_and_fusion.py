@@ -101,7 +101,7 @@ def test_rest_within_150_ms_at_other_rates_frictions_and_with_a_frame_lost(rate,
 
 @given(st.integers(0, 2**31), st.floats(0.0005, 0.02), st.floats(-np.pi, np.pi))
 @settings(max_examples=60, deadline=None)
-def test_never_at_rest_while_creeping(seed, speed, direction):
+def test_a_creeping_object_is_never_reported_at_rest(seed, speed, direction):
     random = np.random.default_rng(seed)
     track = Track()
     step = speed * FRAME * np.array([np.cos(direction), np.sin(direction), 0.0])
@@ -110,7 +110,7 @@ def test_never_at_rest_while_creeping(seed, speed, direction):
         assert motion.rest_since is None
 
 
-def test_velocity_while_sliding():
+def test_velocity_is_estimated_while_sliding():
     random = np.random.default_rng(1)
     track = Track()
     velocity = np.array([0.12, -0.05, 1.5])
@@ -120,7 +120,7 @@ def test_velocity_while_sliding():
             assert motion.velocity == pytest.approx(velocity, abs=0.02)
 
 
-def test_rest_ends_at_the_first_frame_elsewhere_and_one_glitch_spoils_nothing():
+def test_rest_ends_at_the_first_displaced_frame_and_tolerates_one_glitch():
     random = np.random.default_rng(2)
     track = Track()
     home = np.array([0.0, 0.0, 3.14159])
@@ -140,7 +140,7 @@ def test_rest_ends_at_the_first_frame_elsewhere_and_one_glitch_spoils_nothing():
     assert gone.pose[0] == pytest.approx(0.0005, abs=1e-5)
 
 
-def test_a_gap_forgets():
+def test_a_gap_resets_the_fusion():
     track = Track()
     for k in range(10):
         motion = track.add(k * FRAME, np.zeros(3), COVARIANCE)
@@ -167,7 +167,7 @@ def test_fused_error_follows_its_covariance():
     assert 2.4 < np.mean(normalised) < 3.6
 
 
-def test_outliers_hardly_count():
+def test_outliers_have_little_influence():
     random = np.random.default_rng(4)
     poses = random.normal(0.0, SIGMA, (40, 3))
     poses[::8] += [0.002, 0.001, 0.02]

@@ -72,7 +72,7 @@ def test_the_first_frame_after_a_motion_is_measured(
 
 
 @pytest.mark.parametrize("where", ["object", "reference"])
-def test_what_covers_something_is_noticed_at_once(
+def test_an_occlusion_is_detected_at_once(
     scene: SceneRenderer, settled: CountingTracker, where: str
 ) -> None:
     marker = REFERENCES.markers[0]
@@ -93,7 +93,7 @@ def test_what_covers_something_is_noticed_at_once(
     contrast=st.floats(120.0, 180.0),
     seed=st.integers(0, 2**16),
 )
-def test_an_edge_that_moves_by_a_fifth_of_a_pixel_is_a_change_and_noise_is_none(
+def test_an_edge_shift_of_a_fifth_of_a_pixel_is_a_change_and_noise_is_not(
     noise: float, contrast: float, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -115,7 +115,7 @@ def test_an_edge_that_moves_by_a_fifth_of_a_pixel_is_a_change_and_noise_is_none(
     assert not change.unchanged(frame(59.8))
 
 
-def test_looks_at_another_object_that_lies_still_cost_no_more() -> None:
+def test_observing_another_stationary_object_costs_no_more() -> None:
     other = replace(MARKER, id=MARKER.id + 1)
     two = SceneRenderer(
         CAMERA, POSE, REFERENCES, DISK, MARKER, others=[SceneObject(np.asarray(DISK), other)]
@@ -142,9 +142,7 @@ def test_looks_at_another_object_that_lies_still_cost_no_more() -> None:
     assert tracker.measured == before + 1
 
 
-def test_frames_that_come_late_are_no_search(
-    scene: SceneRenderer, settled: CountingTracker
-) -> None:
+def test_late_frames_trigger_no_search(scene: SceneRenderer, settled: CountingTracker) -> None:
     begun = settled._last_thorough
     for number in range(1, 9):
         assert settled.update(scene.render(HOME), 60 * FRAME + 0.5 * number).visible

@@ -70,7 +70,7 @@ def judged(pose: np.ndarray, lift: float, tilt: float, seed: int) -> tuple:
 
 @pytest.mark.parametrize("lift", [0.002, 0.005, 0.012, -0.004])
 @pytest.mark.parametrize("tilt", [0.0, 0.03, -0.08])
-def test_a_lifted_or_tilted_object_is_suspected_and_its_covariance_holds_the_error(lift, tilt):
+def test_a_lifted_or_tilted_object_is_flagged_and_its_covariance_covers_the_error(lift, tilt):
     for trial in range(10):
         random = np.random.default_rng(trial)
         pose = random.uniform([-0.25, -0.15, -3.0], [0.25, 0.15, 3.0])
@@ -83,7 +83,7 @@ def test_a_lifted_or_tilted_object_is_suspected_and_its_covariance_holds_the_err
         assert abs(error[2]) < 3.0 * sigma[2] + 2e-3
 
 
-def test_an_object_that_lies_flat_is_not_suspected():
+def test_a_flat_object_is_not_flagged():
     for trial in range(40):
         random = np.random.default_rng(trial)
         pose = random.uniform([-0.25, -0.15, -3.0], [0.25, 0.15, 3.0])
@@ -92,7 +92,7 @@ def test_an_object_that_lies_flat_is_not_suspected():
         assert not shape.covariance.any()
 
 
-def test_what_all_markers_show_is_no_size():
+def test_a_deviation_of_all_markers_is_not_a_size_error():
     edges = edges_of(object_corners(np.zeros(3), 0.0, 0.0)[None], np.random.default_rng(1), 0.4)
     fit = fit_marker(VIEW, edges, 0, MARKER)
     assert fit is not None
@@ -100,7 +100,7 @@ def test_what_all_markers_show_is_no_size():
     assert shape_deviation(VIEW, edges, 0, MARKER, fit, 0.4).negligible
 
 
-def test_the_warnings_keeps_its_words_while_the_form_stays():
+def test_the_warning_text_is_unchanged_while_the_shape_deviation_persists():
     pose, warnings = np.array([0.2, 0.1, 0.3]), ShapeWarnings(MARKER)
     sentences = {warnings.sentence(judged(pose, 0.005, 0.0, seed)[0], 0.7) for seed in range(10)}
     (sentence,) = sentences
@@ -136,7 +136,7 @@ def off(tracker: TableTracker) -> float:
 
 @pytest.mark.parametrize("row", range(8))
 @pytest.mark.parametrize("shift", [(0.004, -0.003), (0.05, 0.0), (-0.1, 0.08)])
-def test_the_one_marker_that_is_not_where_the_file_says_is_named(row, shift):
+def test_the_one_marker_displaced_from_the_file_is_named(row, shift):
     table = references()
     tracker = TableTracker(CAMERA, table)
     state = tracker.update(reference_edges(table, row, [(row, shift)]), np.arange(8))
@@ -147,7 +147,7 @@ def test_the_one_marker_that_is_not_where_the_file_says_is_named(row, shift):
 
 @pytest.mark.parametrize("bloom", [-0.5, 0.5])
 @pytest.mark.parametrize("places", [PLACES[:3], PLACES[::3], PLACES])
-def test_sides_that_all_lie_outwards_do_not_move_the_table(bloom, places):
+def test_marker_sides_all_displaced_outwards_do_not_move_the_table(bloom, places):
     table = references(places)
     tracker = TableTracker(CAMERA, table)
     tracker.update(reference_edges(table, 3, bloom=bloom), np.arange(len(places)))
@@ -159,14 +159,14 @@ def test_sides_that_all_lie_outwards_do_not_move_the_table(bloom, places):
 
 @pytest.mark.parametrize("size", [0.03, 0.05])
 @pytest.mark.parametrize("count", [2, 4, 8])
-def test_a_file_with_wrong_sizes_is_contradicted(size, count):
+def test_a_file_with_wrong_sizes_is_reported(size, count):
     board = references(PLACES[:count], size)
     tracker = TableTracker(CAMERA, board)
     edges = reference_edges(references(PLACES[:count]), 1)
     assert tracker.update(edges, np.arange(count)) is TableState.CONTRADICTED
 
 
-def test_a_marker_moved_by_hand_is_left_out_until_it_is_back():
+def test_a_marker_moved_by_hand_is_excluded_until_it_is_back():
     table = references()
     tracker = TableTracker(CAMERA, table)
     moved = [(3, (0.0003, 0.0002))]
@@ -182,7 +182,7 @@ def test_a_marker_moved_by_hand_is_left_out_until_it_is_back():
     assert tracker.displaced == ()
 
 
-def test_many_markers_that_went_astray_one_by_one_are_a_camera_that_moved():
+def test_many_markers_displaced_one_by_one_indicate_a_moved_camera():
     table = references()
     tracker = TableTracker(CAMERA, table)
     for frame in range(20):
@@ -195,7 +195,7 @@ def test_many_markers_that_went_astray_one_by_one_are_a_camera_that_moved():
 
 
 @pytest.mark.parametrize("shift", [(0.002, 0.0), (-0.005, 0.0), (0.0, 0.005), (0.003, -0.004)])
-def test_one_of_two_markers_that_was_moved_is_no_camera_that_moved(shift):
+def test_one_of_two_markers_moved_does_not_indicate_a_moved_camera(shift):
     table = references([(-0.3, 0.0), (0.3, 0.0)])
     tracker = TableTracker(CAMERA, table)
     for frame in range(20):

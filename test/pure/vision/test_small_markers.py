@@ -47,7 +47,7 @@ def square(side: float, turn: float, middle: tuple[float, float] = (78.3, 61.7))
 
 
 @pytest.mark.parametrize("name", ["APRILTAG_36h11", "4X4_50", "ARUCO_ORIGINAL", "APRILTAG_16h5"])
-def test_markers_of_a_pixel_and_a_half_a_module_are_measured_as_well_as_they_say(name):
+def test_markers_with_1_5_pixels_per_module_reach_their_stated_accuracy(name):
     normalised, errors = [], []
     for seed in range(12):
         random = np.random.default_rng(seed)
@@ -89,7 +89,7 @@ def test_modules_of_less_than_two_pixels_are_found_in_the_enlarged_image():
     assert found[Effort.ENLARGED] > found[Effort.THOROUGH]
 
 
-def test_another_pattern_or_half_of_it_is_not_believed():
+def test_another_pattern_or_half_of_it_is_not_accepted():
     pattern = marker_pattern("APRILTAG_36h11", 5)
     corners = square(15.0, 0.3)
     image = picture(pattern, corners)
@@ -114,7 +114,7 @@ def test_another_pattern_or_half_of_it_is_not_believed():
         assert fit_pattern(image, quad, pattern) is None
 
 
-def test_no_pattern_is_blurred_until_it_fits_another():
+def test_no_pattern_is_accepted_because_it_fits_when_blurred():
     """With much blur and an uncertain place, many patterns fit. A fit that requires such blur must
     be refused."""
     corners = square(24.0, 0.2)
@@ -125,7 +125,7 @@ def test_no_pattern_is_blurred_until_it_fits_another():
             assert fit_pattern(image, corners, marker_pattern(name, marker)) is None
 
 
-def test_a_corner_that_the_search_saw_elsewhere():
+def test_a_corner_that_the_search_found_elsewhere():
     """One corner is wrong by four pixels, as if glare had interrupted the outline. The marker is
     found after a search, but not from its last pose."""
     pattern = marker_pattern("ARUCO_ORIGINAL", 11)
@@ -153,7 +153,7 @@ def test_an_oblique_marker():
     assert np.abs(edges.corners[0] - corners).max() < 0.15
 
 
-def test_sides_of_a_fitted_pattern_claim_no_more_than_the_fit():
+def test_sides_of_a_fitted_pattern_claim_no_more_accuracy_than_the_fit():
     pattern = marker_pattern("APRILTAG_36h11", 5)
     corners = square(14.0, 1.0)
     fit = fit_pattern(picture(pattern, corners), corners, pattern)
@@ -164,7 +164,7 @@ def test_sides_of_a_fitted_pattern_claim_no_more_than_the_fit():
     assert 0.5 * noise**2 >= 0.999 * float(np.linalg.eigvalsh(place).max())
 
 
-def test_searches_of_one_image_add_up():
+def test_searches_of_one_image_are_combined():
     """The next search of the same image keeps the detections of the first. If an id is found at two
     places, these are two markers with the same id."""
     here, beside = square(20.0, 0.0), square(20.0, 0.0) + 0.4

@@ -53,7 +53,7 @@ def farthest(found: np.ndarray, true: np.ndarray) -> float:
     return float(apart.min(axis=0).max()) if len(found) == len(true) else math.inf
 
 
-def test_a_disk_with_a_marker_off_its_middle() -> None:
+def test_a_disk_with_an_off_centre_marker() -> None:
     marker = ObjectMarker("apriltag_36h11", 7, 0.025, 0.012, (0.006, -0.003, 0.0))
     found = traced(disk(0.04), marker, (0.02, -0.01, 1.1))
     assert found.radius == pytest.approx(0.04, abs=1e-4)
@@ -86,7 +86,7 @@ def test_a_polygon_without_a_marker(brighter: bool) -> None:
     )
 
 
-def test_a_shadow_beside_a_bright_object_is_no_part_of_it() -> None:
+def test_a_shadow_beside_a_bright_object_is_not_part_of_it() -> None:
     appearance = ObjectOutline(0.012, True, vertices=tuple(map(tuple, WEDGE.tolist())))
     pose = (0.0, 0.02, 0.4)
     found = traced(WEDGE, appearance, pose, shadow=(0.006, 0.004), shadow_depth=0.4)
@@ -94,14 +94,14 @@ def test_a_shadow_beside_a_bright_object_is_no_part_of_it() -> None:
     assert farthest(corners_on_table(found), true) < 4e-4
 
 
-def test_two_things_on_the_table_are_refused() -> None:
+def test_two_objects_on_the_table_are_refused() -> None:
     marker = ObjectMarker("apriltag_36h11", 7, 0.025, 0.012)
     second = SceneObject(disk(0.03), ObjectMarker("apriltag_36h11", 8, 0.025, 0.012))
     with pytest.raises(NotTraced, match="leave one object"):
         traced(disk(0.04), marker, (0.0, 0.0, 0.0), others=(second,))
 
 
-def test_an_empty_table_and_a_picture_of_none_are_refused() -> None:
+def test_an_empty_table_and_an_image_without_a_table_are_refused() -> None:
     marker = ObjectMarker("apriltag_36h11", 7, 0.025, 0.012)
     scene = SceneRenderer(CAMERA, POSE, REFERENCES, disk(0.04), marker)
     with pytest.raises(NotTraced, match="no area at least 12 mm wide differs"):

@@ -82,7 +82,7 @@ def test_at_rest_everything_is_known(scene):
     assert np.all(np.abs(error(seen, HOME)) < [0.005, 0.005, 0.005])
 
 
-def test_a_slide_is_followed_and_its_end_noticed(scene):
+def test_a_slide_is_tracked_and_its_end_detected(scene):
     film = Film()
     film.rest(scene, 6)
     velocity = np.array([0.15, -0.06, 1.0])
@@ -101,7 +101,7 @@ def test_a_slide_is_followed_and_its_end_noticed(scene):
     assert np.all(np.abs(error(seen, end)) < [0.006, 0.006, 0.008])
 
 
-def test_exact_files_give_small_errors_and_a_covariance_that_says_so():
+def test_exact_files_give_small_errors_and_a_matching_covariance():
     """Camera pose, noise, blur and light differ between the scenes."""
     random = np.random.default_rng(8)
     normalised, errors = [], []
@@ -129,7 +129,7 @@ def test_exact_files_give_small_errors_and_a_covariance_that_says_so():
     assert np.mean(np.array(normalised) < 7.815) > 0.85
 
 
-def test_light_that_falls_to_a_third_and_more_noise(scene):
+def test_tracking_works_with_a_third_of_the_light_and_more_noise(scene):
     dim = renderer(noise=4.0, light_falloff=0.67, seed=3)
     film = Film()
     for x in (-0.25, 0.0, 0.25):
@@ -154,7 +154,7 @@ def test_a_hand_over_the_object(scene):
     assert np.all(np.abs(error(seen, elsewhere)) < 0.01)
 
 
-def test_a_covered_reference_is_done_without(scene):
+def test_tracking_works_with_an_occluded_reference(scene):
     film = Film()
     cover = hand(np.array([-0.33, 0.25, 0.0]), 0.04, 0.0)
     for _ in range(12):
@@ -165,7 +165,7 @@ def test_a_covered_reference_is_done_without(scene):
     assert np.all(np.abs(error(seen, HOME)) < 0.01)
 
 
-def test_a_reference_that_is_covered_later_is_named_until_it_is_seen_again(scene):
+def test_a_reference_occluded_later_is_reported_until_it_is_seen_again(scene):
     film = Film()
     assert film.rest(scene, 12).sentence == ""
     cover = hand(np.array([-0.33, 0.25, 0.0]), 0.04, 0.0)
@@ -177,7 +177,7 @@ def test_a_reference_that_is_covered_later_is_named_until_it_is_seen_again(scene
     assert film.rest(scene, 6).sentence == ""
 
 
-def test_a_displaced_reference_is_named():
+def test_a_displaced_reference_is_reported():
     wrong = tuple(
         dataclasses.replace(m, x=m.x + 0.003) if m.id == 105 else m for m in REFERENCES.markers
     )
@@ -189,7 +189,7 @@ def test_a_displaced_reference_is_named():
     assert np.all(np.abs(error(seen, HOME)) < 0.02)
 
 
-def test_a_bumped_camera_is_noticed_and_corrected(scene, bumped):
+def test_a_bumped_camera_is_detected_and_corrected(scene, bumped):
     film = Film()
     film.rest(scene, 10)
     sentences = []
@@ -278,7 +278,7 @@ def test_a_duplicate_a_wrong_and_a_mirrored_marker(scene):
     assert Film().show(mirrored).problem is Problem.MIRRORED_MARKER
 
 
-def test_an_object_at_another_height_is_not_believed():
+def test_an_object_at_another_height_is_not_accepted():
     lifted = renderer(marker=dataclasses.replace(MARKER, height=0.045))
     seen = Film().rest(lifted, 3)
     assert seen.problem is Problem.MISSHAPEN_MARKER and not seen.visible
@@ -301,7 +301,7 @@ def test_a_small_marker_among_larger_references():
     assert np.all(np.abs(error(seen, HOME)) < [0.02, 0.02, 0.3])
 
 
-def test_a_soft_lens_moves_nothing():
+def test_a_soft_lens_causes_no_bias():
     scene = renderer(blur=1.8)
     film = Film()
     for place in (HOME, HOME + np.array([-0.3, 0.05, 1.0])):
@@ -351,7 +351,7 @@ def test_a_bad_print_widens_the_covariance(scene):
     assert np.all(np.abs(error(seen, HOME)[:2]) * 1e-3 < 4.0 * sigma[:2])
 
 
-def test_the_annotated_picture_shows_outline_and_numbers(scene):
+def test_the_annotated_image_shows_outline_and_numbers(scene):
     film = Film()
     seen = film.rest(scene, 5)
     image = scene.render(HOME)

@@ -238,7 +238,7 @@ def breadboard(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("texture", "hides"), [(grain, False), (tiles, True), (breadboard, False)])
-def test_the_texture_of_a_table_is_no_object_but_an_object_on_it_is(texture, hides) -> None:
+def test_the_texture_of_a_table_is_not_an_object_but_an_object_on_it_is(texture, hides) -> None:
     """An object is not found on the tiles: their brightness varies so much that the threshold of
     the search, which increases with this variation, exceeds the contrast of the object."""
     random = np.random.default_rng(1)
