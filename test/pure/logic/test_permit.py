@@ -198,6 +198,15 @@ def test_the_last_check_refuses_an_arm_that_reports_another_state_despite_its_pr
     assert reason is not None and reason[0] == ErrorCode.TAPPER_ARM_NOT_IN_POSITION
 
 
+def test_the_arm_withdraws_by_itself_when_its_tap_has_expired() -> None:
+    """The tap expires 20 s after START; nobody withdraws it."""
+    pair = Pair()
+    pair.begin()
+    assert not withdrawing(pair.arm.on_tick(at(START + 19.9)))
+    made = [effect for later in (20.1, 20.2) for effect in pair.arm.on_tick(at(START + later))]
+    assert len(withdrawing(made)) == 1
+
+
 @pytest.mark.parametrize("late", [0.0, 0.2, 30.0])
 def test_the_arm_promises_only_on_a_fresh_reading_and_before_the_tap_expires(late: float) -> None:
     """The reading is taken at START, and the tap expires 20 s later."""

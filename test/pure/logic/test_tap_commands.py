@@ -32,6 +32,20 @@ def test_a_name_selects_exactly_that_tapper_or_none(names: list[str], name: str)
         assert all(f"'{known}'" in sentence for known in names)
 
 
+@given(st.floats(0.0, 10.0).filter(lambda norm: abs(norm - 1.0) > 0.011))
+def test_a_strike_pose_with_a_quaternion_that_is_not_normalised_is_refused(norm: float) -> None:
+    now = Now(steady=100.0, ros=10**18)
+    command = TapCommand(tap_id=1, striker_speed=0.3)
+    command.header.frame_id = "table"
+    command.expiry = to_stamp(now.ros + 10**9)
+    command.strike_pose.orientation.w = 1.0
+    assert tap_commands.refusal(command, now, 0) is None
+    command.strike_pose.orientation.w = norm
+    refused = tap_commands.refusal(command, now, 0)
+    assert refused is not None and refused[0] == ErrorCode.COMMAND_INVALID
+    assert "quaternion" in refused[1]
+
+
 def test_the_tapper_refuses_a_tap_for_another_tapper_and_names_itself() -> None:
     now = Now(steady=100.0, ros=10**18)
     machine = TapperLogic(TapperOptions())
