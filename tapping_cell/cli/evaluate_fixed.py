@@ -25,11 +25,11 @@ from tapping_cell.planning.evaluation.summary import summarise
 
 COLUMNS = (
     "start angle",
-    "taps mean",
+    "mean taps",
     "seconds",
-    "99 % within",
-    "most",
-    "done",
+    "taps, 99 %",
+    "taps, maximum",
+    "reached",
     "truly inside",
     "refused",
 )

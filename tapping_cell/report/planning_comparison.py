@@ -64,8 +64,8 @@ def method_settings(method: Method, settings: PlannerSettings) -> PlannerSetting
 def comparison_table(rows: dict[str, dict[str, Any]]) -> str:
     """Return a Markdown table of the results, with one row per method."""
     lines = [
-        "| method | mean taps (95 % interval) | 99 % within (taps) | most taps "
-        "| done within 5 taps | done | truly inside |",
+        "| method | mean taps (95 % interval) | 99 % of runs within (taps) | maximum taps "
+        "| reached within 5 taps | reached | truly inside |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for label, figures in rows.items():

@@ -42,7 +42,9 @@ def sweep_table(rows: Sequence[Row]) -> str:
     """Return a Markdown table with one row per point."""
     names = list(rows[0][0])
     lines = [
-        "| " + " | ".join([*names, "mean taps", "90 % within", "done", "truly inside"]) + " |",
+        "| "
+        + " | ".join([*names, "mean taps", "90 % of runs within (taps)", "reached", "truly inside"])
+        + " |",
         "| " + " | ".join(["---"] * (len(names) + 4)) + " |",
     ]
     for point, figures in rows:
