@@ -77,8 +77,9 @@ def slide_of(
         )
     moved = end - start
     distance = float(np.hypot(*moved))
+    too_short = TrackProblem("missed", f"the object moved by only {1e3 * distance:.3g} mm")
     if distance < max(_MIN_MOTION, floor):
-        return TrackProblem("missed", f"the object moved by only {1e3 * distance:.3g} mm")
+        return too_short
     direction = moved / distance
     along = (places - start) @ direction
     across = (places - start) @ np.array([-direction[1], direction[0]])
@@ -86,7 +87,7 @@ def slide_of(
     begun = np.flatnonzero(along > edge)
     waiting = np.flatnonzero(along < distance - edge)
     if not begun.size or not waiting.size:
-        return TrackProblem("not at rest", "the object is not at rest at both ends of the track")
+        return too_short
     first, last = int(begun[0]), int(waiting[-1])
     problem = _disturbed(track, along, across, (first, last), edge, rate)
     if problem is not None:

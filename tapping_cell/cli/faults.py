@@ -268,10 +268,10 @@ def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
             blocks = ", ".join(f"{count}" for count in run.blocks)
             memory = ", ".join(f"{count / 2**20:.1f}" for count in run.resident)
             print(
-                f"{run.dialect}: {run.hours:.2f} h, {run.taps} taps; blocks of the allocator"
-                f" {blocks}; resident {memory} MiB; threads"
-                f" {run.threads[0]} to {run.threads[1]}; descriptors {run.descriptors[0]} to"
-                f" {run.descriptors[1]}; {'steady' if run.steady else 'GROWS'},"
+                f"{run.dialect}: {run.hours:.2f} h, {run.taps} taps; allocated Python blocks"
+                f" {blocks}; resident memory {memory} MiB; threads {run.threads[0]} at the start,"
+                f" {run.threads[1]} at the end; file descriptors {run.descriptors[0]} at the start,"
+                f" {run.descriptors[1]} at the end; {'steady' if run.steady else 'GROWS'},"
                 f" {'clean' if run.clean else 'NOT CLEAN'}"
             )
     return 0 if all(run.steady and run.clean for run in runs) else 1

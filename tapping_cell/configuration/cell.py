@@ -409,7 +409,8 @@ class ArmSection:
         """Return the arm's own kinematics; None for a SCARA.
 
         Raises:
-            ValueError: the URDF cannot be read or contradicts the section.
+            ValueError: the URDF cannot be read or contradicts ``arm.ros2_control``, or
+                ``chain.max_acceleration`` does not have one value for each joint.
         """
         section = self.ros2_control
         if section is None or section.chain is None:
@@ -490,7 +491,7 @@ class OutputSection:
         "full name of the topic (std_msgs/Bool) that reports whether the guard is closed"
     )
     pulses: tuple[float, ...] = quantity(
-        "pulse length for each of tapper.energies, increasing", "s", 0.0005, 0.08
+        "pulse length for each of tapper.energies, in increasing order", "s", 0.0005, 0.08
     )
     read_back: str = text(
         "full name of the topic (std_msgs/Bool) that reports whether the output is on; if left "
@@ -549,10 +550,13 @@ class TapperSection:
     tool_start: float = quantity("distance from tip centre to front end of the bar", "m", 0.0, 0.2)
     tool_length: float = quantity("distance from tip centre to rear end of the bar", "m", 0.0, 1.0)
     energies: tuple[float, ...] = quantity(
-        "energies of the calibration curve, increasing", "J", 0.0, 1000.0
+        "energies of the calibration curve, in increasing order", "J", 0.0, 1000.0
     )
     speeds: tuple[float, ...] = quantity(
-        "striker speeds at the energies of the calibration curve, increasing", "m/s", 0.0, 100.0
+        "striker speeds at the energies of the calibration curve, in increasing order",
+        "m/s",
+        0.0,
+        100.0,
     )
     calibration: Provenance | None = section("record of the calibration of the curve", default=None)
 
@@ -616,10 +620,14 @@ class FixedTapperSection:
         "radius of the ball at the tip", "m", 0.0005, 0.1, default=None
     )
     energies: tuple[float, ...] | None = quantity(
-        "energies of the tapper's calibration curve, increasing", "J", 0.0, 1000.0, default=None
+        "energies of the tapper's calibration curve, in increasing order",
+        "J",
+        0.0,
+        1000.0,
+        default=None,
     )
     speeds: tuple[float, ...] | None = quantity(
-        "striker speeds at the energies of the calibration curve, increasing",
+        "striker speeds at the energies of the calibration curve, in increasing order",
         "m/s",
         0.0,
         100.0,
@@ -995,7 +1003,7 @@ def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
             raise ConfigurationError(
                 f"{source}: '{file.name}' is {1e3 * file.height:.1f} mm high, "
                 f"but the tip travels at {1e3 * travel:.1f} mm (key 'arm.travel_height' of "
-                f"{cell.path}) and would hit it; increase the key or remove the object"
+                f"{cell.path}) and would hit it; increase this value or remove the object"
             )
     return files
 

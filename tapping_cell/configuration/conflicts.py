@@ -76,7 +76,7 @@ def _further_objects(cell: Cell) -> Iterator[str]:
             yield (
                 f"{cell.path}: key 'arm.strike_height' is {1e3 * cell.file.arm.strike_height:.1f} "
                 f"mm, but the further object '{file.name}' is {1e3 * file.height:.1f} mm high: the "
-                "striker passes over the object; reduce the key"
+                "striker passes over the object; reduce this value"
             )
 
 
@@ -86,13 +86,13 @@ def _heights(cell: Cell) -> Iterator[str]:
         yield (
             f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, but the object "
             f"is {1e3 * cell.object.height:.1f} mm high: the striker passes over the object; "
-            "reduce the key"
+            "reduce this value"
         )
     if arm.strike_height < tapper.tip_radius:
         yield (
             f"{path}: key 'arm.strike_height' is {1e3 * arm.strike_height:.1f} mm, below the tip's "
             f"radius of {1e3 * tapper.tip_radius:.1f} mm: the tip scrapes the table; "
-            "increase the key"
+            "increase this value"
         )
     if arm.travel_height <= max(arm.strike_height, cell.object.height):
         yield (
@@ -105,7 +105,7 @@ def _heights(cell: Cell) -> Iterator[str]:
             yield (
                 f"{path}: key 'arm.travel_height' is {1e3 * arm.travel_height:.1f} mm, but the "
                 f"quill lifts the tip to at most {1e3 * highest:.1f} mm ('arm.tip_height' plus "
-                "'arm.upper[2]'); reduce the key"
+                "'arm.upper[2]'); reduce this value"
             )
     if tapper.stroke <= tapper.standoff:
         yield (

@@ -28,7 +28,7 @@ def fixed_conflicts(cell: Cell) -> Iterator[str]:
             yield (
                 f"{path}: key 'fixed_tappers.strike_height' is {1e3 * height:.1f} mm, below the "
                 f"tip radius of '{name}' ({1e3 * tapper.tip_radius:.1f} mm): the tip scrapes the "
-                "table; increase the key"
+                "table; increase this value"
             )
     wired: dict[tuple[str, int], str] = {}
     for entry in fixed.tappers:

@@ -37,8 +37,8 @@ SPEED_STEP = 1e-3
 """Time step, s, of the finite difference that converts the real arm's joint speeds to those of the
 SCARA."""
 TURNS = 12.6
-"""Limit, rad, of the SCARA's rotary joints when they are computed from the real arm's pose: two
-turns in each direction. The limit is wide, because the driver checks the actual joint limits."""
+"""Limit, rad, of the rotary joints of the cell file's SCARA while the pose of the real arm is
+converted to SCARA joints: two turns in each direction. The limit is wide, because the driver checks the actual joint limits."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -278,9 +278,15 @@ class CellMonitor:
         """Same as :meth:`seen_away_from` for the object ``name`` in ``object_states``."""
         return _away(self._states.get(name), pose, distance, angle)
 
-    def blind(self, waited: float, frames: int, now: Now, moved_aside: bool = False) -> CodedError:
-        """Return why no usable observation was made within ``waited`` s. ``moved_aside``: the arm
-        has already moved aside to uncover the object."""
+    def blind(
+        self, waited: float | None, frames: int, now: Now, moved_aside: bool = False
+    ) -> CodedError:
+        """Return why there is no usable observation.
+
+        ``waited``: how long the goal waited for one before it was given up, s; None if it is not
+        given up. ``moved_aside``: the arm has already moved aside to uncover the object.
+        """
+        within = "" if waited is None else f" within {waited:.0f} s"
         seen, name = self.object, f"'{self._watched}'" if self._watched else "the object"
         if self._own is None or self.silent("object", now):
             return ErrorCode.CAMERA_SILENT, self._silence("object", now)
@@ -310,14 +316,13 @@ class CellMonitor:
         if seen.at_rest and seen.frames_fused < frames:
             return (
                 ErrorCode.TOO_FEW_FRAMES,
-                f"only {seen.frames_fused} images of {name} at rest were fused within"
-                f" {waited:.0f} s, but {frames} are needed (parameter frames_needed); check the"
-                " camera's rate",
+                f"only {seen.frames_fused} images of {name} at rest were fused{within}, but "
+                f"{frames} are needed (parameter frames_needed); check the camera's rate",
             )
         return (
             ErrorCode.OBJECT_NOT_AT_REST,
-            f"{name} was not at rest within {waited:.0f} s; make sure that nothing moves it, "
-            "then send the goal again",
+            f"{name} was not at rest{within}; make sure that nothing moves it"
+            + (", then send the goal again" if waited is not None else ""),
         )
 
     def _hidden_place(self, moved_aside: bool) -> str:

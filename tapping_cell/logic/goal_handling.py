@@ -258,7 +258,7 @@ class GoalHandling:
 
     @property
     def gains(self) -> Gains:
-        """Gains of the object, learnt in earlier goals."""
+        """Corrections of the object's model, learnt from the taps of earlier goals."""
         return self._gains
 
     def learnt(self) -> dict[str, str]:

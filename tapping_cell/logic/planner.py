@@ -785,8 +785,8 @@ class PlannerLogic:
         if missing is not None:
             self._wait_again(now)
         elif not task.observed(self._monitor, self._observe_after, needed, now):
-            missing = self._monitor.blind(0.0, needed, now)
-            self._drop_proposal("the object is not seen at rest", now)
+            missing = self._monitor.blind(None, needed, now)
+            self._drop_proposal("the object has not been observed at rest in enough images", now)
         else:
             self._confirmed = Confirmation(shot, now.steady)
             self._command(shot, now)

@@ -19,8 +19,8 @@ TOPIC = "emergency_stop"
 SERVICE = "service stop"
 RESTART = "a stop before the restart"
 CONFIRM_WITHIN_S = 30.0
-"""Time within which a second reset request counts as the confirmation after a refused request,
-s."""
+"""Time, s, after a refused reset request within which a second request counts as the operator's
+confirmation that the cell is safe."""
 
 
 class StopLatch:

@@ -508,8 +508,8 @@ class TapperLogic(DeviceLogic[State, Event]):
                 )
             )
             return
-        # Assume that the promise began when the request was sent. The arm handled the request
-        # later, so the actual promise ends later.
+        # Count the hold time from the moment at which hold_still was requested. The arm counts it
+        # from the later moment at which it handles the request, so it holds still for longer.
         until = self._asked_at + permit.hold(tap.flight)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:

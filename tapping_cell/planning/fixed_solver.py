@@ -71,8 +71,11 @@ class SolvedGoal:
 
 @dataclass(eq=False, slots=True)
 class Job:
-    """A goal to be solved in the background. finer: steps of the grids after the coarse one;
-    done: its solutions so far, coarse to fine."""
+    """A goal to be solved in the background.
+
+    finer: step ratios of the grids that are solved after the coarse grid. done: solutions of this
+    goal so far, from the coarse to the finest grid.
+    """
 
     key: str
     space: FixedStrikeSpace

@@ -18,8 +18,8 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.se2 import wrap_angle
 
 RADIUS = 0.008
-"""Distance from a visited pose, m, within which its cost applies. For comparison, the end of a
-slide of 80 mm scatters by half of this distance."""
+"""Distance from a visited pose, m, within which its cost applies. For comparison, the end of an
+80 mm slide has a standard deviation of 4 mm with the default scatter."""
 
 SHARE = 0.5
 """Upper limit of ``RADIUS`` as a share of the pose's distance from the goal, so that taps close to

@@ -281,9 +281,9 @@ class InvariantChecker:
         if distance > STRIKE_POSITION_M or turn > STRIKE_ANGLE_RAD or lift > STRIKE_HEIGHT_M:
             self.violate(
                 "arm elsewhere",
-                f"shot {release.shot} was released {1e3 * distance:.2f} mm,"
-                f" {math.degrees(turn):.2f} deg and {1e3 * lift:.2f} mm in height away from its"
-                " strike pose",
+                f"when shot {release.shot} was released, the tip was {1e3 * distance:.2f} mm"
+                f" (horizontally), {1e3 * lift:.2f} mm (vertically) and"
+                f" {math.degrees(turn):.2f} deg away from its strike pose",
             )
 
     def _check_permit(self, release: Release) -> None:

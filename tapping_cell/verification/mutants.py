@@ -233,7 +233,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "            self._machine._state = S.SAFE\n",
         "S7",
         Mutant(
-            "processes a status read during a job",
+            "uses the result of a status read although a job is running",
             "tapping_cell.logic.device",
             "            if self._job is None and not self._stops.stopped:\n",
             "            if not self._stops.stopped:\n",

@@ -59,10 +59,12 @@ class CameraModel:
                 f"distortion_model is {self.distortion_model!r}; calibrate again with plumb_bob or "
                 "rational_polynomial, the only supported models"
             )
-        if len(self.distortion) not in _LENGTHS[self.distortion_model]:
+        lengths = _LENGTHS[self.distortion_model]
+        if len(self.distortion) not in lengths:
+            allowed = f"{', '.join(map(str, lengths[:-1]))} or {lengths[-1]}"
             raise CameraError(
-                f"{self.distortion_model} takes {_LENGTHS[self.distortion_model][-1]} or fewer "
-                f"coefficients ({_LENGTHS[self.distortion_model]}); {len(self.distortion)} given"
+                f"{self.distortion_model} takes {allowed} coefficients, but "
+                f"{len(self.distortion)} are given; calibrate again, or correct them"
             )
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(numbers)):

@@ -185,8 +185,8 @@ def test_an_emergency_stop_latches_until_a_person_clears_it(cell: Cell) -> None:
     assert cell.states[-1].state == TapperState.STOPPED
     with cell.terminal.lock:
         cell.device.press_clear_button(time.monotonic())
-    # Messages and service requests are not ordered: the request to clear the stop may be processed
-    # before the release of the stop, and is then refused.
+    # The stop is released by a message and cleared by a service request, and ROS does not order the
+    # two. A request that is processed before the message is refused, so repeat it.
     cell.bench.wait(cell.cleared, "the stop is cleared")
     cell.bench.wait(lambda: cell.states[-1].state == TapperState.SAFE, "safe again")
     cell.fire(101)

@@ -26,7 +26,8 @@ PROBE = "probe"
 
 
 class VirtualNode:
-    """A process and a probe that communicates with it. Times in s since the start."""
+    """One node in virtual time, and a probe that exchanges messages with it in place of all other
+    nodes. Times in s since the start."""
 
     def __init__(
         self,

@@ -75,7 +75,7 @@ def preset_places(preset: str, count: int, pitch: float, middle: tuple[float, fl
 
 
 def middle_of(free: FreeSpace) -> tuple[float, float]:
-    """Return the middle (x, y) of the box around all tappable places of a map, m."""
+    """Return the centre (x, y), m, of the bounding box of the tappable cells of a free-space map."""
     tappable = free.centres[free.tappable]
     x, y = (tappable.min(axis=0) + tappable.max(axis=0)) / 2
     return float(x), float(y)

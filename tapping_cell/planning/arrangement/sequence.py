@@ -3,7 +3,8 @@
 A move to a goal is possible if the goal is free, a path through tappable places leads to it between
 the other objects, and every other unfinished goal can still be reached afterwards
 (``stuck_goals``). The cheapest possible move is chosen. Its cost is the number of extra taps for
-the detour around other objects, minus a bonus for each goal that it frees. If no such move is
+the detour around other objects, plus a small cost of the path's length, minus a bonus for each goal
+that it frees. If no such move is
 possible (occupied goals, swaps, cycles, blocked paths), an object in the way is moved to a buffer
 place: a reachable place, clear of every unfinished goal and close to the object's own path. Each
 such move opens a goal or a path, so the sequence ends. If there is no buffer place, the planner
@@ -104,8 +105,8 @@ class SequencePlanner:
             and other.goal is not None
             and gap(body.area(pose), other.area(other.goal)) < _margin(other)
         ]
-        # Between equal costs, prefer the shortest path, which other objects are least likely to
-        # block.
+        # The length of the path, m, is added as a small cost (taps): other objects are less likely to
+        # block a short path.
         cost = around - FREED * len(freed) + path
         reason = "its goal and a path to it are free"
         if freed:

@@ -214,7 +214,8 @@ def _sample_edges(image: Image, quads: Array, half_width: int) -> _EdgeSamples:
         number >= _MIN_SHARE * (high - low)
     )
     corners = _corners(offset, slope, along)
-    # Change from pixel to pixel at the window's ends, relative to the contrast, averaged over rows.
+    # Blur measure: the mean grey-level step between neighbouring pixels at the two ends of the
+    # window, divided by the mean contrast. It is near 0 if the window contains the whole edge.
     ends = np.abs(np.matmul(usable[:, None, :], sums[..., 3:])[:, 0])
     soft = ends.sum(axis=1) / np.maximum(2.0 * (contrast * usable).sum(axis=1), 1e-9)
     return _EdgeSamples(

@@ -110,7 +110,7 @@ def test_blur_is_estimated_and_causes_no_bias():
         aligned = align(soft, VIEW, template, MARKER, fit.pose)
         template = make_template(MARKER, PIXEL, aligned.blur)
     assert errors(aligned.pose, pose)[0] < 0.005
-    # The pixel area itself has a variance of 1/12 pixel^2.
+    # Averaging over the area of a pixel adds blur with a variance of 1/12 pixel^2.
     assert aligned.blur / PIXEL == pytest.approx(np.sqrt(1.1**2 + 1 / 12), rel=0.05)
 
 
