@@ -35,9 +35,9 @@ GOALS_A_WORLD = 10
 TASKS = (0.040, math.radians(20.0))
 CAMERA = CameraNoise(0.00005, math.radians(0.05))
 SPREADS = {"as the file": (1.0, 1.0), "within 2": (2.0, 2.0), "within 4 and 2.5": (4.0, 2.5)}
-"""For each group of random worlds: the maximum ratio of the true to the configured friction, and the
-same for the torque factor. The ratios are log-uniform between the maximum and its inverse. In the
-first group both ratios are 1, so it shows how many taps the other effects cost."""
+"""For each group of random worlds: the maximum ratio of the true to the configured friction, and
+the same for the torque factor. The ratios are log-uniform between the maximum and its inverse. In
+the first group both ratios are 1, so it shows how many taps the other effects cost."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:

@@ -48,8 +48,8 @@ class ExperimentFile:
         "object file that the planner used; without it, fit needs --object", default=None
     )
     camera_rate_hz: float | None = quantity(
-        "frame rate of trials without camera_rate_hz in their row; default: computed from the times "
-        "of each track",
+        "frame rate of trials without camera_rate_hz in their row; default: computed from the "
+        "times of each track",
         "Hz",
         1.0,
         1e5,

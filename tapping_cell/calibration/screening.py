@@ -27,8 +27,8 @@ _MIN_MOTION = 0.0002  # m
 _MIN_SPEED = 0.02  # m/s; slides 0.1 mm at a friction of 0.2
 _FRICTION = (0.005, 5.0)
 # Plausible range of the ratio 2 (spin / speed) / (rotation / distance), with spin and speed at
-# launch. The ratio is about 1 + gamma kappa / 4; the range contains it for torque factors kappa of up
-# to 20, with tolerance for noise.
+# launch. The ratio is about 1 + gamma kappa / 4; the range contains it for torque factors kappa of
+# up to 20, with tolerance for noise.
 _SPIN_GAIN = (0.3, 30.0)
 # range of launch speed over striker speed; the ratio is 2 for an elastic impact of a heavy striker
 _STRIKER_GAIN = (0.01, 2.5)

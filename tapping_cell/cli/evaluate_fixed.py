@@ -63,9 +63,9 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("MM", "DEG"),
-        help="standard deviations of each tapper's mounting error: the sideways offset of its line of "
-        "motion, in mm, and the error of its direction, in degrees; new random errors for each trial "
-        "(only for a cell with fixed tappers; default: 0 0)",
+        help="standard deviations of each tapper's mounting error: the sideways offset of its line "
+        "of motion, in mm, and the error of its direction, in degrees; new random errors for each "
+        "trial (only for a cell with fixed tappers; default: 0 0)",
     )
 
 

@@ -38,7 +38,8 @@ SPEED_STEP = 1e-3
 SCARA."""
 TURNS = 12.6
 """Limit, rad, of the rotary joints of the cell file's SCARA while the pose of the real arm is
-converted to SCARA joints: two turns in each direction. The limit is wide, because the driver checks the actual joint limits."""
+converted to SCARA joints: two turns in each direction. The limit is wide, because the driver
+checks the actual joint limits."""
 
 
 @dataclass(frozen=True, slots=True)

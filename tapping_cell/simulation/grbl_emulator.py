@@ -209,7 +209,7 @@ class GrblEmulator:
         self._rests_since = now
 
     def _idle_out(self, now: float) -> None:
-        """Cut the motors' power once they have been idle for the time of the hold setting (Grbl: $1)."""
+        """Cut the motors' power once they have been idle for the time of Grbl's setting ``$1``."""
         if self._due is not None or self._blocks:
             self._rests_since = None
             return

@@ -75,7 +75,7 @@ def preset_places(preset: str, count: int, pitch: float, middle: tuple[float, fl
 
 
 def middle_of(free: FreeSpace) -> tuple[float, float]:
-    """Return the centre (x, y), m, of the bounding box of the tappable cells of a free-space map."""
+    """Return the centre (x, y), m, of the bounding box of a free-space map's tappable cells."""
     tappable = free.centres[free.tappable]
     x, y = (tappable.min(axis=0) + tappable.max(axis=0)) / 2
     return float(x), float(y)

@@ -105,8 +105,8 @@ class SequencePlanner:
             and other.goal is not None
             and gap(body.area(pose), other.area(other.goal)) < _margin(other)
         ]
-        # The length of the path, m, is added as a small cost (taps): other objects are less likely to
-        # block a short path.
+        # The length of the path, m, is added as a small cost (taps): other objects are less likely
+        # to block a short path.
         cost = around - FREED * len(freed) + path
         reason = "its goal and a path to it are free"
         if freed:

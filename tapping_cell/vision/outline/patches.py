@@ -25,8 +25,8 @@ _MAX_PATCHES = 60
 
 
 def patches(small: Image, area: float, reach: float) -> Iterator[Points]:
-    """Yield the convex hull (N, 1, 2), in pixels, of each evenly lit patch and of each pair of patches
-    that lie close together.
+    """Yield the convex hull (N, 1, 2), in pixels, of each evenly lit patch and of each pair of
+    patches that lie close together.
 
     ``area`` is the object's area and ``reach`` its maximum distance from its centre, in pixels.
     """
