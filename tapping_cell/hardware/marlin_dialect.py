@@ -34,6 +34,9 @@ DRAIN_SILENCE = 0.05
 """Time without received bytes after which the line counts as drained, s."""
 POLL_PERIOD = 0.02
 """Time between position queries while the last steps of a move are made, s."""
+REST_S = 0.2
+"""Time, s, between two queries of the same step counts after which the arm counts as at rest. Even
+a slow move makes a step in this time."""
 EARLY = 0.003
 """Time before the computed end of a move at which polling starts, s. Polling starts early because a
 move starts before its ``ok`` arrives."""
@@ -93,6 +96,9 @@ class MarlinDialect:
         self._halted_why = ""
         self._emergency_parser = False
         self._steps: dict[str, float] = {}
+        self._offset: dict[str, float] = {}
+        """Reported position minus step counts, in axis units, while the arm is at rest. It is not 0
+        if the firmware has a workspace offset (``G92``) or a home offset (``M206``)."""
 
     @property
     def units(self) -> Sequence[float]:
@@ -112,6 +118,8 @@ class MarlinDialect:
         firmware, findings = self.inspect(deadline)
         controller_needs.refuse(findings)
         self._prepare(deadline)
+        if not firmware.continued:
+            self._offset = self._offset_before_homing(deadline)
         self._known = True
         return firmware
 
@@ -147,11 +155,15 @@ class MarlinDialect:
 
     def read(self, deadline: float) -> AxisReading:
         """Query ``M114``; return the step counts if reported, else the commanded values."""
+        return self._reading(*self._position(deadline))
+
+    def _position(self, deadline: float) -> tuple[marlin.Position, float]:
+        """Query ``M114``; return the answer and the time of the query."""
         while True:
             asked = self._transport.now()
             for frame in self._command("M114", deadline):
                 if isinstance(frame, marlin.Position):
-                    return self._reading(frame, asked)
+                    return frame, asked
             # Either the answer was garbled, or a stray `ok` was taken for the answer. Discard all
             # received data and query again.
             self._settle(deadline)
@@ -199,7 +211,8 @@ class MarlinDialect:
             self._order("G28", deadline)
             if axes is not None:
                 self.set_position(axes, deadline)
-            self.read(deadline)
+            else:
+                self._offset = self._offset_at_rest(self._position(deadline)[0])
         except HardwareFault as fault:
             if fault.reason is FaultReason.TIMEOUT:
                 raise HardwareFault(
@@ -221,8 +234,10 @@ class MarlinDialect:
             )
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Declare the position with ``G92``."""
+        """Declare the position with ``G92``. Depending on the firmware's build, ``G92`` changes the
+        step counts too or only the reported position; the difference is measured."""
         self._order("G92" + marlin.axis_text(self._settings.letters, axes), deadline)
+        self._offset = self._offset_at_rest(self._position(deadline)[0], axes)
 
     def clear(self, deadline: float) -> None:
         """Restart the line numbering. If the board is silent, reopen the port, which resets a
@@ -502,6 +517,34 @@ class MarlinDialect:
                     findings += controller_needs.at_least(*span, needs.travel, "M211 S0")
         return findings
 
+    def _offset_before_homing(self, deadline: float) -> dict[str, float]:
+        """Return the offset that the board has kept from an earlier session; none if the arm
+        moves."""
+        first, _ = self._position(deadline)
+        offset = self._offset_at_rest(first)
+        if not offset:
+            return offset
+        self._pump(REST_S)
+        return offset if self._position(deadline)[0].counts == first.counts else {}
+
+    def _offset_at_rest(
+        self, frame: marlin.Position, declared: Axes | None = None
+    ) -> dict[str, float]:
+        """Return reported position minus step counts of the axes on which they differ.
+
+        ``declared``: the position that was set, which is more exact than the reported one.
+        """
+        letters = self._settings.letters
+        offset = {}
+        for axis, letter in enumerate(letters):
+            steps, count = self._steps.get(letter), frame.counts.get(letter)
+            if steps is None or count is None or letter not in frame.commanded:
+                return {}
+            if abs(frame.commanded[letter] - count / steps) > _rounding(steps):
+                exact = frame.commanded[letter] if declared is None else declared[axis]
+                offset[letter] = exact - count / steps
+        return offset
+
     def _reading(self, frame: marlin.Position, asked: float) -> AxisReading:
         letters = self._settings.letters
         missing = [letter for letter in letters if letter not in frame.commanded]
@@ -514,11 +557,9 @@ class MarlinDialect:
         commanded = tuple(frame.commanded[letter] for letter in letters)
         if not self._steps or not set(letters) <= set(frame.counts):
             return AxisReading(commanded, False, "", False, asked)
-        actual = tuple(frame.counts[a] / self._steps[a] for a in letters)
-        # The reported commanded values are rounded to 0.01. A difference that exceeds the rounding
-        # error plus one step means that the axis moves.
+        actual = tuple(frame.counts[a] / self._steps[a] + self._offset.get(a, 0.0) for a in letters)
         moving = any(
-            abs(a - c) > 0.006 + 1 / self._steps[letter]
+            abs(a - c) > _rounding(self._steps[letter])
             for a, c, letter in zip(actual, commanded, letters, strict=True)
         )
         return AxisReading(actual, moving, "", True, asked)
@@ -558,3 +599,9 @@ class MarlinDialect:
             f"no answer to {what} from the arm's controller on {self._transport.name} in time:"
             " check power, cable and baud rate",
         )
+
+
+def _rounding(steps: float) -> float:
+    """Return the largest difference between reported position and step count of an axis at rest, in
+    axis units: the rounding of the report to 0.01, and one step."""
+    return 0.006 + 1 / steps

@@ -50,6 +50,9 @@ class MarlinMachine:
     homing_rate: float = 60.0
     """Homing speed, units/s."""
     emergency_parser: bool = True
+    workspace_offsets: bool = True
+    """Whether ``G92`` shifts the reported position and leaves the step counts as they are, which is
+    Marlin's default. False: a build with NO_WORKSPACE_OFFSETS, whose ``G92`` changes both."""
     soft_endstops: bool = False
     soft_low: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     soft_high: tuple[float, float, float, float] = (200.0, 200.0, 200.0, 200.0)
@@ -341,9 +344,10 @@ class MarlinEmulator:
             self._last_number = int(words.get("N", self._last_number))
         elif code == "M114":
             logical = self._commanded + self._shift
-            # The counts include the shift by G92, because Marlin's G92 also sets the stepper
-            # position.
-            counts = np.round((self._axes.counted(now) + self._shift) * self._steps).tolist()
+            counted = self._axes.counted(now)
+            if not self.machine.workspace_offsets:
+                counted = counted + self._shift
+            counts = np.round(counted * self._steps).tolist()
             place = " ".join(f"{a}:{v:.2f}" for a, v in zip(letters, logical, strict=True))
             count = " ".join(f"{a}:{int(n)}" for a, n in zip(letters, counts, strict=True))
             self._send_line(f"{place} Count {count}", now)

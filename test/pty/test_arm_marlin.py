@@ -23,17 +23,25 @@ from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 Plug = Callable[..., PseudoTerminal]
 
 
-def emulated(plug: Plug, parser: bool = True, **options: bool) -> EmulatedArm:
+def emulated(
+    plug: Plug, parser: bool = True, workspace_offsets: bool = True, **options: bool
+) -> EmulatedArm:
     """Return an emulated Marlin arm and its driver."""
-    machine = MarlinMachine(start_joints=NEAR_HOME, home_joints=HOME, emergency_parser=parser)
+    machine = MarlinMachine(
+        start_joints=NEAR_HOME,
+        home_joints=HOME,
+        emergency_parser=parser,
+        workspace_offsets=workspace_offsets,
+    )
     emulator = MarlinEmulator(machine, seed=1, now=time.monotonic())
     port = plug(emulator, **options)
     transport = SerialTransport(str(port.path))
     return EmulatedArm(emulator, port, transport, MarlinDialect(transport))
 
 
-def test_home_move_read_back(plug: Plug) -> None:
-    cell = emulated(plug)
+@pytest.mark.parametrize("workspace_offsets", [True, False])
+def test_home_move_read_back(plug: Plug, workspace_offsets: bool) -> None:
+    cell = emulated(plug, workspace_offsets=workspace_offsets)
     driver = cell.ready()
     assert driver.firmware is not None and driver.firmware.version.startswith("2.1.2")
     goal = Joints(0.3, 1.2, -0.02, -0.5)
@@ -59,6 +67,29 @@ def test_homing_survives_a_disconnected_cable_but_not_a_reset(plug: Plug) -> Non
         cell.port.plug_in()
         assert driver.connect().continued is not reset
         assert driver.homed is not reset
+
+
+@pytest.mark.parametrize("workspace_offsets", [True, False])
+def test_a_new_driver_can_declare_the_position_on_a_board_that_was_not_reset(
+    plug: Plug, workspace_offsets: bool
+) -> None:
+    cell = emulated(plug, workspace_offsets=workspace_offsets)
+    cell.ready().move_to((0.2, 1.2, -0.02, 0.1))
+    cell.driver.close()
+    here = (0.5, 1.1, -0.01, 0.3)
+    transport = SerialTransport(str(cell.port.path))
+    driver = ArmDriver(
+        transport, MarlinDialect(transport), ScaraGeometry(), ArmSettings(home_joints=here)
+    )
+    driver.connect()
+    assert not driver.homed and not driver.read().moving
+    driver.home(HomingStrategy.MANUAL_POSE)
+    assert np.allclose(driver.read_joints(), here, atol=1e-3)
+    before = np.array(cell.truth())
+    reading = driver.move_to(np.add(here, (0.1, -0.2, -0.01, 0.2)))
+    assert reading.measured and not reading.moving
+    assert np.allclose(np.array(cell.truth()) - before, (0.1, -0.2, -0.01, 0.2), atol=1e-3)
+    driver.close()
 
 
 @pytest.mark.parametrize("parser", [True, False])

@@ -93,7 +93,7 @@ def test_the_files_that_a_cell_names_are_checked_too(folder: Path) -> None:
         ("cell.yaml", "tapper.stroke", 0.010, "never reaches"),
         ("cell.yaml", "arm.park", [3.0, 1.2, -0.02, 0.0], "arm.park[0]"),
         ("cell.yaml", "goal.planner", "guess", "must be one of"),
-        ("cell.yaml", "arm.base", [0.0, 4.0, -1.57], "no place on the table"),
+        ("cell.yaml", "arm.base", [0.0, 4.0, -1.57], "the arm can tap the object nowhere"),
         ("cell.yaml", "table.width", 0.08, "fits nowhere"),
         ("cell.yaml", "tapper.speeds", [0.9, 1.0, 1.1, 1.2, 1.3], "slowest speed"),
         ("cell.yaml", "tapper.energies", [1e-5, 1e-4], "shorter"),
