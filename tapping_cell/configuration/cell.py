@@ -436,7 +436,7 @@ class ArmSection:
         """Return the values that the settings in the arm's controller must have.
 
         Raises:
-            ValueError: steps_per_unit has neither four values nor none.
+            ValueError: steps_per_unit is not empty, but does not have four values.
         """
         if len(self.steps_per_unit) not in (0, 4):
             raise ValueError(
@@ -597,8 +597,8 @@ class TapperSection:
 
 @dataclass(frozen=True, slots=True)
 class FixedTapperSection:
-    """One tapper at a fixed mount. For an omitted key, the value in the section `tapper` is
-    used."""
+    """One tapper at a fixed mount. If `port`, `stroke`, `tip_radius`, `energies` or `speeds` is
+    left out, the value in the section `tapper` is used."""
 
     name: str = text("name of the tapper, unique in the cell", longest=40)
     position: tuple[float, float] = quantity(
@@ -1001,8 +1001,8 @@ def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
 
 
 def cells_of(cell: Cell) -> dict[str, Cell]:
-    """For each object of the cell, by name, return a copy of the cell with this object as the main
-    object.
+    """Return one copy of the cell for each object, by the name of the object. In each copy, this
+    object is the cell's main object.
 
     Raises:
         ConfigurationError: an object file is invalid; see ``load_further_objects``.
