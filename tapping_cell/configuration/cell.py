@@ -168,7 +168,9 @@ class Ros2ControlSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmSection:
-    """The SCARA arm: base pose, dimensions, limits, moves and controller."""
+    """The SCARA arm: base pose, dimensions, limits, moves and controller. For an arm that is not a
+    SCARA, the dimensions are those of a SCARA with which the cell plans, and whose tip poses the
+    real arm must be able to reach (see `ros2_control.chain`)."""
 
     base: tuple[float, float, float] = quantity(
         "pose of arm_base in the frame table: x and y in m, angle in rad", "", -7.0, 7.0
