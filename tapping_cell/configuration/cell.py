@@ -168,9 +168,11 @@ class Ros2ControlSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmSection:
-    """The SCARA arm: base pose, dimensions, limits, moves and controller. For an arm that is not a
-    SCARA, the dimensions are those of a SCARA with which the cell plans, and whose tip poses the
-    real arm must be able to reach (see `ros2_control.chain`)."""
+    """The SCARA arm: base pose, dimensions, limits, moves and controller.
+
+    For an arm that is not a SCARA, the dimensions are those of a SCARA with which the cell plans,
+    and whose tip poses the real arm must be able to reach (see `ros2_control.chain`).
+    """
 
     base: tuple[float, float, float] = quantity(
         "pose of arm_base in the frame table: x and y in m, angle in rad", "", -7.0, 7.0
@@ -599,8 +601,10 @@ class TapperSection:
 
 @dataclass(frozen=True, slots=True)
 class FixedTapperSection:
-    """One tapper at a fixed mount. If `port`, `stroke`, `tip_radius`, `energies` or `speeds` is
-    left out, the value in the section `tapper` is used."""
+    """One tapper at a fixed mount. Settings that are left out are taken from the section `tapper`.
+
+    These settings are `port`, `stroke`, `tip_radius`, `energies` and `speeds`.
+    """
 
     name: str = text("name of the tapper, unique in the cell", longest=40)
     position: tuple[float, float] = quantity(
