@@ -62,7 +62,8 @@ seed = whole(0, 2**31 - 1)
 
 
 def namespace(text: str) -> str:
-    """Return a namespace of ROS nodes without the outer slashes. It is empty for no namespace."""
+    """Return a ROS namespace without slashes at its beginning and end. Without a namespace ("" or
+    "/"), return an empty text."""
     if text in ("", "/"):
         return ""
     if not _NAMESPACE.fullmatch(text) or len(text) > LONGEST_NAMESPACE:

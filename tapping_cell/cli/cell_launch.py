@@ -120,7 +120,8 @@ def _start(
             parameters=[
                 *shared,
                 {**node.parameters, **(links if node.name == "scara_arm" else {})},
-                # An empty argument sets no parameter: params_file or the node's default applies.
+                # An empty argument sets no parameter. The node's default then applies, unless
+                # params_file sets the parameter.
                 {
                     name: LaunchConfiguration(key)
                     for key, name in node.arguments.items()
@@ -135,7 +136,8 @@ def _start(
             output="screen",
             respawn=node.respawn,
             respawn_delay=1.0,
-            # Limited, because a node with an invalid configuration ends again after each restart.
+            # The number of restarts is limited, because a node with an invalid configuration ends
+            # again after each restart.
             respawn_max_retries=MAX_RESTARTS,
         )
         for node in nodes
@@ -148,9 +150,12 @@ def _start(
 def _describe(
     namespace: str, cell: Cell, shared: list[dict[str, object] | str]
 ) -> list[Node | LogInfo]:
-    """Return the robot_state_publisher for RViz and Foxglove. It publishes the URDF of the arm or
-    of the fixed tappers. It also publishes the arm's links on /tf, computed from the joint
-    states."""
+    """Return the node robot_state_publisher, or a log message with the reason why it is not
+    started.
+
+    For RViz and Foxglove, the node publishes the URDF of the arm or of the fixed tappers. It also
+    publishes the arm's links on /tf, computed from the joint states.
+    """
     if not _has_state_publisher():
         return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
     if cell.file.arm is not None and cell.arm.chain() is not None:

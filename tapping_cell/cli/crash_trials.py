@@ -36,10 +36,11 @@ TOLERANCE = (0.001, math.radians(1.0))
 LOW = 0.030
 """Height of the tip in m below which the striker counts as lowered."""
 STILL = 2e-4
-"""Minimum displacement in m that counts as a motion of the object."""
+"""Minimum displacement in m between successive true poses that counts as a motion of the
+object."""
 SILENCE_MARGIN_S = 0.4
-"""A strike is unsafe if its stamp is more than this time, in s, after the last stamp at which the
-arm reported that it was in position."""
+"""A strike is unsafe if it occurs more than this time, in s, after the stamp of the last message in
+which the arm reported that it was in position."""
 RELEASE_AFTER_SILENCE_S = 0.65
 """Maximum time in s from the last message of the planner or the camera to the release of the
 striker. It is the sum of the tapper's ``silence_limit`` (0.45 s), the transmission time of a
@@ -87,7 +88,7 @@ class Observed:
     settled: deque[float] = field(default_factory=lambda: deque(maxlen=20_000))
     """Stamps of the messages that reported the arm in position, s."""
     struck: list[float] = field(default_factory=list)
-    """Stamps of the true poses that showed the object begin to move, s."""
+    """For each motion of the object, the stamp of the first true pose that shows it, s."""
     lain: Pose | None = None
     moving: bool = False
     motions: int = 0
@@ -126,9 +127,12 @@ class Observed:
         self.lain = pose
 
     def judge_strikes(self) -> None:
-        """Add a strike to the unsafe events if the arm was not in position, or if a node had been
-        frozen for too long. This is checked by stamps at the end of a trial, because messages of
-        different topics can arrive in any order."""
+        """Add each strike that was unsafe to the unsafe events.
+
+        A strike is unsafe if the arm's last report that it was in position is too old, or if a node
+        had been frozen for too long. The stamps are compared at the end of a trial, because
+        messages of different topics can arrive in any order.
+        """
         for at in self.struck:
             silent = at - max((stamp for stamp in self.settled if stamp <= at), default=-math.inf)
             if silent > SILENCE_MARGIN_S:
@@ -151,8 +155,8 @@ class Observed:
         return STROKE_FACTOR * load_cell().file.tapper.stroke / speeds[-1] if speeds else 0.0
 
     def judge(self) -> None:
-        """Add to the unsafe events: a tap id that was commanded twice, and more strikes than
-        taps."""
+        """Add an unsafe event if a tap id was commanded twice, and another if there were more
+        strikes than taps."""
         ids = [c.tap_id for c in self.commands if c.request == TapCommand.TAP]
         if len(ids) != len(set(ids)):
             self.unsafe.append("a tap id was commanded twice")
@@ -243,9 +247,11 @@ class CrashCell:
         self.graph.restart(node)
 
     def freeze(self, node: str, duration: float) -> None:
-        """Stop the process of a node for ``duration`` s (SIGSTOP). A strike in this period is
-        unsafe if, at its last check before firing, the tapper should have noticed the node's
-        silence."""
+        """Stop the process of a node for ``duration`` s (SIGSTOP).
+
+        A strike in this period is unsafe if it comes so late that the tapper's last check before
+        firing should have detected the missing messages of the node.
+        """
         began = time.time()
         os.kill(self.graph.process_ids[node], signal.SIGSTOP)
         try:
@@ -294,8 +300,8 @@ class CrashCell:
         seen, plan = self.seen, self.seen.plans[-1] if self.seen.plans else PlanState()
         arm, tapper = seen.arm, seen.tapper
         low = arm.tip_pose.position.z < LOW
-        # Id of the last commanded tap: the goal's first tap, or a later one if earlier taps were
-        # aborted.
+        # Id of the last commanded tap. It is not always the goal's first tap, because the planner
+        # may have aborted that tap and commanded another.
         tap = next((c.tap_id for c in reversed(seen.commands) if c.request == TapCommand.TAP), 0)
         mine = tap > 0 and arm.tap_id == tap
         phases: dict[str, bool] = {
@@ -310,8 +316,8 @@ class CrashCell:
         return phases[phase]
 
     def _prepare(self) -> None:
-        """Bring the cell to rest with the object at its start; simulate an operator's actions if
-        required."""
+        """Bring the cell to rest with the object at its start pose. Simulate the actions of an
+        operator if they are required."""
         begin = time.monotonic()
         while self.client.missing():
             if time.monotonic() > begin + 120.0:

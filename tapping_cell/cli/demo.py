@@ -1,4 +1,4 @@
-"""Position an object in the simulated world, from the start of the nodes to the goal.
+"""Start the simulated cell, bring an object to one goal, and write a report.
 
 Starts every node as a separate process, waits until the cell is ready, sends one goal, shows the
 taps as they happen and stops the nodes. The run folder contains report.html, summary.json,

@@ -1,4 +1,5 @@
-"""Demo with several objects: move each to a random goal, and write the report with ground truth."""
+"""Demo with several objects: bring each to its goal, and write a report that includes the true
+poses."""
 
 from __future__ import annotations
 

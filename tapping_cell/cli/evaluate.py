@@ -7,10 +7,13 @@ example:
 Lengths are in mm, angles in degrees, shares in percent. With the model "abstract", a tap has the
 intended displacement plus scatter. The model "physics" simulates strike, impact and slide with true
 parameters, which the planner does not receive. They are read from --truth, and from --truth-object
-if the true object differs from the planner's. With --table, the trials run on the cell's table,
-with its edges and keep-outs, within the arm's reach. A goal out of reach must then be refused
-before the first tap: a later refusal counts as a failure. A cell with fixed tappers is evaluated on
-its own working area, with one row of results for each of --start-angles:
+if the true object differs from the planner's. The model "world" integrates contact and slide
+numerically, with the scatter given in --truth.
+
+With --table, the trials run on the cell's table, with its edges and keep-out zones, within the
+arm's reach. A goal out of reach must then be refused before the first tap: a later refusal counts
+as a failure. A cell with fixed tappers is evaluated on its own working area, with one row of
+results for each of --start-angles:
 
   python -m tapping_cell evaluate --cell config/positioning_cell/cell.yaml --camera-noise 0.05 0.05
 

@@ -19,7 +19,8 @@ from tapping_cell.simulation.virtual_line import HangError
 
 
 class RealClock:
-    """Monotonic clock. An alarm signal ends a call that exceeds ``limit``."""
+    """Monotonic clock with an alarm signal, which ends a call that still runs at the time
+    ``limit``."""
 
     def __init__(self) -> None:
         signal.signal(signal.SIGALRM, _on_alarm)
@@ -68,8 +69,8 @@ class TerminalCell(TrialCell):
 
     @contextmanager
     def _tapper_held(self) -> Iterator[None]:
-        # A caller that locks both devices locks the tapper first. A shot takes the locks in the
-        # same order, because the tapper's thread then queries the arm's position.
+        # To avoid a deadlock, a caller that locks both devices locks the tapper first. A shot uses
+        # the same order: the tapper is already locked when its thread queries the arm's position.
         with self._terminals[1].lock:
             yield
 

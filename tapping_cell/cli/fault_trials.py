@@ -2,9 +2,8 @@
 devices' true states.
 
 A tap consists of the jobs of the drivers' state machines (``logic.arm_jobs``,
-``logic.tapper_jobs``):
-place the striker, charge, check again that the arm is in position, fire once, withdraw. The
-drivers' reports are compared with the true states of the devices.
+``logic.tapper_jobs``): place the striker, charge, check again that the arm is in position, fire
+once, withdraw. The drivers' reports are compared with the true states of the devices.
 """
 
 from __future__ import annotations
@@ -157,7 +156,7 @@ class _Direct:
         """Discard the progress message."""
 
     def ask(self, query: Callable[[Now], Any]) -> Any:
-        """Return the result of the query at the current time."""
+        """Call ``query`` with the current time, and return its result."""
         return query(self.now())
 
 
@@ -379,7 +378,8 @@ class TrialCell:
             self._note(f"the arm's driver reports {reading.joints}, but the arm is at {truth}")
 
     def _record_fire(self, shot: int, energy: float, now: float) -> float:
-        """Check an actual release of the striker. Return the striker's speed."""
+        """Check that a release of the striker is safe and the only one of its shot. Return the
+        striker's speed in m/s."""
         earlier = [s for s, _, _ in self.tapper_device.fires[:-1]]
         if shot in earlier:
             self.tally.double_fires += 1

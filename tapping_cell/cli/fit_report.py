@@ -131,8 +131,8 @@ def _sliding(fit: ObjectFit, torque_factor: float) -> Sliding:
 
 
 def _curve(fit: ObjectFit, index: int, torque_factor: float) -> tuple[NDArray[np.float64], Profile]:
-    """Return times in ms and the profile of the modelled slide that has the same displacement as
-    the trial."""
+    """Model a slide with the same displacement as the trial. Return times in ms, and the motion of
+    the object at these times."""
     sliding = _sliding(fit, torque_factor)
     distance, rotation = fit.measured.distance[index], fit.measured.rotation[index]
     speed, spin = sliding.launch(float(distance), float(rotation))

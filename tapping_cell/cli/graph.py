@@ -63,7 +63,8 @@ class GraphError(RuntimeError):
 
 
 class NodeDied(GraphError):
-    """A node ended unexpectedly. The message contains its name, exit code and last output."""
+    """A node ended unexpectedly. The message contains the node's name, exit code and last
+    output."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,8 +346,8 @@ def has_participants(domain: int) -> bool:
 
 
 def own_domain() -> Domain:
-    """Return the domain of ROS_DOMAIN_ID if that is set. Otherwise reserve a domain that no other
-    run and no node of any user on this machine uses, until this process ends.
+    """Return the domain of ROS_DOMAIN_ID if this variable is set. Otherwise return a domain that no
+    other run and no node of any user on this machine uses. It is reserved until this process ends.
 
     Raises:
         GraphError: every domain is in use, or ROS_DOMAIN_ID is not a domain.

@@ -199,8 +199,8 @@ def _known(taps: list[Moves], content: ObjectFile) -> bool:
 
 
 def _taps(folder: Path, name: str) -> list[Moves]:
-    """Return the commanded and the measured displacement of each measured tap of a run, in the
-    object's axes.
+    """Return the commanded and the measured displacement of each measured tap of a run, in the axes
+    of the object before the tap.
 
     Raises:
         RecordError: the run was made with another object.
@@ -220,7 +220,7 @@ def _taps(folder: Path, name: str) -> list[Moves]:
 
 
 def _arrays(taps: list[Moves]) -> tuple[Any, Any]:
-    """Return commanded and measured displacements, (n, 3).
+    """Return the commanded and the measured displacements of the taps, as two arrays (n, 3).
 
     Raises:
         RecordError: there are no taps.

@@ -163,7 +163,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 class Search:
-    """Trackers of all objects, one for each. Each knows the markers of the other objects."""
+    """One tracker for each object. Each tracker knows the markers of the other objects."""
 
     def __init__(
         self,

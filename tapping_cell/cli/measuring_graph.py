@@ -50,7 +50,8 @@ def measuring_graph(
     """Start the graph or attach to a running one. Yield a function that raises an exception if a
     node has died.
 
-    ``report`` is called with a message that names the ROS domain.
+    If the graph is started, ``report`` is called with a message that names the folder of the
+    records and the ROS domain.
 
     Raises:
         GraphError: the graph cannot be started.

@@ -29,8 +29,8 @@ REACH, TURN = 0.025, math.radians(20.0)
 goals in either direction. The values are large enough to measure friction, and small enough that
 the object stays clear of the table edges."""
 BETWEEN = math.radians(137.5)
-"""Angle (rad) between the directions of successive goals, which spreads any number of goals
-evenly."""
+"""Angle (rad) between the directions of successive goals. This is the golden angle, with which any
+number of goals is spread evenly."""
 IN_A_ROW = 3
 """Number of consecutive goals without a tap after which the session ends."""
 
@@ -88,8 +88,8 @@ def probe(arguments: argparse.Namespace, console: Console) -> Generator[Path, No
 
 
 def goal_of(middle: Pose, here: Pose, number: int) -> Pose:
-    """Return the goal with this number (from 0) on the circle about ``middle``. Its rotation
-    relative to ``here`` alternates in sign."""
+    """Return goal ``number`` (from 0), on the circle about ``middle``. The goal is rotated by TURN
+    from the object's pose ``here``, alternately in the positive and the negative direction."""
     heading = number * BETWEEN
     turn = TURN if number % 2 == 0 else -TURN
     return Pose(

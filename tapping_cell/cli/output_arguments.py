@@ -11,8 +11,8 @@ from tapping_cell.calibration.keep import Output
 def add_output_arguments(
     parser: argparse.ArgumentParser, default: str | None = None, required: bool = True
 ) -> None:
-    """Declare --output, --force and --accept-worse. If --output is not ``required`` and not given,
-    its value is None."""
+    """Declare --output, --force and --accept-worse. If --output is left out, its value is
+    ``default``; without a default, --output must be given if ``required``."""
     parser.add_argument(
         "--output",
         type=Path,

@@ -1,13 +1,13 @@
 """Compute the sensitivity of a tap's result to errors of the striker's pose (paper, section 5.1).
 
-Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees. Also prints its product
-with an error of the striker's pose, its norm, and the fraction of the reachable taps with a norm
-below one. The columns of the Jacobian belong to errors of the striker: displacements of its ball
-along i (the contact normal, away from the object) and j (the tangent), and the rotation beta of its
-axis. The rows belong to the result: displacements of the object along and across the direction of
-travel, and its rotation, clockwise as in the paper. The paper assumes that the direction of travel
-rotates with the striker. A second Jacobian, with the direction of travel from the impact model, is
-printed for comparison.
+Prints the 3 x 3 Jacobian of a tap of the paper's disk in mm and degrees, the norm of the Jacobian,
+and the product of the Jacobian and an error of the striker's pose. Also prints the fraction of the
+reachable taps whose Jacobian has a norm below one. The columns of the Jacobian belong to errors of
+the striker: displacements of its ball along i (the contact normal, away from the object) and j (the
+tangent), and the rotation beta of its axis. The rows belong to the result: displacements of the
+object along and across the direction of travel, and its rotation, clockwise as in the paper. The
+paper assumes that the direction of travel rotates with the striker. For comparison, a second
+Jacobian is printed, in which the direction of travel is computed by the impact model.
 
     python -m tapping_cell sensitivity --distance 10 --rotation 3
     python -m tapping_cell sensitivity --figures docs/images

@@ -19,7 +19,7 @@ continue."""
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """Event of a node, for the user."""
+    """Event of a node, to be reported to the user."""
 
     node: str
     sentence: str

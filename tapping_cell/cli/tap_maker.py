@@ -31,8 +31,8 @@ NO_CLEARANCE = (
     ErrorCode.NO_TAP_FOUND,
     ErrorCode.NO_CONTACT_FOUND,
 )
-"""Error codes of taps that may be possible at another position of the object. The object is then
-brought back to the middle of the table."""
+"""Error codes of a tap that is not possible here, but may be possible at another position of the
+object. After such an error, the object is brought back to the middle of the table."""
 PASSING = (
     ErrorCode.OBJECT_NOT_SEEN,
     ErrorCode.OBJECT_NOT_AT_REST,
@@ -129,7 +129,7 @@ def trial_of(
 ) -> Trial:
     """Convert a measured tap to a trial. The trial's outcome is ``lost`` if the object was not
     visible after the tap. ``camera_rate`` is in Hz and may be NaN. ``problem`` is the planner's
-    message on the tap."""
+    error message about the tap, or an empty text."""
     start, end = from_message(record.object_pose), from_message(record.measured_pose.pose)
     lost = not math.isfinite(end.x)
     tip = client.tip_of(int(record.tap_id)) or from_message(record.strike_pose)

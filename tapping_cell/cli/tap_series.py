@@ -27,7 +27,7 @@ from tapping_cell.report.bag import BagWriter
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """Completed trial with its expected distance in m."""
+    """Completed trial, and the distance in m by which its tap was expected to move the object."""
 
     run: Run
     trial: Trial

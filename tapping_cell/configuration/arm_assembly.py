@@ -30,7 +30,7 @@ def make_arm_driver(arm: ArmSection, connection: Transport | TrajectoryLink) -> 
 def joint_accelerations(arm: ArmSection) -> tuple[float, ...]:
     """Return the deceleration of each joint of the arm in a braking stop, in rad/s^2 or m/s^2.
 
-    They are the values of the kinematic chain if the cell file has one, otherwise those of the
+    The values of the kinematic chain are returned if the cell file has one, otherwise those of the
     SCARA.
     """
     own = arm.ros2_control

@@ -64,9 +64,10 @@ def make_strike_settings(cell: Cell) -> StrikeSettings:
 
 
 def make_arm_reach(cell: Cell) -> ArmReach:
-    """Create the function that tests which tip poses (..., 3) in ``table`` the arm can reach.
+    """Create the function that tests which tip poses the arm can reach.
 
-    The function returns one Boolean column for each side of the elbow.
+    The function takes tip poses (..., 3) in the frame ``table``, and returns Booleans (..., 2), one
+    for each side of the elbow.
     """
     geometry = cell.arm.geometry()
     into_base = cell.arm_base.inverse()

@@ -168,7 +168,11 @@ class Ros2ControlSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmSection:
-    """The SCARA arm: base pose, dimensions, limits, moves and controller."""
+    """The SCARA arm: base pose, dimensions, limits, moves and controller.
+
+    For an arm that is not a SCARA, the dimensions are those of a SCARA with which the cell plans,
+    and whose tip poses the real arm must be able to reach (see `ros2_control.chain`).
+    """
 
     base: tuple[float, float, float] = quantity(
         "pose of arm_base in the frame table: x and y in m, angle in rad", "", -7.0, 7.0
@@ -437,7 +441,7 @@ class ArmSection:
         """Return the values that the settings in the arm's controller must have.
 
         Raises:
-            ValueError: steps_per_unit has neither four values nor none.
+            ValueError: steps_per_unit is not empty, but does not have four values.
         """
         if len(self.steps_per_unit) not in (0, 4):
             raise ValueError(
@@ -601,8 +605,10 @@ class TapperSection:
 
 @dataclass(frozen=True, slots=True)
 class FixedTapperSection:
-    """One tapper at a fixed mount. For an omitted key, the value in the section `tapper` is
-    used."""
+    """One tapper at a fixed mount. Settings that are left out are taken from the section `tapper`.
+
+    These settings are `port`, `stroke`, `tip_radius`, `energies` and `speeds`.
+    """
 
     name: str = text("name of the tapper, unique in the cell", longest=40)
     position: tuple[float, float] = quantity(
@@ -1009,8 +1015,8 @@ def load_further_objects(cell: Cell, paths: str = "") -> tuple[ObjectFile, ...]:
 
 
 def cells_of(cell: Cell) -> dict[str, Cell]:
-    """For each object of the cell, by name, return a copy of the cell with this object as the main
-    object.
+    """Return one copy of the cell for each object, by the name of the object. In each copy, this
+    object is the cell's main object.
 
     Raises:
         ConfigurationError: an object file is invalid; see ``load_further_objects``.

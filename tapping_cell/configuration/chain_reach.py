@@ -1,5 +1,8 @@
-"""For an arm that is not a SCARA, check that it reaches the strike poses that are in reach of the
-SCARA in the section ``arm`` of its cell file."""
+"""Check whether an arm that is not a SCARA reaches the strike poses that the planner may choose.
+
+The planner considers a strike pose reachable if the SCARA in the section ``arm`` of the cell file
+reaches it. A grid of these poses is checked.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,8 @@ FIRST_SEEDS = 40
 
 
 def chain_reach(cell: Cell) -> Iterator[str]:
-    """Yield a warning if the arm cannot reach a strike pose that the SCARA reaches."""
+    """Yield a warning if the arm cannot reach the park pose, or a strike pose that the SCARA
+    reaches."""
     chain = cell.arm.chain()
     if chain is None:
         return
@@ -53,7 +57,8 @@ def chain_reach(cell: Cell) -> Iterator[str]:
 
 
 def _stations(cell: Cell) -> Iterator[Array]:
-    """Yield the tip poses of a grid that the SCARA reaches, in ``arm_base``."""
+    """Yield the tip poses of a grid over the table that the SCARA reaches, in the frame
+    ``arm_base``."""
     table, geometry, to_base = cell.file.table, cell.arm.geometry(), cell.arm_base.inverse()
     for x in np.linspace(-table.length / 2, table.length / 2, PLACES):
         for y in np.linspace(-table.width / 2, table.width / 2, PLACES):

@@ -1,4 +1,7 @@
-"""Detection of contradictions among the files of a cell; every finding states a remedy."""
+"""Detection of contradictions among the files of a cell.
+
+A finding is a message that names the file and the contradictory values.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +29,8 @@ NOISE_MARGIN = 3.0
 
 
 def conflicts(cell: Cell) -> tuple[list[str], list[str]]:
-    """Return a list of errors and a list of warnings. With an error, a goal would fail. With a
-    warning, a goal may fail, or a port does not exist yet."""
+    """Return a list of errors and a list of warnings. An error would make goals fail. A warning
+    reports a risk: a goal may fail, the quill may sink, or a port does not exist yet."""
     if cell.file.fixed_tappers is not None:
         errors = [*_markers(cell), *fixed_conflicts(cell), *_further_objects(cell)]
         return errors, [*_lens(cell), *_noise(cell), *_ports(cell)]

@@ -20,7 +20,8 @@ from tapping_cell.mechanics import Disk, Impact, Polygon, Ring, Sliding, Striker
 from tapping_cell.vision import Dot, ObjectMarker, ObjectOutline
 
 GRAVITY = 9.81
-"""Standard acceleration of gravity in m/s^2, rounded to the accuracy of the friction."""
+"""Standard acceleration of gravity in m/s^2, rounded because the coefficients of friction are less
+accurate."""
 
 ROUND_POINTS = 72
 """Number of points of a round outline."""

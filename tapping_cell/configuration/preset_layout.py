@@ -18,8 +18,9 @@ def preset_layout(
 ) -> dict[str, Pose]:
     """Return the goals of a preset for the objects at ``poses``; see ``preset_goals``.
 
-    ``cells``: see ``cells_of``. ``free``: map of the places where one of the objects can be tapped.
-    The middle of this map is the middle of the layout. If None, the map is computed.
+    ``cells``: see ``cells_of``. ``free``: map of the places at which one of the objects can be
+    tapped. The layout is placed at the centre of the bounding box of these places. If ``free`` is
+    None, the map is computed for the first of the cells.
 
     Raises:
         PlanningError: unknown preset, or fewer than two objects.

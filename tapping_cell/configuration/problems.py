@@ -62,8 +62,9 @@ def _only(kind: type, name: str) -> type:
 
 
 def _sections_in(hint: Any, value: Any) -> list[tuple[type, Any, str]] | None:
-    """Return the class and the value of each section that a key contains, and its index, such as
-    "[2]", or "" if it is not in a list. Return None if the key contains plain values."""
+    """Return class, value and index of each section that a key contains. The index is a text such
+    as "[2]", or "" for a section that is not in a list. Return None if the key contains plain
+    values."""
     if dataclasses.is_dataclass(hint):
         return [(typing.cast(type, hint), value, "")]
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)

@@ -33,7 +33,8 @@ LONGEST_SHOWN = 60
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Accepted values of a field: description, unit and the closed range [minimum, maximum]."""
+    """Description and accepted values of a field: the unit, the closed range [minimum, maximum] of
+    a number, and the texts to choose from."""
 
     description: str
     unit: str = ""

@@ -125,15 +125,15 @@ def file_values(
     """Return the calibrated values by key, for the section arm of the cell file."""
     v, arm = result.values, cell.arm
     offset = list(arm.joint_offset)
-    # The fitted yaw of the base includes the zero offset of the shoulder. The file keeps its own
-    # shoulder offset, so that offset is subtracted.
+    # The fitted yaw is the sum of the base's yaw and the zero offset of the shoulder. The cell file
+    # keeps its shoulder offset, so this offset is subtracted from the fitted yaw.
     base = [v["base_x"], v["base_y"], math.remainder(v["base_yaw"] - offset[0], 2 * math.pi)]
     offset[1] = v["elbow_zero"]
     values: dict[str, float | list[float]] = {"base": base, "joint_offset": offset}
     if "upper_arm" in result.deviations:
         values |= {"upper_arm": v["upper_arm"], "forearm": v["forearm"]}
-    # The fit uses the tool angle that the controller reports. The zero offset of the tool, which
-    # the file adds to that angle, is subtracted here.
+    # The fit uses the tool angle that the controller reports, but in the cell the zero offset of
+    # the tool is added to this angle. The mount is therefore rotated back by the offset.
     mount = Pose(v["mount_x"], v["mount_y"], v["mount_angle"])
     into_tool = Pose(0.0, 0.0, -offset[3])
     if marker is not None and result.turns is not None:

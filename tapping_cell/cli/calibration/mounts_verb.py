@@ -154,8 +154,8 @@ def _taps_of_runs(folders: Sequence[Path], cell: Cell) -> Taps:
 
 
 def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
-    """Fit every tapper that has enough taps, in the order of the cell file. Also return a sentence
-    about each tapper that has too few.
+    """Fit every tapper that has enough taps. Return the fits, in the order of the cell file, and a
+    sentence about each tapper that has too few taps.
 
     Raises:
         RecordError: a tap was made by a tapper that the cell does not have. CalibrationRefused: no

@@ -1,7 +1,7 @@
 """Render photographs of the calibration target or of the reference markers, to test the
 calibration.
 
-The images simulate a camera with the given calibration and the sheets of `calibrate print`,
+The images show the sheets of `calibrate print` as seen by a camera with the given calibration,
 including lens distortion, point spread, uneven light and noise.
 
     python -m tapping_cell calibrate photographs --output pictures

@@ -1,12 +1,13 @@
 """Calibrate the map of the reference markers from images, or from a printed sheet and its ruler.
 
 Take at least six images with the calibrated camera, from above and from all sides, each showing
-several markers (move the camera, not the markers). All markers must lie flat on the table. With
---table OLD, the frame of that file is kept. With --origin and --x-axis, the origin is the first
-marker, and the x axis passes through the second. Without --table and --origin, the origin is the
-centre of all markers, and the x axis is along their mean direction. The scale is determined by the
-markers' printed size or, more accurately, by a measured --distance between the centres of two
-markers.
+several markers (move the camera, not the markers). All markers must lie flat on the table.
+
+With --origin and --x-axis, two markers define the frame: the origin is the first marker, and the x
+axis passes through the second. Otherwise the frame of --table OLD is kept. Without any of these
+options, the origin is the centre of all markers, and the x axis is along their mean direction. The
+scale is determined by the markers' printed size or, more accurately, by a measured --distance
+between the centres of two markers.
 
   python -m tapping_cell calibrate table views/*.png --camera camera_info.yaml --size 40 \\
       --distance 101 103 660.2 --output table.yaml

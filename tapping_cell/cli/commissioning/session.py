@@ -43,7 +43,8 @@ class Proof:
 
 @dataclass(slots=True)
 class Session:
-    """One folder: ``config`` with the cell's files, ``commission.json`` with the measurements."""
+    """Commissioning session in one folder, which contains the cell's files (``config``) and the
+    measurements (``commission.json``)."""
 
     folder: Path
     console: Console
