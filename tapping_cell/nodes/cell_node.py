@@ -313,10 +313,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 def choose_transport(pictures: bool) -> None:
     """Select the Fast DDS profile, unless the environment already names a custom profile.
 
-    Without a shared-memory segment that holds several frames, nearly every image is lost. However,
-    the shared-memory files of a killed process remain and disturb the process that replaces it, so
-    only nodes that transport images use shared memory. Fast DDS reads the environment variable
-    when the first node is created.
+    Images need a shared-memory segment that holds several frames: without it, nearly every image is
+    lost. However, the shared-memory files of a killed process remain and disturb the process that
+    replaces it. Therefore only nodes that transport images use shared memory. Fast DDS reads the
+    environment variable when the first node is created.
     """
     chosen = os.environ.get(PROFILE_VARIABLE, "")
     if not chosen or Path(chosen).name in PROFILES.values():

@@ -40,7 +40,8 @@ Machine = TypeVar("Machine", bound=Logic)
 
 
 class LogicHost(Generic[Machine]):
-    """Host of one state machine. ``driver`` is the device driver that its jobs use."""
+    """Host of one state machine. ``driver`` is the device driver for the jobs of this machine; it
+    is None until ``start``."""
 
     def __init__(self, node: CellNode[Any], logic: Machine, folder: Path) -> None:
         """``folder``: folder for the cell's files that must survive a crash."""

@@ -41,8 +41,8 @@ _MIN_POWER = 0.1
 noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. At this distance, the second-order
-error is at most a thousandth of a pixel. The noise of a frame is a fifth of this distance and
-causes an error below 5e-5 pixel."""
+error is at most a thousandth of a pixel. If the marker does not move, noise alone displaces the
+result by a fifth of this distance, where the error is below 5e-5 pixel."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 

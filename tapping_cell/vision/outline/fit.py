@@ -44,7 +44,7 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 
 FINE = 4.5
 COARSE = 10.0
-"""Half widths of the band in pixels: for a fine fit, and for a coarse fit."""
+"""Half width of the band in pixels: ``FINE`` for a fine fit, ``COARSE`` for a coarse fit."""
 USUAL_BLUR = 0.75
 MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between top and surroundings, and between dot and top."""
@@ -65,8 +65,8 @@ _SAME_LIGHT = 0.05
 _LONG = 0.15
 """Minimum length of a long side of a polygon, as a fraction of the length of the rim."""
 _BRIGHTEST = 2.5
-"""The noise of a sector is assumed to increase with its brightness relative to typical sectors, up
-to this ratio."""
+"""The noise of a sector is assumed to increase with its brightness, until it is this many times as
+bright as a typical sector."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
 """Maximum number of iterations in :func:`fit_again`, and the change (pixels) below which they
 stop."""
@@ -393,8 +393,9 @@ class _State:
         return way
 
     def _compare(self, scene: _Scene, left: Array, step: Array) -> None:
-        """Exclude sectors that disagree on the position of the rim, and estimate the scatter of the
-        others, which increases the covariance."""
+        """Exclude sectors that disagree with the position of the whole rim. Store in ``scatter``
+        the mean squared deviation of the others relative to their noise, at least 1. It is a
+        factor of the covariance."""
         power = np.maximum(left[:, GLOBALS, GLOBALS], 1e-9)
         shift = (left[:, GLOBALS, -1] - left[:, GLOBALS, :GLOBALS] @ step) / power
         sigma = self.noise / np.sqrt(power)

@@ -31,9 +31,9 @@ from tapping_cell.vision.outline.patches import patches
 from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
 
 _MIN_SEEN = {"disk": 0.55, "polygon": 0.7}
-"""Minimum visible fraction of the rim. An arc of a circle fits in only one place. The limit is
-higher for a polygon, because a polygon displaced along some of its sides still agrees with these
-sides."""
+"""Minimum visible fraction of the rim. The limit is higher for a polygon than for a disk: an arc of
+a circle fits in only one place, but a polygon displaced along some of its sides still agrees with
+these sides."""
 _MIN_SIDE = 0.25
 """Minimum visible fraction of each long side of a polygon. Without this limit, a triangle displaced
 by some millimetres can fit well: two of its sides agree, and its third side agrees with a wall as

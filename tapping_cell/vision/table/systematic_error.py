@@ -120,13 +120,13 @@ def condition(
 ) -> SystematicError:
     """Condition the error model on the references.
 
-    ``points`` (M, 4, 2) are the corners in the map, ``residuals`` (M, 4, 2) their measured
-    displacements (both in m), and ``noise`` (8 M, 8 M) the covariance of these due to image noise
-    in m^2. ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are the derivatives of the corners, projected
-    to the table, with respect to the lens parameters and to the camera's pose. ``gain`` (6, 8 M) is
-    the derivative of the fitted pose with respect to the corners. Rows are x and y of successive
-    corners. ``stated`` is True if ``lens`` is scaled by the deviations that the calibration states,
-    and False if it is scaled by typical deviations.
+    ``points`` (M, 4, 2) are the corners in the map and ``residuals`` (M, 4, 2) their measured
+    displacements, both in m. ``noise`` (8 M, 8 M) is the covariance, in m^2, of the displacements
+    due to image noise. ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are the derivatives of the corners,
+    projected to the table, with respect to the lens parameters and to the camera's pose. ``gain``
+    (6, 8 M) is the derivative of the fitted pose with respect to the corners. The 8 M values are x
+    and y of successive corners. ``stated`` is True if ``lens`` is scaled by the deviations that the
+    calibration states, and False if it is scaled by typical deviations.
     """
     # Use only the position and rotation of each marker. Ink, bloom and blur make a marker appear
     # larger, smaller or stretched, which must not be attributed to the lens.
