@@ -173,7 +173,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     def port_path(self, port: str) -> Path:
         """Return the path of a port. ``~`` is replaced by the home folder, ``{namespace}`` by the
-        node's namespace, and ``{cell}`` by a name of this namespace in this ROS domain."""
+        node's namespace, and ``{cell}`` by the result of :func:`key_of`, which contains the ROS
+        domain and the namespace."""
         port = port.replace("{namespace}", self.get_namespace().strip("/"))
         return Path(port.replace("{cell}", key_of(self))).expanduser()
 

@@ -160,7 +160,8 @@ def fit_outline(
     dot = outline.dot if with_dot else None
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
     smeared = float(np.hypot(*moving)) > _SMEARED
-    # A fit without the dot only prepares a fit with the dot.
+    # For an object with a dot, a fit without the dot only provides the start of a fit with the dot,
+    # so it may be rough.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
     most = ROUGH_PIXELS if rough else MAX_PIXELS
     state = _State(start.copy(), blur, size)
@@ -266,7 +267,8 @@ class _State:
         return self.rounds >= 4
 
     def start_anew(self, sectors: int) -> None:
-        """Reset the weights after the pixels changed; the levels are kept."""
+        """Reset the weights, because the pixels changed. The levels are kept unless the number of
+        sectors changed too."""
         if self.levels is None or len(self.levels) != sectors:
             self.levels = self.dot_levels = None
         self.weight = self.dot_weight = self.good = self.taken = None

@@ -125,8 +125,10 @@ def fit_closely(
     blur: float = USUAL_BLUR,
     size: float = 1.0,
 ) -> OutlineFit | Refused:
-    """Fit the outline at a candidate pose (3,), or return why it is rejected; ``size`` is the size
-    of the candidate relative to the outline, including walls and shadows."""
+    """Fit the outline at a candidate pose (3,), or return why the candidate is rejected.
+
+    ``size`` is the size of the candidate relative to the outline, including walls and shadows.
+    """
     rough = rim = None
     # A shadow makes a dark object appear larger, so the size is fixed at first.
     for seems, size_spread in ((1.0, _CERTAIN), (1.0, 5.0 * SIZE_SPREAD), (size, 0.1)):
@@ -175,7 +177,7 @@ def fit_surely(
 
     One side of a tall polygon may be confused with a wall as bright as the top, so that the outline
     is displaced and too small. This wrong fit is nearly as good as the correct fit. However, a fit
-    with fixed size finds the correct one.
+    whose size is fixed to that of the file finds the correct pose.
     """
     fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
     if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
