@@ -1,7 +1,8 @@
 """Common base of the cell's nodes: life cycle with autostart, stop, diagnostics, shutdown.
 
-Life-cycle states: unconfigured = nothing is open; inactive = files are read, the port is open, the
-state is readable, nothing moves; active = the node may move its device.
+In the life-cycle state "unconfigured", nothing is open. In the state "inactive", the node has read
+its files and opened its port and can read its device, but moves nothing. In the state "active", the
+node may move its device.
 """
 
 from __future__ import annotations
@@ -254,7 +255,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             timer.cancel()
 
     def _complain(self, sentence: str, expected: bool = False) -> None:
-        """Log the reason why the node is not ready, once per reason."""
+        """Log the reason why the node is not ready, unless it is the reason that was logged
+        last."""
         if sentence != self._last_complaint and expected:
             self.get_logger().info(sentence)
         elif sentence != self._last_complaint:

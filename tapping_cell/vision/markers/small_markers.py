@@ -133,8 +133,8 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
         return None
     moves = _moves(matrix, corners - middle)
     covariance = moves @ np.linalg.inv(information)[:8, :8] @ moves.T
-    # Residuals of neighbouring pixels are correlated, which reduces the number of independent
-    # residuals.
+    # Residuals of neighbouring pixels are correlated, so their number of independent values is
+    # lower and the covariance higher.
     covariance *= noise**2 * _alike(pixels, residual)
     covariance += _PRINTED**2 * np.eye(8)
     if _side_deviation(corners, covariance) > _VAGUE * side / modules:
