@@ -75,7 +75,8 @@ class LogicHost(Generic[Machine]):
         )
 
     def offers(self, kind: Any, topic: str, profile: Any) -> None:
-        """Create a publisher for a ROS type without a mirror class; a subclass publishes on it."""
+        """Create a publisher for a ROS type that has no dataclass in :mod:`tapping_cell.messages`.
+        A subclass publishes on it."""
         self._publishers[topic] = self._node.create_publisher(kind, topic, profile)
 
     def observes(self, topic: str, observe: Callable[[Any], None]) -> None:

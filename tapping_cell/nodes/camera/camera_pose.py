@@ -78,7 +78,7 @@ CODES = {
     Problem.DOT_HIDDEN: ErrorCode.OBJECT_NOT_SEEN,
 }
 TABLE_SEEN = (ErrorCode.NONE, ErrorCode.OBJECT_NOT_SEEN, ErrorCode.MARKER_AMBIGUOUS)
-"""Error codes that a state can have although the table was located in the image."""
+"""Error codes of object states for which the table was located in the image."""
 
 WATCH_PERIOD_S = 0.05
 """Period of the check for missing images."""

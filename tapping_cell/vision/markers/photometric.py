@@ -166,8 +166,9 @@ def align_again(
 ) -> Alignment | None:
     """Align the marker in a frame in which it has not moved according to the edges (``start``).
 
-    One step of Gauss-Newton from the last alignment suffices, which takes a tenth of the time. None
-    means only that the marker or the illumination changed, not that the marker is absent.
+    One step of Gauss-Newton from the last alignment suffices. It takes a tenth of the time of
+    :func:`align`. None means only that the marker or the illumination changed, not that the marker
+    is absent.
     """
     gap = start - linearisation.pose
     if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * linearisation.pixel:

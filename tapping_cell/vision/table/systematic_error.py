@@ -128,8 +128,8 @@ def condition(
     and y of successive corners. ``stated`` is True if ``lens`` is scaled by the deviations that the
     calibration states, and False if it is scaled by typical deviations.
     """
-    # Use only the position and rotation of each marker. Ink, bloom and blur make a marker appear
-    # larger, smaller or stretched, which must not be attributed to the lens.
+    # Use only the position and rotation of each marker. Ink, stray light and blur make a marker
+    # appear larger, smaller or stretched, which must not be attributed to the lens.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]
