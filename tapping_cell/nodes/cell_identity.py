@@ -40,8 +40,8 @@ def claim(name: str) -> socket.socket | None:
     process ends. Return None if another process holds the name.
 
     The name is a Linux abstract socket address. It leaves no file behind. It is valid within one
-    network namespace of Linux. So is the loopback interface, through which the nodes of two cells
-    could disturb each other.
+    network namespace of Linux. This is sufficient, because the loopback interface, through which
+    the nodes of two cells could disturb each other, belongs to a single network namespace too.
     """
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:

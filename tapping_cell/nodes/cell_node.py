@@ -1,7 +1,8 @@
 """Common base of the cell's nodes: life cycle with autostart, stop, diagnostics, shutdown.
 
-Life-cycle states: unconfigured = nothing is open; inactive = files are read, the port is open, the
-state is readable, nothing moves; active = the node may move its device.
+In the life-cycle state "unconfigured", nothing is open. In the state "inactive", the node has read
+its files and opened its port and can read its device, but moves nothing. In the state "active", the
+node may move its device.
 """
 
 from __future__ import annotations
@@ -173,7 +174,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 
     def port_path(self, port: str) -> Path:
         """Return the path of a port. ``~`` is replaced by the home folder, ``{namespace}`` by the
-        node's namespace, and ``{cell}`` by a name of this namespace in this ROS domain."""
+        node's namespace, and ``{cell}`` by the result of :func:`key_of`, which contains the ROS
+        domain and the namespace."""
         port = port.replace("{namespace}", self.get_namespace().strip("/"))
         return Path(port.replace("{cell}", key_of(self))).expanduser()
 
@@ -253,7 +255,8 @@ class CellNode(LifecycleNode, Generic[Parameters]):
             timer.cancel()
 
     def _complain(self, sentence: str, expected: bool = False) -> None:
-        """Log the reason why the node is not ready, once per reason."""
+        """Log the reason why the node is not ready, unless it is the reason that was logged
+        last."""
         if sentence != self._last_complaint and expected:
             self.get_logger().info(sentence)
         elif sentence != self._last_complaint:
@@ -313,10 +316,10 @@ class CellNode(LifecycleNode, Generic[Parameters]):
 def choose_transport(pictures: bool) -> None:
     """Select the Fast DDS profile, unless the environment already names a custom profile.
 
-    Without a shared-memory segment that holds several frames, nearly every image is lost. However,
-    the shared-memory files of a killed process remain and disturb the process that replaces it, so
-    only nodes that transport images use shared memory. Fast DDS reads the environment variable
-    when the first node is created.
+    Images need a shared-memory segment that holds several frames: without it, nearly every image is
+    lost. However, the shared-memory files of a killed process remain and disturb the process that
+    replaces it. Therefore only nodes that transport images use shared memory. Fast DDS reads the
+    environment variable when the first node is created.
     """
     chosen = os.environ.get(PROFILE_VARIABLE, "")
     if not chosen or Path(chosen).name in PROFILES.values():

@@ -21,7 +21,8 @@ Endpoint = tuple[str, QoSProfile]
 
 
 class ConnectionCheck:
-    """Reports each endpoint that cannot connect once."""
+    """Finds the endpoints that cannot connect to those of ``node``, and reports each of them only
+    once."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -41,8 +42,8 @@ class ConnectionCheck:
                 yield from self._report(info, reasons, f"nothing on {topic} reaches")
 
     def _report(self, info: Any, reasons: list[str], what: str) -> Iterator[str]:
-        # If this node has several endpoints on the topic, it is sufficient that one of them can
-        # connect.
+        # If this node has several endpoints on the topic, the other endpoint is reported only if it
+        # can connect to none of them.
         if not all(reasons) or (endpoint := bytes(info.endpoint_gid)) in self._reported:
             return
         self._reported.add(endpoint)

@@ -44,8 +44,8 @@ class _Later:
 def create_deferred_service(
     node: Node, kind: Any, name: str, serve: Callable[[Any, Respond], None]
 ) -> None:
-    """Create a service. ``serve`` receives a request and a function to call once with its
-    response."""
+    """Create a service. ``serve`` receives each request together with a function that must be
+    called once, immediately or later, with the response."""
 
     def callback(request: Any, _: Any) -> _Later:
         later = _Later(send)

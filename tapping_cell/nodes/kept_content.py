@@ -18,8 +18,8 @@ class KeptContent:
         self._path = path
 
     def keep(self, content: Content | None) -> None:
-        """Write the content, safe against a power loss at any moment. None removes the file. Raises
-        OSError."""
+        """Write the content. A power loss at any moment leaves either the old or the new content.
+        None removes the file. Raises OSError."""
         if content is None:
             self._path.unlink(missing_ok=True)
             return

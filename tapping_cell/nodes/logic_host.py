@@ -40,7 +40,8 @@ Machine = TypeVar("Machine", bound=Logic)
 
 
 class LogicHost(Generic[Machine]):
-    """Host of one state machine. ``driver`` is the device driver that its jobs use."""
+    """Host of one state machine. ``driver`` is the device driver for the jobs of this machine; it
+    is None until ``start``."""
 
     def __init__(self, node: CellNode[Any], logic: Machine, folder: Path) -> None:
         """``folder``: folder for the cell's files that must survive a crash."""
@@ -74,7 +75,8 @@ class LogicHost(Generic[Machine]):
         )
 
     def offers(self, kind: Any, topic: str, profile: Any) -> None:
-        """Create a publisher for a ROS type without a mirror class; a subclass publishes on it."""
+        """Create a publisher for a ROS type that has no dataclass in :mod:`tapping_cell.messages`.
+        A subclass publishes on it."""
         self._publishers[topic] = self._node.create_publisher(kind, topic, profile)
 
     def observes(self, topic: str, observe: Callable[[Any], None]) -> None:

@@ -1,4 +1,7 @@
-"""Convert between ROS messages and their mirrors in ``tapping_cell.messages``, field by field."""
+"""Convert between ROS messages and the dataclasses of ``tapping_cell.messages`` that mirror them.
+
+Each field of a mirror is converted to the message's field of the same name, and back.
+"""
 
 from __future__ import annotations
 

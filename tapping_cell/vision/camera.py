@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
-# Fixed-point undistortion gains at least one digit per iteration for lenses with a field of view of
-# up to 100 degrees. Newton's method handles the rays that do not converge.
+# For lenses with a field of view of up to 100 degrees, fixed-point undistortion gains at least one
+# decimal digit per iteration. Newton's method handles the rays that do not converge.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
 _FOUND = 1e-6
 """Maximum reprojection error, in pixels, at which a ray counts as found."""

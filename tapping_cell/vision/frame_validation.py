@@ -15,8 +15,8 @@ _REPEATED = 4
 """Number of recent frames from which an image must differ. A camera that repeats frames usually has
 this many buffers."""
 _GLOW = 12.0
-"""Maximum excess over ``dark``, in grey levels, that noise and the camera's lamps cause in the
-dark."""
+"""Maximum brightness, in grey levels above ``dark``, that noise and the camera's own lamps cause
+in the dark."""
 
 
 class FrameValidator:

@@ -122,7 +122,8 @@ class ObjectFollower(ABC):
 
     @abstractmethod
     def searched(self, image: Image, search: Search) -> None:
-        """Receive the detections in the whole image of the next frame."""
+        """Receive the detections in the whole image, before :meth:`measure` is called for the same
+        frame."""
 
     @abstractmethod
     def measure(self, frame: Frame) -> tuple[Array, Array] | Failure:

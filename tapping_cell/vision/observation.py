@@ -41,8 +41,8 @@ class Observation:
     ``pose`` and ``covariance`` (3, 3; m, m, rad) of the object in ``table`` are set if and only if
     ``visible``. While the object is at rest (since ``at_rest_since``, s), they combine
     ``frames_fused`` frames; while it moves at ``velocity`` (m/s, m/s, rad/s), they come from this
-    frame only. ``sentence`` explains ``problem``. If there is no problem, it is a
-    warning that does not invalidate the pose, or empty.
+    frame only. ``sentence`` explains ``problem``. If there is no problem, ``sentence`` is a warning
+    that does not invalidate the pose, or it is empty.
     """
 
     stamp: float

@@ -1,4 +1,4 @@
-"""Schedule for measuring the other objects: tapped ones in every frame, the rest in turn."""
+"""Schedule for measuring the other objects: the tapped object in every frame, the rest in turn."""
 
 from __future__ import annotations
 

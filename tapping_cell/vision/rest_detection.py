@@ -103,7 +103,7 @@ class _Resting:
 
 
 class Track:
-    """The object's poses since it last moved; detects whether it is at rest."""
+    """Poses of the object since its last motion, by which rest and motion are detected."""
 
     def __init__(self, settings: RestSettings | None = None) -> None:
         self.settings = settings or RestSettings()

@@ -24,7 +24,8 @@ Window = tuple[int, int, int, int]
 _LEARNT = 8
 """Minimum number of frame pairs needed to estimate the noise of a window."""
 _CONFIDENCE = 6.0
-"""Standard deviations by which a difference must exceed the noise to count as a change."""
+"""Number of standard deviations by which a difference must exceed the usual difference due to noise
+to count as a change."""
 _NOISY = 100.0
 """Mean squared difference above which a window is too noisy to detect a change."""
 _MARGIN = 0.25
@@ -82,8 +83,8 @@ class SceneChange:
 
 
 def _limit(window: Window, noise: Sequence[float]) -> float:
-    """Return the largest mean squared difference that is noise; negative if the window is too
-    noisy to detect a change."""
+    """Return the largest mean squared difference that can be due to noise; negative if the window
+    is too noisy to detect a change."""
     level = float(np.median(noise))
     if level > _NOISY:
         return -1.0

@@ -61,11 +61,13 @@ _SHADOW_EXTRA = 0.004
 """An area beside a measured object counts as a shadow if its width is at most the height of the
 highest measured object plus this distance in m."""
 _SAME = 0.004
-"""Maximum change of an area, as a distance in m, for which its outline is kept."""
+"""An outline is kept if neither the old nor the new area extends beyond the other by more than this
+distance in m."""
 _MARGIN = 0.004
 """Distance in m by which an outline encloses its area."""
 _MISSES = 2
-"""Number of searches without the object after which it counts as removed."""
+"""Number of searches in which the place of an object is visible without it, after which the object
+counts as removed."""
 _MIN_CELLS = 1000
 """Number of visible cells of the table below which an image is not searched."""
 _FIT_POINTS = 3000

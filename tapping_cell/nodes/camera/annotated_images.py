@@ -36,8 +36,8 @@ class AnnotatedImages:
         return any(self._is_due(publisher, now) for publisher in self._periods)
 
     def publish(self, picture: NDArray[np.uint8], header: Header, now: float) -> None:
-        """Publish a colour image (BGR, height x width x 3), raw or compressed or both, as is
-        due."""
+        """Publish a colour image (BGR, height x width x 3) as a raw image, a compressed image or
+        both, depending on which is due."""
         if self._is_due(self._raw, now):
             raw = images.to_message(picture, "bgr8")
             raw.header = header

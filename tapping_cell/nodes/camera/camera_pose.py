@@ -1,10 +1,11 @@
 """Pose measurement node: receives images and publishes the object's pose with its covariance.
 
-Further objects (key ``objects`` of the cell file, parameter ``other_object_files``) are usually
-measured in turn. However, the object that ``plan_state`` names and every object that moved recently
-are measured in every image. While the planner waits for observations, all objects are measured in
-every image. Each measurement is published on ``other_objects``. The latest states of all objects
-are published on ``object_states``, with the outlines of the objects that no object file describes.
+The other objects of the cell (key ``objects`` of the cell file, parameter ``other_object_files``)
+are usually measured in turn, at most one per image. However, the object that ``plan_state`` names
+and every object that moved recently are measured in every image. While the planner waits for
+observations, all objects are measured in every image. Each measurement of another object is
+published on ``other_objects``. The latest states of all objects are published on
+``object_states``, with the outlines of the objects that no object file describes.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ CODES = {
     Problem.DOT_HIDDEN: ErrorCode.OBJECT_NOT_SEEN,
 }
 TABLE_SEEN = (ErrorCode.NONE, ErrorCode.OBJECT_NOT_SEEN, ErrorCode.MARKER_AMBIGUOUS)
-"""Codes of valid images in which the table was located."""
+"""Error codes of object states for which the table was located in the image."""
 
 WATCH_PERIOD_S = 0.05
 """Period of the check for missing images."""
@@ -249,7 +250,9 @@ class CameraPose(CellNode[Parameters]):
             self._tracker = self._camera = None
             return
         if camera == self._cell.camera:
-            camera = self._cell.camera  # with the standard deviations, which camera_info lacks
+            # Only the calibration file states standard deviations; camera_info has no field for
+            # them.
+            camera = self._cell.camera
         self._camera_problem = ""
         self._camera = camera
         self._make_trackers(camera, self._cell)
@@ -413,7 +416,8 @@ class CameraPose(CellNode[Parameters]):
         if not self._annotated.is_due(time.monotonic()):
             return
         assert self._cell is not None and self._tracker is not None
-        # The annotated object is the cell's own one, so the goal of another object is not drawn.
+        # The image shows the outline of the cell's own object, so a goal is drawn only if it is the
+        # goal of this object.
         own = self._tapped in ("", self._cell.object.name)
         picture = annotate(
             grey,

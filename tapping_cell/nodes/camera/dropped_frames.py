@@ -33,8 +33,8 @@ class Backlog:
     def answered(self, now: float) -> None:
         """Record that the last image has been processed."""
         last, arrived = self._answered, self._arrived
-        # If the image arrived before the last one was finished, its processing began at that time,
-        # so its duration is known.
+        # The processing time is known only if this image already waited when the previous image
+        # was finished: its processing then began at once.
         if last is not None and arrived is not None and arrived < last:
             self._each = _mean(self._each, now - last)
         self._answered = now

@@ -9,7 +9,7 @@ from tapping_cell.nodes.camera import images
 
 
 class PicturePublisher:
-    """Publish images; compressed images only while they have a subscriber."""
+    """Publish images, and additionally compressed images while these have a subscriber."""
 
     def __init__(self, node: Node, quality: int) -> None:
         """``quality``: JPEG quality, 1 to 100."""

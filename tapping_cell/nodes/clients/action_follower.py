@@ -85,8 +85,8 @@ class ActionFollower(ClientNode, Generic[Event]):
             result = done.result().result
             if number == self._sent or result.error_code != ErrorCode.GOAL_REPLACED:
                 self._on_result(result)
-            # Otherwise, this is the result of an earlier copy of the goal: its response was late,
-            # so the goal was sent again and replaced it.
+            # Otherwise, the goal was sent again because the response to the first request was
+            # late. The second request then replaced the first, whose result this is.
 
         handle.get_result_async().add_done_callback(end)
 

@@ -24,18 +24,19 @@ from tapping_cell.nodes.conversions import from_message
 from tapping_cell.se2 import Pose
 
 ARRIVED = 0.01
-"""Maximum distance of each joint from its target, in rad, at which the posture is reached."""
+"""A posture is reached when every revolute joint is within this angle (rad) of its target."""
 MOVE_TIMEOUT_S = 30.0
 OBSERVATION_TIMEOUT_S = 10.0
 UNSEEN_TIMEOUT_S = 3.0
-"""Timeout for an observation at rest, and for the first observation of the marker."""
+"""``OBSERVATION_TIMEOUT_S`` is the timeout for an observation of the marker at rest. The wait ends
+earlier if the marker has not been visible for ``UNSEEN_TIMEOUT_S``."""
 PICTURES = 10
 """Number of images at rest that are fused into an observation."""
 _POLL_S = 0.02
 
 
 class ArmRefused(RuntimeError):
-    """The arm did not reach its target. The message comes from the arm's node."""
+    """The arm did not reach its target, for the reason in the message."""
 
 
 class Seen(NamedTuple):
@@ -49,8 +50,8 @@ class ArmPoseClient(GoalClient):
     """:class:`GoalClient` that moves the arm to postures. Use as a context manager."""
 
     def __init__(self, namespace: str = "", own_driver: Ros2ControlSection | None = None) -> None:
-        """``own_driver``: section of the cell file for an arm with its own ROS driver, which
-        publishes the joint states under its own joint names."""
+        """``own_driver``: section of the cell file for an arm with its own ROS driver. The section
+        names the joints and the topic of the joint states."""
         super().__init__("arm_pose_client", namespace)
         self._names = own_driver.joints if own_driver else Joints._fields
         self._joints: JointState | None = None
@@ -139,8 +140,11 @@ class ArmPoseClient(GoalClient):
         )
 
     def _observe(self, sent: Time, arrived: Time, check: Callable[[], None]) -> ObjectState | None:
-        """Return the first observation in which the marker is at rest since a time after ``sent``
-        and whose last image was taken after ``arrived``; None after a timeout."""
+        """Return an observation of the marker at rest; None after a timeout.
+
+        The marker must have come to rest after ``sent``, and the last of the fused images must have
+        been taken after ``arrived``.
+        """
         begun = shown = time.monotonic()
         while (now := time.monotonic()) < min(
             begun + OBSERVATION_TIMEOUT_S, shown + UNSEEN_TIMEOUT_S

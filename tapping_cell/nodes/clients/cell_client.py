@@ -84,7 +84,8 @@ class CellClient(ClientNode):
         return self.in_executor(self._view.mode)
 
     def state(self) -> dict[str, Any]:
-        """Return the state that the page shows, with the rows of its list of nodes as ``nodes``."""
+        """Return the state that the page shows. Its entry ``nodes`` contains the rows of the page's
+        list of nodes."""
 
         def gather() -> dict[str, Any]:
             self._view.simulated = self._watch.runs("sim_world")
@@ -94,10 +95,11 @@ class CellClient(ClientNode):
         return self.in_executor(gather)
 
     def wait_for_cell(self, patience: float) -> dict[str, Any]:
-        """Return the state once a message of every node has arrived, or after ``patience`` s.
+        """Return the state once every required node has sent its diagnostics and the mode is no
+        longer "not ready". After ``patience`` s, return the state as it is.
 
         Raises:
-            NoCell: no message has arrived.
+            NoCell: no node of a cell is running.
         """
         deadline = time.monotonic() + patience
         while True:

@@ -95,7 +95,8 @@ class GoalClient(ActionFollower[Event]):
         self.last_run = ""
         """Folder of the run that the recorder finished last; empty before the first."""
         self.planner_active = False
-        """Whether the planner has published its state, which it does after its activation."""
+        """Whether a state of the planner has been received. The planner publishes the first one
+        when it is activated."""
         self._true_pose_received = 0.0
         self._taps_received = 0
         self._phase = ""

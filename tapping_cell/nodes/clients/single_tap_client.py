@@ -108,7 +108,8 @@ class SingleTapClient(GoalClient):
     ) -> SingleTap.Result:
         """Make one tap and wait for its result. SI units, ``direction`` and ``slack`` in rad.
 
-        An exception from ``check``, or a KeyboardInterrupt, cancels the tap.
+        While the tap is in progress, ``check`` is called every 0.1 s. The tap is cancelled if
+        ``check`` raises an exception, or on a KeyboardInterrupt.
 
         Raises:
             NoAnswer: the planner did not end the tap in time, or its action server disappeared.

@@ -50,7 +50,7 @@ class KeptShot:
         return shot
 
     def keep(self, shot: int) -> None:
-        """Store the shot number, safe against a power loss. Raises OSError."""
+        """Store the shot number, so that it survives a power loss. Raises OSError."""
         self._content.keep({"shot": shot})
 
 

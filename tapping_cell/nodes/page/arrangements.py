@@ -154,8 +154,8 @@ class Arrangements:
         self._action.send_goal_async(goal).add_done_callback(taken)
 
     def _prepare(self) -> None:
-        """Prepare the goal checks of the further objects. Until they are ready, only the planner
-        refuses goals of these objects."""
+        """Prepare the goal checks that are not ready. Until the check of an object is ready, the
+        page sends any goal of this object to the planner, which checks it too."""
         for check in list(self.checks.values()):
             if not check.ready:
                 check.prepare()

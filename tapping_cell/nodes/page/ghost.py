@@ -128,8 +128,8 @@ class Ghost:
         return [[round(float(u), 5), round(float(v), 5)] for u, v in near]
 
     def _right(self, x: float, y: float) -> int:
-        """Return the direction on the table that points most to the right in the image: 0, 90, 180
-        or -90 degrees.
+        """Return which of the directions 0, 90, 180 and -90 degrees on the table points most to the
+        right in the image.
 
         The page uses this direction so that every arrow key moves the ghost along an axis of the
         table, but approximately in the direction of the key in the image.

@@ -21,8 +21,8 @@ class GoalCheck:
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
         self.ready = False
-        """Whether ``prepare`` has been called. Without it, the first check of a polygon takes
-        seconds."""
+        """Whether ``prepare`` has been called. Without preparation, the first check of a polygon
+        takes seconds."""
 
     @cached_property
     def free(self) -> FreeSpace:

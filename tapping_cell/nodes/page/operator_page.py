@@ -563,7 +563,7 @@ class OperatorPage(CellNode[Parameters]):
 
     def _follow_planner(self, name: str) -> None:
         """Create a new client of the planner's parameter service if the planner's node now has
-        another name. The name of the service begins with ``name``, the name of the node."""
+        another name. ``name`` is the name of the node, with which the service's name begins."""
         if self._set_client.srv_name != f"{name}/set_parameters":
             self.destroy_client(self._set_client)
             self._set_client = self._parameter_client(name)

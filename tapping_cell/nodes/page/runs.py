@@ -64,7 +64,8 @@ class Runs:
         return report if report and report.is_file() and not report.is_symlink() else None
 
     def archive(self, name: str) -> Path | None:
-        """Return a ZIP file of a run, which the caller removes, or None if there is no such run.
+        """Create a ZIP file of a run and return its path, or None if there is no such run. The
+        caller must delete the file.
 
         Links are always omitted. Bags are already compressed, so they are stored without further
         compression.

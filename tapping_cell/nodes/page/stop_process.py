@@ -31,7 +31,8 @@ NODE = "operator_page_stop"
 
 def main() -> int:
     """Serve until standard input ends."""
-    # A Ctrl-C in the terminal reaches both processes; the node of the page ends this process.
+    # Ignore Ctrl-C, which the terminal sends to this process and to the page's node. The node ends
+    # this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     logging.getLogger("tornado").setLevel(logging.CRITICAL)  # malformed requests are not logged
     configuration = json.loads(sys.stdin.readline())

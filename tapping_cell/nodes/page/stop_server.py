@@ -26,8 +26,8 @@ from tapping_cell.nodes.page.guard import Guard
 LONGEST_BODY = 1024
 MAX_CONNECTIONS = 256
 REPEAT_PERIOD_S = 0.02
-"""If several stops arrive within this time (s) after a published stop, a single one is published
-for them at the end of this time."""
+"""Minimum time (s) from a published stop or release to the next published stop. All stops that
+arrive earlier are published together, as one stop, at the end of this time."""
 SLOW_ANSWER_S = 0.1
 
 

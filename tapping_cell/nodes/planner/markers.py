@@ -48,7 +48,8 @@ def cell_markers(
     """Return markers of the table, object, goal and current tap. Absent items are deleted.
 
     ``way``: poses of the object before each tap of this goal. ``region``: result of
-    :func:`region_marker`. ``others``: further objects, None for an object that is not on the table.
+    :func:`region_marker`. ``others``: the cell's other objects, None for an object that is not on
+    the table.
     """
     table, keep_outs = cell.file.table, cell.file.keep_outs
     half = np.array([table.length, table.width]) / 2

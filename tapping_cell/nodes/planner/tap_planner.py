@@ -53,7 +53,7 @@ class Parameters(PlannerSettings):
 
 
 class PlannerHost(LogicHost[PlannerLogic]):
-    """Publish the planner's scenes as markers."""
+    """Host of the planner's state machine; publishes the scenes of this machine as markers."""
 
     def _perform(self, effect: effects.Effect) -> None:
         if not (isinstance(effect, effects.Publish) and isinstance(effect.message, Scene)):

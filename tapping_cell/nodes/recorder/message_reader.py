@@ -18,7 +18,7 @@ UNREADABLE_S = 10.0
 
 
 class MessageReader:
-    """Deserialises messages, and reports each topic with an unreadable message once."""
+    """Deserialises messages, and reports the first unreadable message of each topic."""
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self._report = report

@@ -1,4 +1,4 @@
-"""Subscriptions that are polled in turn, instead of one callback for each message."""
+"""Subscriptions whose messages are fetched by polling, not by a callback for each message."""
 
 from __future__ import annotations
 

@@ -219,8 +219,8 @@ class Recording:
 
 
 def is_own_goal(plan: PlanState, method_of_experiments: str) -> bool:
-    """Return whether a plan_state belongs to a goal to record. Single taps have their own
-    records."""
+    """Return whether a plan_state belongs to a goal that the recorder records. Single taps are not
+    among these goals, because they have their own records."""
     busy = plan.state in WORKING_STATES
     return bool(busy and plan.goal.header.frame_id and plan.planner != method_of_experiments)
 

@@ -79,7 +79,8 @@ END_TIMEOUT_S = 4.0
 WRITE_PERIOD_S = 0.5
 POLL_PERIOD_S = 0.1
 REPEATED_WITHIN_S = 10.0
-"""No folder is created for a refusal that repeats an earlier one within this time."""
+"""A refused goal gets no folder if the previous refusal had the same code and message and was
+received less than this time before."""
 RATE_SHARE = 0.8
 """Minimum interval between recorded images, as a fraction of the period of the requested rate. If
 images arrive at the requested rate, their intervals are sometimes slightly shorter than the period.
@@ -417,8 +418,8 @@ class RunRecorder(CellNode[Parameters]):
             self._begin(PlanState(header=report.header), refused=False, arrangement=report)
 
     def _is_late(self, plan: PlanState) -> bool:
-        """Return whether a report was published before the end of its goal but received after it,
-        because the order between topics is not guaranteed."""
+        """Return whether a ``plan_state`` is older than the end of its goal, which is already
+        known. This happens because the order between topics is not guaranteed."""
         end = self._end
         if end is None or not (self._arranging or same_goal(plan, end)):
             return False

@@ -1,6 +1,6 @@
 """Simulated world: publishes camera images and emulates two serial devices on pseudo-terminals.
 
-The cell's object and its further objects share one table and collide on contact.
+All objects of the cell lie on one table and collide on contact.
 """
 
 from __future__ import annotations

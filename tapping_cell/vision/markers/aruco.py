@@ -77,8 +77,8 @@ def _detect_with_functions(image: Image, book: cv2.aruco.Dictionary, parameters:
 
 
 def _without_repeats(found: list[tuple[int, Quad]], rate: float) -> list[tuple[int, Quad]]:
-    """Keep one of the quads that decode to the same marker at the same position; ``rate`` is their
-    maximum distance as a fraction of the perimeter."""
+    """Of several quads that decode to the same marker at about the same position, keep only the
+    largest. ``rate`` is the maximum distance of such quads, as a fraction of the perimeter."""
     kept: list[tuple[int, Quad]] = []
     # The largest quad is the rim of the marker itself; a smaller quad lies within the rim.
     for number, corners in sorted(found, key=lambda each: -_perimeter(each[1])):

@@ -139,8 +139,8 @@ def find_markers(
     found = aruco.detect_markers(
         np.ascontiguousarray(image), marker_dictionary(dictionary), _parameters(effort)
     )
-    # Pixel coordinates refer to pixel centres; the centre of the first pixel is at (scale - 1) / 2
-    # of the enlarged image.
+    # Coordinates are measured from the centre of an image's first pixel. In the enlarged image, the
+    # centre of the original image's first pixel is at (scale - 1) / 2.
     offset = np.array([x0, y0]) - 0.5 * (1.0 - 1.0 / scale)
     return [Detection(number, corners / scale + offset) for number, corners in found]
 

@@ -32,8 +32,8 @@ _USUAL = 0.68
 the blur of the edge. The ends of a wider window would, on small markers, lie in the blur of the
 modules behind the black border."""
 _WIDE, _WIDEST = 0.75, 8
-"""Half width of the window for blurred edges (motion, defocus), in modules and at most in pixels.
-Wider windows would reach the modules next to the black border."""
+"""Half width of the window for blurred edges (motion, defocus): ``_WIDE`` modules, but at most
+``_WIDEST`` pixels. A wider window would reach the modules next to the black border."""
 _OBLIQUE = 0.8
 """Ratio of the distance between opposite sides to the mean length of the sides. Below this ratio
 (an oblique view), the distance instead of the length determines the width of the window."""
@@ -256,8 +256,9 @@ def _edges(samples: _EdgeSamples) -> MarkerEdges:
     count = len(samples.good)
     squares = (samples.kept * samples.residual**2).sum(axis=1)
     squares /= np.maximum(samples.kept.sum(axis=1) - 2.0, 1.0) * (1.0 + samples.slope**2)
-    # The two factors are not multiplied: _level_noise is valid for independent pixels, but noise
-    # that is correlated between rows is also correlated between the pixels of a window.
+    # Only the larger of the two factors is used. Their product would be wrong: _level_noise is
+    # valid for independent pixels, but noise that is correlated between rows is also correlated
+    # between the pixels of a window.
     squares *= max(_level_noise(2 * samples.half_width + 1), _together(samples))
     spread = np.sqrt(squares.reshape(count, 4).mean(axis=1))
     number = np.maximum(samples.mask.sum(axis=1), 1.0)
@@ -307,11 +308,11 @@ def _together(samples: _EdgeSamples) -> float:
 def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     """Correction (S,) for uneven illumination, to be added to the positions of the sides along q.
 
-    The levels are measured at a distance m outside and inside the edge. If the illumination
+    The levels are measured m pixels outside and m pixels inside the edge. If the illumination
     increases outwards by a fraction g per pixel, the levels at the edge differ from the measured
-    levels. To first order, an edge in a window of L pixels to either side then appears L g (m - L /
-    2) too far out. Opposite sides of a marker are displaced in the same direction. The slope of the
-    illumination comes from ``white`` (S,) beside the sides.
+    levels. To first order, an edge in a window of L pixels to either side then appears
+    L g (m - L / 2) pixels too far out. Opposite sides of a marker are displaced in the same
+    direction. The gradient g comes from the grey levels ``white`` (S,) beside the sides.
     """
     corners, each = samples.corners, np.arange(len(white))
     away = samples.half_width - 0.5 * (_outermost(2 * samples.half_width + 1) - 1)
@@ -326,8 +327,8 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
     slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
     length = samples.half_width + 0.5
-    # ``slope`` refers to the direction of q, not to the outward direction: the sign of the outward
-    # direction would enter twice and cancel.
+    # ``slope`` and the result refer to the direction of q. The sign of the outward direction is not
+    # needed: it would be a factor of both and cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 

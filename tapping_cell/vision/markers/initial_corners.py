@@ -16,7 +16,7 @@ from tapping_cell.vision.camera import Array, Image
 _ACROSS = 25
 """Number of samples on each search line perpendicular to a side of the marker."""
 _REACH, _FURTHEST = 0.9, 7.0
-"""Search range to either side of the edge: in modules, and at most in pixels."""
+"""Search range to either side of the edge: ``_REACH`` modules, but at most ``_FURTHEST`` pixels."""
 _ALONG = 24
 _ROUNDS = 2
 
@@ -42,8 +42,8 @@ def _once(image: Image, quad: Array, modules: int) -> Array:
         return quad
     # Corners are clockwise in the image, where y points down, so outwards is to the left.
     outward = np.stack([along[:, 1], -along[:, 0]], axis=-1) / length[:, None]
-    # The search range across a side follows the distance to the opposite side, because in an
-    # oblique view, a module is narrower across two of the sides than along them.
+    # The search range across a side is proportional to the distance to the opposite side, because
+    # in an oblique view, a module is narrower across two of the sides than along them.
     depth = np.abs((outward * (quad[[2, 3, 0, 1]] - quad)).sum(axis=1))
     reach = np.clip(_REACH * depth / modules, 1.5, _FURTHEST)
     share = np.asarray(np.linspace(0.1, 0.9, _ALONG), dtype=float)

@@ -26,7 +26,8 @@ from tapping_cell.vision.rest_detection import RestSettings
 
 _SLOW = 0.0001
 _SLOW_TURN = 0.002
-"""Motion between frames (m, rad) below which the slow photometric alignment is used."""
+"""Maximum displacement (m) and rotation (rad) between two frames for which the photometric
+alignment is used, which takes more computing time than the edges."""
 
 
 class MarkerFollower(ObjectFollower):

@@ -24,8 +24,8 @@ its pattern cannot be fitted."""
 def measure(
     image: Image, quads: Array, patterns: list[NDArray[np.bool_]], searched: bool
 ) -> tuple[MarkerEdges, NDArray[np.bool_]]:
-    """Measure markers near ``quads`` (M, 4, 2). Return also which markers were measured and
-    verified.
+    """Measure the edges of markers near ``quads`` (M, 4, 2). Return the edges, and for each marker
+    whether it was measured and its pattern verified (M,).
 
     ``searched`` states that the quads come from a search, whose corners may be some pixels off and
     are corrected if necessary. Otherwise the quads are predicted from the last positions of the

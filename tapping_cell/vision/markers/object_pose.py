@@ -29,16 +29,16 @@ An edge with a pull p above the noise level has an additional standard deviation
 / (1 - p). This was measured on rendered slides with motion blur of up to 14 pixels.
 """
 _FREE, _USUAL_FREE = 4.0, 8.0
-"""Degrees of freedom of the residuals when a square is fitted to four sides, and degrees of freedom
-of the prior for their usual noise."""
+"""``_FREE``: degrees of freedom of the residuals when a square is fitted to four sides.
+``_USUAL_FREE``: degrees of freedom of the prior for the usual size of these residuals."""
 _OBLONG_PIXELS, _OBLONG = 0.5, 0.006
-"""Allowed difference of length and width, in pixels and as a fraction of the side. A larger
-difference means that an object beside the marker was mistaken for one of its sides."""
+"""Allowed difference of length and width: ``_OBLONG_PIXELS`` pixels or ``_OBLONG`` times the side,
+whichever is more. A difference above this limit and above that of ``_MORE_OBLONG`` means that an
+object beside the marker was mistaken for one of its sides."""
 _MORE_OBLONG, _MAX_OBLONG = 4.0, 0.03
-"""A larger difference is allowed up to ``_MORE_OBLONG`` times the root mean square difference of
-the reference markers, because a poor lens, bent paper or a sharpened image affects all markers.
-The difference that is allowed in this way is at most ``_MAX_OBLONG``, as a fraction of the
-side."""
+"""A poor lens, bent paper or a sharpened image affects all markers. Therefore a difference of up to
+``_MORE_OBLONG`` times the root mean square difference of the reference markers is also allowed,
+but at most ``_MAX_OBLONG`` times the side."""
 
 
 def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -> PoseFit | None:

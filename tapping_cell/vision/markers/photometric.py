@@ -41,8 +41,8 @@ _MIN_POWER = 0.1
 noise."""
 _SAME_PLACE = 0.03
 """Distance in pixels up to which the linearisation is reused. At this distance, the second-order
-error is at most a thousandth of a pixel. The noise of a frame is a fifth of this distance and
-causes an error below 5e-5 pixel."""
+error is at most a thousandth of a pixel. If the marker does not move, noise alone displaces the
+result by a fifth of this distance, where the error is below 5e-5 pixel."""
 _SAME_LIGHT = 0.05
 """Maximum relative change of the contrast for which the linearisation is reused."""
 
@@ -166,8 +166,9 @@ def align_again(
 ) -> Alignment | None:
     """Align the marker in a frame in which it has not moved according to the edges (``start``).
 
-    One step of Gauss-Newton from the last alignment suffices, which takes a tenth of the time. None
-    means only that the marker or the illumination changed, not that the marker is absent.
+    One step of Gauss-Newton from the last alignment suffices. It takes a tenth of the time of
+    :func:`align`. None means only that the marker or the illumination changed, not that the marker
+    is absent.
     """
     gap = start - linearisation.pose
     if math.hypot(gap[0], gap[1]) > _LARGEST_STEP * linearisation.pixel:

@@ -19,7 +19,8 @@ _BITS_WRONG = 0.04
 
 @dataclass(frozen=True, slots=True)
 class Detections:
-    """Result of a full search: corners of markers detected once, by id, and repeated ids."""
+    """Result of a search of the whole image. ``single`` holds the corners (4, 2) of every marker
+    detected once, by id. ``repeated`` are the ids detected at several places."""
 
     single: dict[int, Array]
     repeated: tuple[int, ...]
@@ -37,8 +38,8 @@ class Detections:
 
 
 def detect(image: Image, dictionary: str, effort: Effort = Effort.QUICK) -> Detections:
-    """Detect every marker of a dictionary in the image; count nested detections of a square
-    once."""
+    """Detect every marker of a dictionary in the image. Several detections of the same id at one
+    place, such as nested squares, count as one."""
     by_id: dict[int, list[Detection]] = {}
     for found in find_markers(image, dictionary, effort=effort):
         others = by_id.setdefault(found.id, [])
@@ -68,8 +69,8 @@ def _apart(first: Array, second: Array) -> bool:
 
 
 def near(image: Image, dictionary: str, marker_id: int, quad: Array) -> Array | None:
-    """Search for a marker within one marker's width around a quad (4, 2). Return its corners, or
-    None if it is not found exactly once."""
+    """Search for a marker around a quad (4, 2), at distances of up to the quad's diagonal. Return
+    the corners of the marker, or None if it is not found exactly once."""
     reach = 1.0 * float(np.linalg.norm(quad[2] - quad[0]))
     low = np.floor(quad.min(axis=0) - reach).astype(int)
     high = np.ceil(quad.max(axis=0) + reach).astype(int)

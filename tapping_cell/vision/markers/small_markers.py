@@ -133,8 +133,8 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
         return None
     moves = _moves(matrix, corners - middle)
     covariance = moves @ np.linalg.inv(information)[:8, :8] @ moves.T
-    # Residuals of neighbouring pixels are correlated, which reduces the number of independent
-    # residuals.
+    # Residuals of neighbouring pixels are correlated, so their number of independent values is
+    # lower and the covariance higher.
     covariance *= noise**2 * _alike(pixels, residual)
     covariance += _PRINTED**2 * np.eye(8)
     if _side_deviation(corners, covariance) > _VAGUE * side / modules:
@@ -286,9 +286,12 @@ def _alike(pixels: Array, residual: Array) -> float:
 
 
 def _side_deviation(corners: Array, covariance: Array) -> float:
-    """Return the standard deviation, in pixels, at which four independent lines along the sides
-    determine neither the position nor the angle of the marker more accurately than corners (4, 2)
-    with this covariance (8, 8)."""
+    """Return the standard deviation, in pixels, of the sides of a marker with these corners (4, 2)
+    and their covariance (8, 8).
+
+    It is large enough that the sides, treated as four independent lines, determine neither the
+    position nor the angle of the marker more accurately than the corners.
+    """
     to_middle = np.tile(np.eye(2), 4) / 4.0
     place = float(np.linalg.eigvalsh(to_middle @ covariance @ to_middle.T).max())
     arm = corners - corners.mean(axis=0)

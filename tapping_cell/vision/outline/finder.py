@@ -63,8 +63,11 @@ class OutlineFinder:
     def measure(
         self, image: Image, view: View, expected: Array | None, step: Array
     ) -> OutlineFit | Failure:
-        """Find the outline in this frame; ``expected`` (3,) is its predicted pose, ``step`` (2,)
-        its motion from frame to frame in m."""
+        """Find the outline in this frame. Return the fit, or why the outline was not found.
+
+        ``expected`` (3,) is the predicted pose of the outline; None if unknown. ``step`` (2,) is
+        its motion from frame to frame in m.
+        """
         followed = None if expected is None else self._follow(image, view, expected, step)
         lost = followed is None and self._followed
         if self._search or lost:

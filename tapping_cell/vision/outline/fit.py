@@ -44,7 +44,7 @@ from tapping_cell.vision.outline.shape import ObjectOutline
 
 FINE = 4.5
 COARSE = 10.0
-"""Half widths of the band in pixels: for a fine fit, and for a coarse fit."""
+"""Half width of the band in pixels: ``FINE`` for a fine fit, ``COARSE`` for a coarse fit."""
 USUAL_BLUR = 0.75
 MIN_CONTRAST = 8.0
 """Minimum difference in grey levels between top and surroundings, and between dot and top."""
@@ -65,8 +65,8 @@ _SAME_LIGHT = 0.05
 _LONG = 0.15
 """Minimum length of a long side of a polygon, as a fraction of the length of the rim."""
 _BRIGHTEST = 2.5
-"""The noise of a sector is assumed to increase with its brightness relative to typical sectors, up
-to this ratio."""
+"""The noise of a sector is assumed to increase with its brightness, until it is this many times as
+bright as a typical sector."""
 _ROUNDS_AGAIN, _STEADY = 4, 0.004
 """Maximum number of iterations in :func:`fit_again`, and the change (pixels) below which they
 stop."""
@@ -160,7 +160,8 @@ def fit_outline(
     dot = outline.dot if with_dot else None
     scene = _Scene(outline, pixel, width, moving, not coarse, size_spread, dot is not None)
     smeared = float(np.hypot(*moving)) > _SMEARED
-    # A fit without the dot only prepares a fit with the dot.
+    # For an object with a dot, a fit without the dot only provides the start of a fit with the dot,
+    # so it may be rough.
     rough = coarse or smeared or (outline.dot is not None and not with_dot)
     most = ROUGH_PIXELS if rough else MAX_PIXELS
     state = _State(start.copy(), blur, size)
@@ -266,7 +267,8 @@ class _State:
         return self.rounds >= 4
 
     def start_anew(self, sectors: int) -> None:
-        """Reset the weights after the pixels changed; the levels are kept."""
+        """Reset the weights, because the pixels changed. The levels are kept unless the number of
+        sectors changed too."""
         if self.levels is None or len(self.levels) != sectors:
             self.levels = self.dot_levels = None
         self.weight = self.dot_weight = self.good = self.taken = None
@@ -393,8 +395,9 @@ class _State:
         return way
 
     def _compare(self, scene: _Scene, left: Array, step: Array) -> None:
-        """Exclude sectors that disagree on the position of the rim, and estimate the scatter of the
-        others, which increases the covariance."""
+        """Exclude sectors that disagree with the position of the whole rim. Store in ``scatter``
+        the mean squared deviation of the others relative to their noise, at least 1. It is a
+        factor of the covariance."""
         power = np.maximum(left[:, GLOBALS, GLOBALS], 1e-9)
         shift = (left[:, GLOBALS, -1] - left[:, GLOBALS, :GLOBALS] @ step) / power
         sigma = self.noise / np.sqrt(power)

@@ -18,7 +18,8 @@ from tapping_cell.vision.camera import Image
 Points = NDArray[np.int32]
 
 _EDGE = 0.05
-"""Change of the grey level from pixel to pixel, relative to the level, at which a patch ends."""
+"""Change of the grey level from one pixel to the next, as a fraction of the grey level, at which a
+patch ends."""
 _LEAST, _MOST = 0.08, 1.3
 """Minimum and maximum area of a patch, relative to the object's area."""
 _MAX_PATCHES = 60

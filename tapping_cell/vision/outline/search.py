@@ -32,9 +32,9 @@ from tapping_cell.vision.outline.patches import patches
 from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
 
 _MIN_SEEN = {"disk": 0.55, "polygon": 0.7}
-"""Minimum visible fraction of the rim. An arc of a circle fits in only one place. The limit is
-higher for a polygon, because a polygon displaced along some of its sides still agrees with these
-sides."""
+"""Minimum visible fraction of the rim. The limit is higher for a polygon than for a disk: an arc of
+a circle fits in only one place, but a polygon displaced along some of its sides still agrees with
+these sides."""
 _MIN_SIDE = 0.25
 """Minimum visible fraction of each long side of a polygon. Without this limit, a triangle displaced
 by some millimetres can fit well: two of its sides agree, and its third side agrees with a wall as
@@ -126,8 +126,10 @@ def fit_closely(
     blur: float = USUAL_BLUR,
     size: float = 1.0,
 ) -> OutlineFit | Refused:
-    """Fit the outline at a candidate pose (3,), or return why it is rejected; ``size`` is the size
-    of the candidate relative to the outline, including walls and shadows."""
+    """Fit the outline at a candidate pose (3,), or return why the candidate is rejected.
+
+    ``size`` is the size of the candidate relative to the outline, including walls and shadows.
+    """
     rough = rim = None
     # A shadow makes a dark object appear larger, so the size is fixed at first.
     for seems, size_spread in ((1.0, _CERTAIN), (1.0, 5.0 * SIZE_SPREAD), (size, 0.1)):
@@ -176,7 +178,7 @@ def fit_surely(
 
     One side of a tall polygon may be confused with a wall as bright as the top, so that the outline
     is displaced and too small. This wrong fit is nearly as good as the correct fit. However, a fit
-    with fixed size finds the correct one.
+    whose size is fixed to that of the file finds the correct pose.
     """
     fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
     if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:

@@ -142,10 +142,10 @@ def fit_table(
 
     ``noise`` (M,) is :func:`side_noise`, ``focal`` the number of pixels per unit of direction. Ink
     bleeding, nonlinear grey levels and stray light displace the sides of all markers outwards or
-    inwards by the same unknown amount, which is fitted with the pose. Markers (those in ``used``
-    (M,), if given) are excluded one at a time as long as a marker disagrees with the rest by more
-    than ``settings.displaced`` pixels. Returns None if fewer than ``settings.least_references``
-    remain.
+    inwards by the same unknown amount, which is fitted with the pose. The fit begins with the
+    markers in ``used`` (M,), or with all markers. As long as a marker disagrees with the rest by
+    more than ``settings.displaced`` pixels, one marker is excluded and the fit is repeated. Returns
+    None if fewer than ``settings.least_references`` remain.
     """
     count = points.shape[0]
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
@@ -220,9 +220,9 @@ def consensus(
 ) -> tuple[CameraPose, NDArray[np.bool_]] | None:
     """Compute a pose in the presence of gross outliers. Return it with a mask (M,) of the inliers.
 
-    The camera's pose is computed from every pair of markers (Fischler and Bolles 1981, all pairs),
-    and the pose with the most inliers is chosen. Returns None unless the inliers are a majority and
-    at least three.
+    The camera's pose is computed from every pair of markers, up to ``_MAX_PAIRS`` pairs, and the
+    pose with the most inliers is chosen (Fischler and Bolles 1981, but without random selection).
+    Returns None unless the inliers are a majority and at least three.
     """
     count = len(points)
     flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1)

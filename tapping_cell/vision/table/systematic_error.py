@@ -36,9 +36,9 @@ the difference of their errors. If a calibration states deviations (``CameraMode
 these are used instead.
 """
 _STATED_ASPECT = 0.25
-"""Standard deviation of half the difference of the focal lengths' errors, relative to that of
-their common error, if the calibration states the latter. Measured: 0.05 for calibrations from
-images of a board."""
+"""Standard deviation of half the difference of the two focal lengths' errors, as a fraction of the
+standard deviation of their common error. It is used if the calibration states deviations. Measured:
+0.05 for calibrations from images of a board."""
 _FIELD = np.geomspace(0.002, 12.0, 12)
 _PRINT = np.geomspace(2e-7, 6e-4, 20)
 """Grids of the amplitude of the lens errors, in units of the standard deviations in ``_LENS``, and
@@ -120,16 +120,16 @@ def condition(
 ) -> SystematicError:
     """Condition the error model on the references.
 
-    ``points`` (M, 4, 2) are the corners in the map, ``residuals`` (M, 4, 2) their measured
-    displacements (both in m), and ``noise`` (8 M, 8 M) the covariance of these due to image noise
-    in m^2. ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are the derivatives of the corners, projected
-    to the table, with respect to the lens parameters and to the camera's pose. ``gain`` (6, 8 M) is
-    the derivative of the fitted pose with respect to the corners. Rows are x and y of successive
-    corners. ``stated`` is True if ``lens`` is scaled by the deviations that the calibration states,
-    and False if it is scaled by typical deviations.
+    ``points`` (M, 4, 2) are the corners in the map and ``residuals`` (M, 4, 2) their measured
+    displacements, both in m. ``noise`` (8 M, 8 M) is the covariance, in m^2, of the displacements
+    due to image noise. ``lens`` (8 M, 8) and ``trend`` (8 M, 6) are the derivatives of the corners,
+    projected to the table, with respect to the lens parameters and to the camera's pose. ``gain``
+    (6, 8 M) is the derivative of the fitted pose with respect to the corners. The 8 M values are x
+    and y of successive corners. ``stated`` is True if ``lens`` is scaled by the deviations that the
+    calibration states, and False if it is scaled by typical deviations.
     """
-    # Use only the position and rotation of each marker. Ink, bloom and blur make a marker appear
-    # larger, smaller or stretched, which must not be attributed to the lens.
+    # Use only the position and rotation of each marker. Ink, stray light and blur make a marker
+    # appear larger, smaller or stretched, which must not be attributed to the lens.
     poses = _poses_of(points)
     full, _ = np.linalg.qr(poses @ trend, mode="complete")
     basis = poses.T @ full[:, 6:]
@@ -215,8 +215,11 @@ def _turned(points: Array) -> Array:
 
 def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]:
     """Return the directions (..., 2) of points (..., 2) of the plane at ``height``, and the changes
-    (..., 2, 8) of these directions if one of eight lens parameters differs from its calibrated
-    value by one standard deviation (stated by the calibration, otherwise typical)."""
+    (..., 2, 8) of these directions due to errors of eight lens parameters.
+
+    For each change, one parameter differs from its calibrated value by one standard deviation: the
+    one that the calibration states or, if it states none, a typical one.
+    """
     camera = view.camera
     rays = camera.rays(view.project(points, height))
     shifts = [

@@ -10,7 +10,8 @@ function drawn(name, attributes, text = "") {
   return made;
 }
 
-// Distance to the goal before the first tap and after each, on a logarithmic scale, above the tolerance.
+// Plot the distance to the goal before the first tap and after each tap, on a logarithmic scale.
+// The area within the tolerance is filled.
 function renderPlot(taps, tolerance) {
   const plot = document.getElementById("plot");
   const points = taps.length && taps[0].before[0] !== null ? [[0, taps[0].before[0]]] : [];
