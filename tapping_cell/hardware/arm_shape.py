@@ -12,7 +12,8 @@ from tapping_cell.hardware.scara import ScaraGeometry
 Array = NDArray[np.float64]
 
 QUILL_RADIUS = 0.012
-"""Radius of the quill, m. The margin that callers add also covers a slightly thicker quill."""
+"""Radius of the quill, m. Callers add a margin to all bars, so a slightly thicker quill is also
+covered."""
 
 
 @dataclass(frozen=True, slots=True)

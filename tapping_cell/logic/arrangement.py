@@ -1,4 +1,4 @@
-"""Task of arranging several objects, which tracks and reports the progress of each object.
+"""The planner's task of arranging several objects: it tracks and reports each object's progress.
 
 ``planning.arrangement`` decides which object is tapped next and how. The planner's state machine
 executes each of these taps like any other tap, with the same checks and waits. This module
@@ -109,7 +109,7 @@ class ArrangementTask(Task):
     bodies: Sequence[Body]
     """All objects of the cell."""
     known: Mapping[str, Gains]
-    """Gains of each object, learnt in earlier goals."""
+    """Corrections of the model for each object, learnt in earlier goals."""
     adapt: bool
     in_order: bool
     obstacles: Sequence[KeepOut] = ()
@@ -244,7 +244,7 @@ class ArrangementTask(Task):
         self.arrangement.observe(self._tap, Observation(shot.before), after)
 
     def learnt(self) -> dict[str, Gains]:
-        """Return the learnt gains of every object that was tapped."""
+        """Return the learnt corrections of the model for every object that was tapped."""
         if self.arrangement is None:
             return {}
         return {

@@ -258,11 +258,12 @@ class GoalHandling:
 
     @property
     def gains(self) -> Gains:
-        """Gains of the object, learnt in earlier goals."""
+        """Corrections of the object's model, learnt in earlier goals."""
         return self._gains
 
     def learnt(self) -> dict[str, str]:
-        """Return the learnt gains with their standard deviations as text, for diagnostics."""
+        """Return the learnt corrections of the model and their standard deviations as text, for
+        diagnostics."""
         numbers = self._gains.as_numbers()
         return {
             f"learnt {name}": f"{numbers[name]:.4f} +- {numbers[f'{name}_deviation']:.4f}"
@@ -270,7 +271,8 @@ class GoalHandling:
         }
 
     def learn(self, task: Task) -> None:
-        """Keep the gains learnt from a goal's taps for the following goals."""
+        """Keep the corrections of the model that were learnt from a goal's taps, for the following
+        goals."""
         own = self.cell.object.name
         learnt = task.learnt() if isinstance(task, ArrangementTask) else {own: task.session.gains}
         self._known |= learnt

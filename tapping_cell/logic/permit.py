@@ -5,16 +5,16 @@ from __future__ import annotations
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
-"""Part of the promised time that is reserved for the requests to arm and board, the firing window
-and the firing pulse."""
+"""Part of the time for which the arm stands still that is reserved for the requests to arm and
+board, the firing window and the firing pulse; the rest is for the striker's flight."""
 RELEASE_S = 0.1
 """Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives: for the
 request to the board, the firing window and the firing pulse."""
 RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
-"""Maximum ratio of actual to predicted time of flight; friction and errors of the energy curve slow
-the striker down."""
+"""Maximum ratio of actual to predicted time of flight. It is above 1, because friction and errors
+of the energy curve can make the striker slower than predicted."""
 LONGEST_HOLD_S = BEFORE_FLIGHT_S + SLOWNESS * LONGEST_FLIGHT_S
 """Maximum duration that the tapper of any cell may request."""
 

@@ -1100,7 +1100,8 @@ class PlannerLogic:
             )
 
     def _learnt_gains(self) -> LearntGains:
-        """Return the gains learnt for the object as a message, cached until they change."""
+        """Return the learnt corrections of the object's model as a message; the message is cached
+        until they change."""
         if not self._configured:
             return LearntGains()
         gains = self._task.session.gains if self._task is not None else self.goals.gains

@@ -204,7 +204,7 @@ class Permit:
 
 
 class TapperLogic(DeviceLogic[State, Event]):
-    """See the module's docstring. Only the jobs of this machine charge and fire."""
+    """See the module's docstring. Only jobs (``tapper_jobs``) of this machine charge and fire."""
 
     stop_error = (
         ErrorCode.TAPPER_STOPPED,
@@ -486,7 +486,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
 
     def _release_arm(self, after: float) -> None:
-        """End the arm's promise in ``after`` s. If this request is lost, the promise ends later."""
+        """Release the arm from its promise to stand still in ``after`` s. If this request is lost,
+        the arm stands still for the full time that it promised."""
         if self._key:
             request = HoldStill.Request(tap_id=self._reported.tap_id, duration=after, key=self._key)
             token = ("let go", self._reported.tap_id)
@@ -508,8 +509,8 @@ class TapperLogic(DeviceLogic[State, Event]):
                 )
             )
             return
-        # Assume that the promise began when the request was sent. The arm handled the request
-        # later, so the actual promise ends later.
+        # Assume that the promised time began when the request was sent. The arm handled the request
+        # later, so it actually stands still for longer than assumed.
         until = self._asked_at + permit.hold(tap.flight)
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:

@@ -22,7 +22,8 @@ from tapping_cell.simulation.sliding import Acceleration, Motion
 TOUCH_M = 1e-8
 """Maximum distance between ball and object that counts as contact, m."""
 SMALLEST_RESTITUTION = 0.05
-"""Lower limit of the restitution; below it the unloading spring would need very short steps."""
+"""Minimum restitution. With a lower value, the spring of the unloading would be so stiff that very
+short steps would be needed."""
 _STEPS = 100
 """Number of time steps per contact time (``ContactLaw.contact_time``) in an impact. It is high,
 because the impact determines the object's launch."""

@@ -199,8 +199,8 @@ class MarlinEmulator:
             self._send_line(line, now)
 
     def _power(self, now: float) -> None:
-        """Enable the motors. A quill that has sunk is then held at its new position, but the step
-        count is unchanged."""
+        """Enable the motors. If the quill sank while they had no power, it is held at its lower
+        position, but the step count still gives the old one."""
         self._axes.enable(now)
         self._rests_since = now
 
