@@ -463,7 +463,7 @@ class ArmDriver:
         return reading.joints
 
     def _recent(self) -> ArmReading | None:
-        """Return the last reading if it is recent enough to start a move from; else None."""
+        """Return the last reading if it is recent enough for the start of a move, else None."""
         fresh = self._fresh
         if fresh is None or self._transport.now() - fresh.stamp > FRESHNESS:
             return None

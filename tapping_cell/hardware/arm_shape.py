@@ -1,4 +1,5 @@
-"""Shape of the arm for camera occlusion: round bars along its links, quill and tool."""
+"""Shape of the arm, to compute what it hides from the camera: round bars along links, quill and
+tool."""
 
 from __future__ import annotations
 

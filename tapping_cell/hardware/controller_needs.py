@@ -25,10 +25,11 @@ class ControllerNeeds:
     """Required settings of the four axes; None skips the check of a setting."""
 
     speed: Four | None = None
-    """Speed that the controller must allow, units/s; otherwise moves take longer than computed."""
+    """Minimum value of the controller's speed limit, units/s. With a lower limit, moves take longer
+    than computed."""
     acceleration: Four | None = None
-    """Acceleration that the controller must allow, units/s^2; otherwise moves take longer than
-    computed."""
+    """Minimum value of the controller's acceleration limit, units/s^2. With a lower limit, moves
+    take longer than computed."""
     travel: Four | None = None
     """Travel that soft limits must allow, in units: the range between the joint limits."""
     steps: Four | None = None

@@ -460,12 +460,13 @@ class TapperDriver:
 
     def _latest_release(self, sampled_at: float, window: float) -> float:
         """Return the latest time at which the release output can still be on, s. This is an upper
-        limit: the deadline is ``window`` after the board read its time, which was before
-        ``sampled_at``, and the pulse begins before the deadline."""
+        limit: the board read its time before ``sampled_at``, the deadline is ``window`` after this
+        reading, and the pulse begins before the deadline."""
         return sampled_at + (window + protocol.LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
 
     def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply | None:
-        """Send FIRE and repeat it while ``again`` allows; return the reply, or None."""
+        """Send FIRE and repeat it while ``again`` returns True; return the reply, or None if
+        there was none."""
         sequence = self._next_sequence()
         frame = protocol.encode(
             self._session, sequence, Command.FIRE, shot, deadline, *_named(self._channel)

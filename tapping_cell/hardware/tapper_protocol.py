@@ -30,8 +30,8 @@ LONGEST_WINDOW = 0.1
 """Maximum time by which the deadline of FIRE may lie ahead of the board's time, s; the board
 refuses a later deadline."""
 LONGEST_PULSE = 0.033
-"""A hardware timer switches the release output off at most this long after it was switched on, s
-(16 bits of 0.5 us)."""
+"""A hardware timer switches the release output off at most this long after it was switched on, s.
+The timer has 16 bits and counts in steps of 0.5 us."""
 TIME_MODULUS = 2**32
 """Modulus of the board's time in ms."""
 LONGEST_FRAME = 184

@@ -298,7 +298,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """Move the arm to its park pose, because it hides the object even after its withdrawal."""
+        """Move the arm to its park pose, because it hides the object even after the withdrawal."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return
@@ -793,7 +793,7 @@ INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate 
 
 
 def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
-    """Return the joints of every point and its time from the start in s.
+    """Return, for each point, the joints and the time from the start in s.
 
     Raises:
         ValueError: the trajectory is invalid; the message says why.

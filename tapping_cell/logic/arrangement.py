@@ -70,7 +70,8 @@ P = Progress
 OPEN = (P.WAITING, P.ACTIVE, P.MAKING_WAY, P.REACHED)
 PROGRESS_TABLE = table(
     [
-        # An object at its goal can leave it again: another object touched it, or it must make way.
+        # An object can leave its goal again, because another object touched it or because it must
+        # make way.
         (OPEN, Change.TAPPED_TO_GOAL, (P.ACTIVE,)),
         (OPEN, Change.TAPPED_AWAY, (P.MAKING_WAY,)),
         (OPEN, Change.LEFT, (P.WAITING,)),
@@ -365,7 +366,8 @@ class ArrangementTask(Task):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class AmongOthersTask(ArrangementTask):
-    """Task of moving one object other than the cell's own, as an arrangement that moves only it."""
+    """Task of moving one object that is not the cell's own object. It is planned as an arrangement
+    in which only this object is moved."""
 
     resumable: ClassVar[bool] = True
 

@@ -72,8 +72,8 @@ class GoalHandling:
     """Converts requests to tasks.
 
     Raises:
-        tapping_cell.planning.PlanningError: the planning method is unknown, or the gains learnt in
-            earlier runs cannot be read.
+        tapping_cell.planning.PlanningError: the planning method is unknown, or the stored
+            corrections of the model, learnt in earlier runs, cannot be read.
     """
 
     def __init__(
@@ -96,9 +96,10 @@ class GoalHandling:
 
         ``other_objects``: obstacles; ``objective``: quantity to minimise, empty for the one in the
         cell file; ``adapt``: learn from taps; ``probe``: begin with a few of the smallest taps if
-        the object's gains are not known; ``keep_for``: cell for which gains are stored between
-        runs, empty to store none; ``time_limit``: default time limit of a goal, s; ``maps``: maps
-        already made for this cell; ``frames``: other frames of goals, None for ``table`` only.
+        the object's friction is not known; ``keep_for``: cell for which the learnt corrections of
+        the model are stored between runs, empty to store none; ``time_limit``: default time limit
+        of a goal, s; ``maps``: maps already made for this cell; ``frames``: other frames in which
+        goals may be given, None for ``table`` only.
         """
         self.cell = cell
         self._frames = frames or TableOnly()

@@ -64,10 +64,10 @@ class PeerLimits:
 class Mounts:
     """State of the strikers as reported by the boards.
 
-    ``proven``: whether each striker has been detected at its mount since the boards' start. If a
-    striker was released, it must also have been detected leaving its mount and returning. ``away``:
-    names of the strikers that are not at their mounts. ``fitted``: whether the mounts have
-    switches.
+    ``proven``: whether all strikers have been detected at their mounts since the boards' start. A
+    striker that was released must also have been detected leaving its mount and returning.
+    ``away``: names of the strikers that are not at their mounts. ``fitted``: whether the mounts
+    have switches.
     """
 
     proven: bool = False

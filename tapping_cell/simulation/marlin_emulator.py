@@ -166,7 +166,7 @@ class MarlinEmulator:
         return min(times) if times else None
 
     def power_cycle(self, now: float) -> None:
-        """Restart the board; the arm stays in place, and its position is set to zero."""
+        """Restart the board. The arm stays in place, but the board takes this position as zero."""
         self.advance(now)
         self._axes.stop_abruptly(now)
         self._output.clear()

@@ -30,8 +30,8 @@ STOP_SPEED = 0.0002
 than 0.1 um further."""
 _LONGEST_SLIDE_S = 60.0
 _STILL = 1e-9
-"""Speed of a point, m/s, below which its friction decreases to zero, because its direction is
-undefined."""
+"""Speed of a support point, m/s, below which its friction decreases to zero, because a point at
+rest has no direction of motion."""
 
 
 class Motion(NamedTuple):
