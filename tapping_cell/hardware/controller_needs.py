@@ -14,8 +14,7 @@ from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.scara import ScaraGeometry
 
 TOLERANCE = 1e-3
-"""Maximum relative difference between a setting and its required value at which they count as
-equal."""
+"""Maximum relative difference at which a setting counts as equal to its required value."""
 
 Four = tuple[float, float, float, float]
 

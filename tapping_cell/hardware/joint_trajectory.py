@@ -27,7 +27,8 @@ MIN_TIME = 0.02
 MIN_PIECE = 1e-3
 """Minimum duration of a segment of a move, s; shorter segments are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
-"""Cosine of the angle between two moves above which the arm does not stop between them."""
+"""Two moves count as moves in the same direction, without a stop between them, if the cosine of the
+angle between them is above this value."""
 
 COURSE_SAMPLES = 200
 """Number of samples of a trajectory in the search for the point nearest to the arm."""

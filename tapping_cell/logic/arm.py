@@ -501,8 +501,8 @@ class ArmLogic(DeviceLogic[State, Event]):
 
     def _free_at(self, now: Now) -> float:
         """Return the earliest time on the steady clock at which a motion may begin, s: when the arm
-        no longer has to stand still and the striker is no longer charged, but the wait for the
-        striker ends after ``LONGEST_WAIT_S``."""
+        no longer has to stand still and the striker is no longer charged. The wait for the striker
+        is limited to ``LONGEST_WAIT_S``."""
         return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))
 
     def _leave_when_free(self, now: Now) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
-"""Part of the time for which the arm stands still that is reserved for the requests to arm and
-board, the firing window and the firing pulse; the rest is for the striker's flight."""
+"""The arm stands still for this time plus the striker's flight. The time covers the requests to arm
+and board, the firing window and the firing pulse."""
 RELEASE_S = 0.1
 """Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives: for the
 request to the board, the firing window and the firing pulse."""

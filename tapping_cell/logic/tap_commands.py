@@ -18,8 +18,8 @@ CLOCK_TOLERANCE_S = 1.0
 slightly."""
 LARGEST_JUMP = 2**28
 """Maximum difference between a tap id and the greater of two numbers: the last id, and the clock's
-time in whole seconds. It corresponds to 8 years. A much greater id would leave no ids for the
-following taps."""
+time in whole seconds. The limit corresponds to 8 years. Without it, one wrong id could leave no
+greater ids for the following taps."""
 
 CodedError = tuple[int, str]
 """Error code and message."""

@@ -5,7 +5,7 @@ follows F = k d; unloading follows the steeper F = (k / e^2) (d - d0), where d0 
 that remains. The spring therefore returns the fraction e^2 of the work, and e is the restitution at
 any speed and for any masses (Walton and Braun, Journal of Rheology 30, 1986). Along the tangent,
 the contact sticks or slides according to Coulomb's law; a sticking contact may also be compliant
-(Maw, Barber and Fawcett, Wear 38, 1976). The planner's impulse model is not used here.
+(Maw, Barber and Fawcett, Wear 38, 1976). This model is independent of the planner's impulse model.
 """
 
 from __future__ import annotations

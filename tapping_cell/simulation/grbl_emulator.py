@@ -1,9 +1,9 @@
 """Emulator of a Grbl 1.1 controller with an arm: a state machine in simulated time.
 
 It follows Grbl's documentation and has its own line parser, independent of the driver's codec.
-Real-time bytes take effect immediately, and lines wait for space in the planner. Each move has a
-trapezoidal velocity profile within the rates and accelerations of the axes, and every move ends at
-rest. Unsupported commands are rejected with Grbl's error number, never silently accepted.
+Real-time bytes take effect immediately, and lines wait for space in the planner buffer. Each move
+has a trapezoidal velocity profile within the rates and accelerations of the axes, and every move
+ends at rest. Unsupported commands are rejected with Grbl's error number, never silently accepted.
 """
 
 from __future__ import annotations
