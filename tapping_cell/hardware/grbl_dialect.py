@@ -522,8 +522,8 @@ class GrblDialect:
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
         """Identify the controller and count its axes; return its version."""
-        # Answers have no checksum. If a line is lost, the controller may look like a different one,
-        # so query until two consecutive answers agree.
+        # Answers have no checksum. If a line is lost, the controller may be taken for a different
+        # one, so query until two consecutive answers agree.
         messages = self._information(deadline)
         for _ in range(IDENTIFICATIONS):
             again = self._information(deadline)

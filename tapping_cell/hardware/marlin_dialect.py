@@ -290,7 +290,7 @@ class MarlinDialect:
                 strange += 1
                 if strange > 1:
                     # The board has requested an unknown line twice, so this is not a transmission
-                    # error: its line number differs from the driver's, and it rejects all lines.
+                    # error. The board counts lines differently and rejects all lines of the driver.
                     self._begin_numbers(deadline)
                     self._number += 1
                     number = self._number

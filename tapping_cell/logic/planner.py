@@ -627,8 +627,8 @@ class PlannerLogic:
             self._keep_observing(now)
             return
         if isinstance(decision, Refusal):
-            # If only the observation is too uncertain, continue it, because every further image
-            # improves it.
+            # If the tap is refused only because the object's pose is too uncertain, continue the
+            # observation, because every further image reduces the uncertainty.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late(now):
                 self._fail(REFUSALS[decision.reason], decision.sentence, now)
             else:
