@@ -132,7 +132,7 @@ class ArmDriver:
 
     @property
     def line_counters(self) -> LineCounters:
-        """Retries, resends, timeouts and unreadable lines of the dialect."""
+        """Counts of the dialect's retries, resends, timeouts and unreadable lines."""
         return self._dialect.counters
 
     def connect(self, timeout: float = 5.0) -> Firmware:

@@ -36,8 +36,8 @@ class ControllerNeeds:
 
 
 def needs_of(geometry: ScaraGeometry, steps_per_unit: Sequence[float] = ()) -> ControllerNeeds:
-    """Return the required settings of an arm. If ``steps_per_unit`` is empty, any steps are
-    accepted."""
+    """Return the required settings of an arm. If ``steps_per_unit`` is empty, any number of
+    steps per unit is accepted."""
 
     def units(values: Sequence[float]) -> Four:
         a, b, c, d = (scale * value for scale, value in zip(TO_UNITS, values, strict=True))

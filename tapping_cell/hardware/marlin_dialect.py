@@ -24,9 +24,10 @@ from tapping_cell.hardware.text_line import Bad
 from tapping_cell.hardware.transport import Transport
 
 SILENCE = 2.5
-"""Longest silence during a long line (``LONG_CODES``), s; ``busy`` is sent about every 2 s."""
+"""Longest silence after a line that takes long (``LONG_CODES``), s; until it has ended, ``busy`` is
+sent about every 2 s."""
 SHORT_SILENCE = 0.6
-"""Longest silence during any other line, which is answered immediately, s."""
+"""Longest silence after any other line, s; such a line is answered immediately."""
 LONG_CODES = ("M400", "G28")
 REPEAT_SILENCE = 0.4
 """Longest silence after a line is resent, s. It is short, because the board does not answer if it

@@ -57,7 +57,7 @@ from tapping_cell.se2 import Pose
 READ_PERIOD_S = 0.05
 """Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
 FRESH_READING_S = 0.25
-"""Maximum age of the last read-back for the arm to grant a promise to stand still."""
+"""Maximum age of the last read-back at which the arm still promises to stand still, s."""
 SHORT_REST_S = 0.05
 """The arm begins to prepare its next move this long before the end of its promise to stand still,
 s."""

@@ -185,7 +185,7 @@ class Log:
 
 @dataclass(frozen=True, slots=True)
 class KeepGoal:
-    """Store the goal under way, for a restart after a crash; None removes it."""
+    """Store the goal under way, for a restart after a crash; None removes the stored goal."""
 
     content: Content | None
 
