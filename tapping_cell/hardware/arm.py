@@ -57,7 +57,7 @@ HOMING_LOST = frozenset(
 
 
 UNANSWERED = (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE, FaultReason.NEEDS_PERSON)
-"""Faults of a controller that does not answer as expected, or whose replies are unreadable."""
+"""Faults that also occur if the replies of the controller are unreadable."""
 MIN_BAD_LINES = 3
 """A timeout is attributed to unreadable lines if at least this many lines, and at least half of all
 lines of the call, were unreadable."""
@@ -80,8 +80,8 @@ class _Path:
 
 
 class ArmDriver:
-    """Driver of one arm on one line. All calls except ``stop`` block and must come from one
-    thread."""
+    """Driver of the arm whose controller is connected to ``transport``. All calls except ``stop``
+    block and must come from one thread."""
 
     def __init__(
         self,
@@ -132,7 +132,7 @@ class ArmDriver:
 
     @property
     def line_counters(self) -> LineCounters:
-        """Retries, resends, timeouts and unreadable lines of the dialect."""
+        """Counts of the dialect's retries, resends, timeouts and unreadable lines."""
         return self._dialect.counters
 
     def connect(self, timeout: float = 5.0) -> Firmware:
@@ -171,7 +171,8 @@ class ArmDriver:
         self._transport.close()
 
     def home(self, strategy: HomingStrategy) -> Joints:
-        """Home the arm, or declare its position, verify the position read back, and allow motion.
+        """Home the arm or declare its position, depending on ``strategy``. Motion is allowed once
+        the position read back has been verified.
 
         Raises HardwareFault: HOMING_FAILED, POSITION_MISMATCH, OUT_OF_RANGE, ALARM, STOPPED.
         """
@@ -216,12 +217,12 @@ class ArmDriver:
         """Move straight in joint space; return when the arm is idle and the position read back is
         within tolerance.
 
-        ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: time of the
-        transport's clock; None computes it from the move's duration. ``via``: intermediate joints.
-        The arrival at ``via`` is not verified, so the move must be harmless even if ``via`` is
-        skipped. ``via_speed``: speed up to ``via``. Raises HardwareFault: OUT_OF_RANGE, NOT_HOMED,
-        POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then stopped), ALARM, STOPPED,
-        BOARD_RESET, REJECTED, DISCONNECTED.
+        ``speed``: fraction of the maximum joint speeds, in (0, 1]. ``deadline``: latest
+        end of the move on the transport's clock; None: derived from the move's duration. ``via``:
+        intermediate joints. The arrival at ``via`` is not verified, so the move must be harmless
+        even if ``via`` is skipped. ``via_speed``: speed up to ``via``. Raises HardwareFault:
+        OUT_OF_RANGE, NOT_HOMED, POSITION_LOST, POSITION_MISMATCH, TIMEOUT (the arm is then
+        stopped), ALARM, STOPPED, BOARD_RESET, REJECTED, DISCONNECTED.
         """
         goal = Joints(*joints)
         first_speed = speed if via_speed is None else via_speed
@@ -302,7 +303,8 @@ class ArmDriver:
                 self.close()
             noted = self._noted(fault)
             if must_unlock and noted.reason in LINE_LOST:
-                # The next connect ends the loss of the line; an earlier fault stays latched.
+                # A lost line is not latched, because the next connect restores it. An earlier fault
+                # stays latched.
                 self._fault = first
             elif must_unlock:
                 # A fault that could not be cleared stays latched.
@@ -461,7 +463,7 @@ class ArmDriver:
         return reading.joints
 
     def _recent(self) -> ArmReading | None:
-        """Return the last reading if it is recent enough to start a move from; else None."""
+        """Return the last reading if it is recent enough for the start of a move, else None."""
         fresh = self._fresh
         if fresh is None or self._transport.now() - fresh.stamp > FRESHNESS:
             return None

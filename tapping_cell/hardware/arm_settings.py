@@ -33,9 +33,10 @@ class ArmSettings:
     reply_timeout: float = 2.0
     """Longest wait for the answer to a request, s."""
     move_factor: float = 1.5
-    """Time limit of a move as a multiple of its computed duration, plus ``move_margin``."""
+    """The time limit of a move is ``move_factor`` times its computed duration plus
+    ``move_margin``."""
     move_margin: float = 2.0
-    """Constant part of the time limit of a move, s."""
+    """Constant part of the time limit of a move, s; see ``move_factor``."""
     tolerance_angle: float = 1e-3
     """Largest difference between a target and the joint angle read back, rad."""
     tolerance_quill: float = 1e-4

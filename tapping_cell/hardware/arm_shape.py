@@ -1,4 +1,5 @@
-"""Shape of the arm for camera occlusion: round bars along its links, quill and tool."""
+"""Shape of the arm, to compute what it hides from the camera: round bars along links, quill and
+tool."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from tapping_cell.hardware.scara import ScaraGeometry
 Array = NDArray[np.float64]
 
 QUILL_RADIUS = 0.012
-"""Radius of the quill, m. The margin that callers add also covers a slightly thicker quill."""
+"""Radius of the quill, m. Callers add a margin to all bars, so a slightly thicker quill is also
+covered."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.scara import ScaraGeometry
 
 TOLERANCE = 1e-3
-"""Maximum relative difference between a setting and its required value at which they count as
-equal."""
+"""Maximum relative difference at which a setting counts as equal to its required value."""
 
 Four = tuple[float, float, float, float]
 
@@ -25,10 +24,11 @@ class ControllerNeeds:
     """Required settings of the four axes; None skips the check of a setting."""
 
     speed: Four | None = None
-    """Speed that the controller must allow, units/s; otherwise moves take longer than computed."""
+    """Minimum value of the controller's speed limit, units/s. With a lower limit, moves take longer
+    than computed."""
     acceleration: Four | None = None
-    """Acceleration that the controller must allow, units/s^2; otherwise moves take longer than
-    computed."""
+    """Minimum value of the controller's acceleration limit, units/s^2. With a lower limit, moves
+    take longer than computed."""
     travel: Four | None = None
     """Travel that soft limits must allow, in units: the range between the joint limits."""
     steps: Four | None = None
@@ -36,8 +36,8 @@ class ControllerNeeds:
 
 
 def needs_of(geometry: ScaraGeometry, steps_per_unit: Sequence[float] = ()) -> ControllerNeeds:
-    """Return the required settings of an arm. If ``steps_per_unit`` is empty, any steps are
-    accepted."""
+    """Return the required settings of an arm. If ``steps_per_unit`` is empty, any number of
+    steps per unit is accepted."""
 
     def units(values: Sequence[float]) -> Four:
         a, b, c, d = (scale * value for scale, value in zip(TO_UNITS, values, strict=True))

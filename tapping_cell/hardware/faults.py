@@ -34,7 +34,7 @@ class FaultReason(Enum):
 
 
 LINE_LOST = (FaultReason.DISCONNECTED, FaultReason.PORT_MISSING, FaultReason.PORT_BUSY)
-"""Faults of a line that is connected again without a person."""
+"""Faults after which the connection is tried again automatically, without action by a person."""
 
 
 class HardwareFault(RuntimeError):

@@ -16,8 +16,8 @@ from tapping_cell.se2 import Pose
 STRIKER_RADIUS = 0.004
 """Radius of the rods that represent the strikers, m."""
 PULSE_ACCELERATION = 500.0
-"""Acceleration of a striker by its coil, m/s^2; the effort limit of its joint is derived from this
-value."""
+"""Acceleration of a striker by its coil, m/s^2; it determines the effort limit of the striker's
+joint."""
 
 
 @dataclass(frozen=True, slots=True)

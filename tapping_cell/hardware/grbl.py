@@ -222,7 +222,7 @@ def modal_feed(modes: str) -> int | None:
 
 
 def set_position_line(letters: str, position: Sequence[float]) -> bytes:
-    """Encode a G92 that declares the current position; the next reset discards it."""
+    """Encode a G92 that declares the current position; a reset cancels the declaration."""
     return f"G21G92{_axes(letters, position)}\n".encode()
 
 

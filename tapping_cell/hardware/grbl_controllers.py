@@ -26,7 +26,8 @@ class GrblController:
     store_note: str = ""
     """What a person must also do so that the setting survives a restart; empty if nothing."""
     has_files: bool = False
-    """True if most settings are named and stored in a file; ``$$`` then lists only some."""
+    """True if most settings are named and stored in a file. ``$$`` then lists only a
+    few settings."""
     homing_masks: tuple[int, ...] = ()
     """Settings that select the axes of each homing cycle; empty if the axes are fixed at build
     time."""

@@ -271,8 +271,8 @@ class GrblDialect:
         while self._offset is None:
             self._ask_status(deadline)
         # From here on, this offset is kept, and offsets in later reports are ignored. If a bit
-        # error turns a later line into a G92, the following moves end at wrong machine positions,
-        # which the position check detects.
+        # error turns a later line into a G92, the following moves therefore end at wrong machine
+        # positions, and the position check detects this.
         self._frozen = True
         self._marked = True
 
@@ -436,8 +436,8 @@ class GrblDialect:
                 return
 
     def _await_first_status(self, deadline: float) -> grbl.Banner | None:
-        """Query until a status report arrives. Return the banner if one was received before, which
-        shows a reset."""
+        """Query until a status report arrives. Return the banner that was received before this
+        report, which shows that the controller was reset; None if there was no banner."""
         banner: grbl.Banner | None = None
         while True:
             self._transport.write(grbl.STATUS_QUERY)
@@ -522,8 +522,8 @@ class GrblDialect:
 
     def _identify(self, deadline: float, banner: grbl.Banner | None) -> str:
         """Identify the controller and count its axes; return its version."""
-        # Answers have no checksum. If a line is lost, the controller may look like a different one,
-        # so query until two consecutive answers agree.
+        # Answers have no checksum. If a line is lost, the controller may be taken for a different
+        # one, so query until two consecutive answers agree.
         messages = self._information(deadline)
         for _ in range(IDENTIFICATIONS):
             again = self._information(deadline)
@@ -585,8 +585,8 @@ class GrblDialect:
             before = count
 
     def _compared(self, deadline: float) -> list[Finding]:
-        """Return the findings. If a setting is not as required, query the settings once more,
-        because a line may have been garbled."""
+        """Return the findings of ``_compare``. If a setting is not as required, the settings are
+        queried once more, because a line of the answer may have been garbled."""
         findings = self._compare(deadline)
         if self._homed_unknown or not all(finding.met for finding in findings):
             self.counters.retries += 1

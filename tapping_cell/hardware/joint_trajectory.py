@@ -27,7 +27,8 @@ MIN_TIME = 0.02
 MIN_PIECE = 1e-3
 """Minimum duration of a segment of a move, s; shorter segments are merged with their neighbours."""
 STRAIGHT = 1 - 1e-6
-"""Cosine of the angle between two moves above which the arm does not stop between them."""
+"""Two moves count as moves in the same direction, without a stop between them, if the cosine of the
+angle between them is above this value."""
 
 COURSE_SAMPLES = 200
 """Number of samples of a trajectory in the search for the point nearest to the arm."""
@@ -50,8 +51,9 @@ def straight_points(
     """Return the points of straight moves that begin and end at rest; the start is not included.
 
     The arm does not stop between two moves in the same direction. It passes the point between them
-    at the lower speed of the two moves, or more slowly if the lengths of the adjacent moves require
-    it. ``moves``: targets in rad and m; the feed along the line is in the same unit per minute.
+    at the lower speed of the two moves, or more slowly if a move is too short to reach this speed
+    or to brake from it. ``moves``: targets in rad and m; the feed along the line is in the same
+    unit per minute.
     ``max_acceleration``: limit of each joint, in rad/s^2 or m/s^2. Moves of zero length are left
     out.
     """
@@ -103,7 +105,7 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
     corners = [0.0] * (len(legs) + 1)
     for index, (before, after) in enumerate(pairwise(legs), start=1):
         along = sum(a * b for a, b in zip(before.direction, after.direction, strict=True))
-        # Very short moves begin and end at rest and take the minimum duration.
+        # A very short move begins and ends at rest and takes the minimum duration, `MIN_TIME`.
         short = min(leg.length / leg.speed for leg in (before, after)) < MIN_TIME
         if along > STRAIGHT and not short:
             corners[index] = min(before.speed, after.speed)

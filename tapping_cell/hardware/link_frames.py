@@ -7,8 +7,8 @@ from typing import NamedTuple
 from tapping_cell.hardware.scara import Joints, ScaraGeometry
 
 LINKS = ("arm_base", "upper_arm", "forearm", "quill_rod", "tool", "striker")
-"""Links from the fixed base to the tip. ``striker`` is fixed to ``tool``; the four ``Joints``
-connect the others."""
+"""Links from the fixed base to the tip. ``striker`` is fixed to ``tool``; the four joints
+(``Joints``) connect the other links."""
 
 
 class LinkFrame(NamedTuple):

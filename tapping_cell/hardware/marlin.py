@@ -21,13 +21,13 @@ KILL = b"\nM112\n"
 
 @dataclass(frozen=True, slots=True)
 class Ok:
-    """The line was accepted; after ``M400`` and ``G28``, it has also ended. Success is not
-    confirmed."""
+    """The line was accepted. As the answer to ``M400`` or ``G28``, it also means that the motion
+    has ended. It never confirms that the motion was successful."""
 
 
 @dataclass(frozen=True, slots=True)
 class Busy:
-    """The line is still being processed; sent about every 2 s."""
+    """Sent about every 2 s while a line is being processed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,8 @@ Frame = (
 )
 
 _OK = re.compile(r"^ok(?: N\d{1,10})?(?: P\d{1,3})?(?: B\d{1,3})?$")
-# Marlin 2 has four messages that contain the last line; related firmwares have other messages.
+# Marlin 2 has four error messages that contain the number of the last line. The messages of related
+# firmwares differ.
 _LINE_ERROR = re.compile(r"^Error: ?(.*(?:checksum|line number|expected line).*)$", re.IGNORECASE)
 _LAST_LINE = re.compile(r"Last Line: ?(\d{1,10})$")
 _RESEND = re.compile(r"^(?:Resend|rs): ?N?(\d{1,10})$")

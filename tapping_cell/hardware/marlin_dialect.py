@@ -24,12 +24,14 @@ from tapping_cell.hardware.text_line import Bad
 from tapping_cell.hardware.transport import Transport
 
 SILENCE = 2.5
-"""Longest silence during a long line (``LONG_CODES``), s; ``busy`` is sent about every 2 s."""
+"""Longest silence after a line that takes long (``LONG_CODES``), s; until it has ended, ``busy`` is
+sent about every 2 s."""
 SHORT_SILENCE = 0.6
-"""Longest silence during any other line, which is answered immediately, s."""
+"""Longest silence after any other line, s; such a line is answered immediately."""
 LONG_CODES = ("M400", "G28")
 REPEAT_SILENCE = 0.4
-"""Longest silence after a line is resent, s; a line that was already accepted gets no answer."""
+"""Longest silence after a line is resent, s. It is short, because the board does not answer if it
+has already accepted the line."""
 DRAIN_SILENCE = 0.05
 """Time without received bytes after which the line counts as drained, s."""
 POLL_PERIOD = 0.02
@@ -304,7 +306,7 @@ class MarlinDialect:
                 strange += 1
                 if strange > 1:
                     # The board has requested an unknown line twice, so this is not a transmission
-                    # error: its line number differs from the driver's, and it rejects all lines.
+                    # error. The board counts lines differently and rejects all lines of the driver.
                     self._begin_numbers(deadline)
                     self._number += 1
                     number = self._number
@@ -347,9 +349,9 @@ class MarlinDialect:
     def _is_taken(self, number: int, patience: float, deadline: float) -> bool:
         """Return whether the board has executed a line that it did not answer.
 
-        The line is resent. If there is again no answer, a query with the next line number is sent.
-        The board ignores a duplicate of an executed line. It answers the query with ``ok`` if the
-        line was executed, and with ``Resend`` if the line never arrived.
+        The line is resent. The board ignores a line that it has already executed, so if there is
+        again no answer, a query with the next line number is sent. The board answers this query
+        with ``ok`` if it has executed the line, and with ``Resend`` if the line never arrived.
         """
         self.counters.timeouts += 1
         self._transport.write(self._sent[number])

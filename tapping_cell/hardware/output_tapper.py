@@ -4,12 +4,14 @@ It has the interface of :class:`~tapping_cell.hardware.tapper.TapperDriver` but 
 The remote side does not reject a late request, limit the pulse, count shots, or discharge when this
 computer stops sending. The driver takes these measures instead:
 
-- The last check runs at most ``latency`` before the output is switched; otherwise nothing is sent.
+- If the last check takes longer than ``latency``, nothing is sent.
 - A shot number is stored on disk before the shot is sent, so that no restart sends it again.
 - The guard must have been reported closed within ``guard_timeout``, and the read-back, if there is
   one, must be off.
-- If no read-back showed the output on, the outcome is UNKNOWN and the camera must decide.
-- If the output is not proven off afterwards, the session ends; a new session requires this proof.
+- If no read-back showed the output on, the outcome is UNKNOWN, and a camera image must show whether
+  the object was hit.
+- If the output is not confirmed to be off after the shot, the session ends. A new session begins
+  only after this confirmation.
 
 The driver assumes, but cannot enforce, that a request takes effect within ``latency``.
 """
@@ -63,7 +65,7 @@ class OutputTapperSettings:
     pulses: tuple[float, ...]
     """Pulse length at each energy, s, increasing."""
     latency: float = 0.02
-    """Longest time from sending a level until the output has it, s."""
+    """Longest time from sending a level until the output has this level, s."""
     guard_timeout: float = 0.5
     """Longest silence of the guard input and of the read-back, s."""
 

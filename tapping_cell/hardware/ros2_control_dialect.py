@@ -25,7 +25,7 @@ REST_SPEED = 0.02
 """Reported speed above which a joint counts as moving, rad/s or m/s. The noise of a joint at rest
 is below this speed."""
 MIN_RATE = 20.0
-"""Minimum rate of the joint states, Hz; a strike pose is verified twenty times a second."""
+"""Minimum rate of the joint states, Hz. It is also the rate at which a strike pose is verified."""
 RATE_WINDOW = 0.5
 """Time over which the rate is measured, s."""
 CLOCK_LIMIT = 0.1
@@ -47,7 +47,7 @@ class Ros2ControlSettings:
     state_timeout: float = 0.25
     """Longest silence of the joint states, s."""
     axes: tuple[str, ...] = ()
-    """Names of the values that the link reports, if these are not the joints themselves."""
+    """Names of the values in the link's samples; empty if these are the values of ``joints``."""
 
 
 class Ros2ControlDialect:
@@ -137,7 +137,8 @@ class Ros2ControlDialect:
         self._ends = self._link.now() + points[-1].time
 
     def finish_move(self, expected_end: float, deadline: float) -> AxisReading:
-        """Wait until the trajectory is over, the joints are at rest, and the goal has ended.
+        """Wait until the trajectory's duration has passed, the joints are at rest, and the
+        controller has reported the end of the trajectory's goal, if it reports goals.
 
         If no more states are received, the arm is commanded to brake, because the controller may
         still receive commands although its states no longer arrive.

@@ -8,10 +8,12 @@ operating system or the line, the board fires before the deadline or not at all.
 
 A shot is never fired twice. If the board receives a request again with the same sequence number, it
 does not execute the request but repeats its reply. This driver never retries a shot whose FIRE may
-have been sent. If the reply to FIRE is missing, a further request determines the outcome: after
-this request, the board no longer accepts the FIRE, whose sequence number is older, and its reply
-contains the last shot fired. If this reply is missing too, or the boot number has changed, the
-outcome is UNKNOWN: check with the camera, do not fire again.
+have been sent.
+
+If the reply to FIRE is missing, a further request determines the outcome. Once the board has
+received this request, it no longer accepts FIRE, which has an older sequence number. The reply to
+the request contains the last shot fired. If this reply is missing too, or the boot number has
+changed, the outcome is UNKNOWN: check with the camera, do not fire again.
 """
 
 from __future__ import annotations
@@ -73,9 +75,11 @@ class TapperSettings:
     """Timeouts and periods of the driver, s."""
 
     reply_timeout: float = 0.06
-    """Wait before a request is repeated; a frame of 100 bytes takes 9 ms at 115200 baud."""
+    """Longest wait for the reply before a request is repeated. For comparison, the transmission of
+    a frame of 100 bytes takes 9 ms at 115200 baud."""
     fire_reply_timeout: float = 0.03
-    """Wait before FIRE is repeated; shorter than the window, so that a lost frame can be resent."""
+    """Longest wait for the reply before FIRE is repeated; shorter than the window, so that a lost
+    frame can be resent within the window."""
     attempts: int = 5
     charge_timeout: float = 7.0
     """Longest charging time: the firmware's LONGEST_DRAW_STEPS (12000) at 2000 steps/s, plus a
@@ -83,7 +87,8 @@ class TapperSettings:
     home_timeout: float = 8.0
     """Longest duration of homing and of the carriage's return to its front end."""
     poll_period: float = 0.002
-    """Time between status requests while charging; far below the silence limit of 500 ms."""
+    """Time between status requests while charging; far below the 500 ms without a frame after which
+    the tapper discharges."""
     mode: Mode = Mode.RUN
     """Mode that the board is set to when a session is opened."""
 
@@ -252,7 +257,8 @@ class TapperDriver:
         self._transport.close()
 
     def status(self) -> Reply:
-        """Query the state. A charged tapper discharges unless it receives a frame every 500 ms."""
+        """Query the state. The query also keeps a charged tapper charged: the tapper discharges if
+        it receives no frame for 500 ms."""
         return self._request(Command.STATUS)
 
     def set_mode(self, mode: Mode) -> Reply:
@@ -454,12 +460,13 @@ class TapperDriver:
 
     def _latest_release(self, sampled_at: float, window: float) -> float:
         """Return the latest time at which the release output can still be on, s. This is an upper
-        limit: the deadline is ``window`` after the board read its time, which was before
-        ``sampled_at``, and the pulse begins before the deadline."""
+        limit: the board read its time before ``sampled_at``, the deadline is ``window`` after this
+        reading, and the pulse begins before the deadline."""
         return sampled_at + (window + protocol.LONGEST_PULSE) * (1 + CLOCK_TOLERANCE)
 
     def _send_fire(self, shot: int, deadline: int, again: Callable[[], bool]) -> Reply | None:
-        """Send FIRE and repeat it while ``again`` allows; return the reply, or None."""
+        """Send FIRE and repeat it while ``again`` returns True; return the reply, or None if
+        there was none."""
         sequence = self._next_sequence()
         frame = protocol.encode(
             self._session, sequence, Command.FIRE, shot, deadline, *_named(self._channel)

@@ -232,7 +232,8 @@ class TapperBoards:
             boot=sum(reply.boot for reply in replies) & 0xFFFFFFFF,
             enabled=any(reply.enabled for reply in replies),
             channel=cell_channel(self._charged, own.channel),
-            # If one board has no switches, all mounts of the cell count as not confirmed.
+            # If a board has no switches, the strikers of all boards count as not confirmed at their
+            # mounts.
             channels=sum(reply.channels for reply in replies) if fitted else 1,
             at_mounts=at_mounts if fitted else 0,
         )

@@ -2,9 +2,9 @@
 
 A frame is ``@<session>,<seq>,<WORD>[,args]*<CRC>\\n``. The CRC is CRC-16/CCITT-FALSE (polynomial
 0x1021, start 0xFFFF, no reflection) over everything between ``@`` and ``*``, as four upper-case hex
-digits. The WORD of a request is a command, that of a reply is a result. No word is both, so a
-request that the line echoes is not mistaken for a reply. An ``@`` always begins a frame, and a
-newline ends it.
+digits. The WORD of a request is a command, and the WORD of a reply is a result. No word is both a
+command and a result, so a request that the line echoes is not mistaken for a reply. An ``@`` always
+begins a frame, and a newline ends it.
 
 Arguments of a reply: state, shot, energy in uJ, interlock closed (0/1), stop latched (0/1), the
 last shot fired since boot (0: none), its measured speed in um/s (0: not measured), boot number, the
@@ -30,8 +30,8 @@ LONGEST_WINDOW = 0.1
 """Maximum time by which the deadline of FIRE may lie ahead of the board's time, s; the board
 refuses a later deadline."""
 LONGEST_PULSE = 0.033
-"""A hardware timer switches the release output off at most this long after it was switched on, s
-(16 bits of 0.5 us)."""
+"""A hardware timer switches the release output off at most this long after it was switched on, s.
+The timer has 16 bits and counts in steps of 0.5 us."""
 TIME_MODULUS = 2**32
 """Modulus of the board's time in ms."""
 LONGEST_FRAME = 184

@@ -57,9 +57,9 @@ from tapping_cell.se2 import Pose
 READ_PERIOD_S = 0.05
 """Period of the read-back while the arm stands: a strike pose is confirmed 20 times a second."""
 FRESH_READING_S = 0.25
-"""Maximum age of the last read-back for the arm to grant a promise to stand still."""
+"""Maximum age of the last read-back at which the arm still promises to stand still, s."""
 SHORT_REST_S = 0.05
-"""Time before the end of a promise to stand still at which the arm begins to prepare its next move,
+"""The arm begins to prepare its next move this long before the end of its promise to stand still,
 s."""
 DISCHARGED_S = 0.7
 """Time within which the board discharges automatically after the last report of a charged striker:
@@ -82,7 +82,8 @@ class State(Enum):
     PLACING = "Placing"
     IN_POSITION = "InPosition"
     LEAVING = "Leaving"
-    """The tap is over; the arm waits until its job and its promise to stand still have ended."""
+    """The tap is over. The arm waits until its job has ended and it need not stand still any
+    longer."""
     WITHDRAWING = "Withdrawing"
     FOLLOWING = "Following"
     INACTIVE = "Inactive"
@@ -166,7 +167,8 @@ HEALTHY = frozenset(
 AT_WORK = HEALTHY - {S.IDLE}
 """States in which the arm moves, or stands at the strike pose and may move again."""
 NO_REQUESTER = (0, 0)
-"""Tap id and key that match no request, so that no request can end the promise early."""
+"""Tap id and key that match no request, so that no request can end the promise to stand still
+early."""
 UNHOMED = (FaultReason.NOT_HOMED, FaultReason.HOMING_FAILED)
 
 
@@ -184,7 +186,7 @@ class ArmOptions:
 
 
 class ArmLogic(DeviceLogic[State, Event]):
-    """See the module's docstring. Only the jobs of this machine move the arm."""
+    """See the module's docstring. The arm is moved only by jobs (``arm_jobs``) of this machine."""
 
     stop_error = (
         ErrorCode.ARM_STOPPED,
@@ -284,8 +286,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         )
 
     def _scene_of(self, command: TapCommand) -> Scene | None:
-        """Return the object and strike poses that determine what the camera must see after a tap;
-        None if they are not known."""
+        """Return the scene that the camera must see after a tap; None if the camera's position or a
+        pose is not known, or if the arm always withdraws to its park pose."""
         if self._camera is None or not self._options.withdraw_until_seen:
             return None
         poses = (command.object_pose, command.predicted_pose, command.strike_pose)
@@ -296,7 +298,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         return Scene(self._camera, before, predicted, strike)
 
     def _withdraw_again(self, now: Now) -> None:
-        """Move the arm to its park pose, because it hides the object even after its withdrawal."""
+        """Move the arm to its park pose, because it hides the object even after the withdrawal."""
         if self.state in (S.LEAVING, S.WITHDRAWING):
             self._to_park = True
             return
@@ -423,8 +425,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         requester = request.tap_id, request.key
         is_shorter = 0 <= request.duration < self._promised_for
         if request.key and requester == self._promised_to and is_shorter:
-            # Only the tapper knows the key, and it ends the promise only after its striker was
-            # fired or discharged.
+            # Only the tapper knows the key. It ends the promise to stand still only after its
+            # striker was fired or discharged.
             self._released_tap, self._charged_until = request.tap_id, -math.inf
             stands = end <= self._promise_end
             self._promise_end = min(self._promise_end, end)
@@ -440,11 +442,11 @@ class ArmLogic(DeviceLogic[State, Event]):
             code, sentence = error
             return HoldStill.Response(error_code=code, error_msg=sentence)
         if now.steady < self._promise_end and requester != self._promised_to:
-            # The promise to another requester is still valid. No requester is recorded, so that
-            # nobody can end it early.
+            # The arm has also promised another requester to stand still. No requester is recorded,
+            # so that nobody can end this promise early.
             requester = NO_REQUESTER
         self._promised_to, self._promised_for = requester, request.duration
-        # The promise begins when the request is handled, which is later than when it was sent.
+        # The requested time begins now, when the request is handled, not when it was sent.
         self._promise_end = max(self._promise_end, end)
         return HoldStill.Response(granted=True, duration=request.duration)
 
@@ -477,8 +479,8 @@ class ArmLogic(DeviceLogic[State, Event]):
     def _on_tapper_state(self, message: TapperState, now: Now) -> None:
         ours = message.tap_id == self._last_tap_id and message.tap_id != self._released_tap
         if ours and message.state in CHARGED:
-            # Only reports that the striker is charged are used: any program could publish that it
-            # is not charged.
+            # Only reports that the striker is charged are used, because they make the arm wait. Any
+            # program could publish the opposite.
             self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
         if (
@@ -491,15 +493,16 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._leave_when_free(now)
 
     def _give_up(self, now: Now) -> None:
-        """End the tap and leave the strike pose as soon as the promise allows it."""
+        """End the tap and leave the strike pose as soon as the arm no longer has to stand still."""
         self._machine.move(Event.GIVEN_UP, S.LEAVING)
         self._leaving_since = now.steady
         self._abandon()
         self._leave_when_free(now)
 
     def _free_at(self, now: Now) -> float:
-        """Return the earliest time on the steady clock at which a motion may begin, s: after the
-        end of a promise, and not while the striker is charged."""
+        """Return the earliest time on the steady clock at which a motion may begin, s: when the arm
+        no longer has to stand still and the striker is no longer charged. The wait for the striker
+        is limited to ``LONGEST_WAIT_S``."""
         return max(self._promise_end, min(self._charged_until, now.steady + LONGEST_WAIT_S))
 
     def _leave_when_free(self, now: Now) -> None:
@@ -509,8 +512,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         # tapper's reports can only lengthen this wait.
         if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
-        # The job may start shortly before the promise ends: it reads the joints, then waits for the
-        # end.
+        # The job may start shortly before the arm is free to move: it reads the joints, then waits
+        # until the promise to stand still has ended.
         if now.steady >= self._promise_end - SHORT_REST_S:
             self._machine.move(Event.FREE, S.WITHDRAWING)
             if self._to_park:
@@ -790,7 +793,7 @@ INACTIVE_ERROR = (ErrorCode.NOT_ACTIVE, "the arm's node is not active; activate 
 
 
 def trajectory_targets(message: JointTrajectory) -> list[tuple[Joints, float]]:
-    """Return the joints of every point and its time from the start in s.
+    """Return, for each point, the joints and the time from the start in s.
 
     Raises:
         ValueError: the trajectory is invalid; the message says why.

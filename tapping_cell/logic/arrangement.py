@@ -1,4 +1,4 @@
-"""Task of arranging several objects, which tracks and reports the progress of each object.
+"""The planner's task of arranging several objects: it tracks and reports each object's progress.
 
 ``planning.arrangement`` decides which object is tapped next and how. The planner's state machine
 executes each of these taps like any other tap, with the same checks and waits. This module
@@ -70,7 +70,8 @@ P = Progress
 OPEN = (P.WAITING, P.ACTIVE, P.MAKING_WAY, P.REACHED)
 PROGRESS_TABLE = table(
     [
-        # An object at its goal can leave it again: another object touched it, or it must make way.
+        # An object can leave its goal again, because another object touched it or because it must
+        # make way.
         (OPEN, Change.TAPPED_TO_GOAL, (P.ACTIVE,)),
         (OPEN, Change.TAPPED_AWAY, (P.MAKING_WAY,)),
         (OPEN, Change.LEFT, (P.WAITING,)),
@@ -109,7 +110,7 @@ class ArrangementTask(Task):
     bodies: Sequence[Body]
     """All objects of the cell."""
     known: Mapping[str, Gains]
-    """Gains of each object, learnt in earlier goals."""
+    """Corrections of the model for each object, learnt in earlier goals."""
     adapt: bool
     in_order: bool
     obstacles: Sequence[KeepOut] = ()
@@ -244,7 +245,7 @@ class ArrangementTask(Task):
         self.arrangement.observe(self._tap, Observation(shot.before), after)
 
     def learnt(self) -> dict[str, Gains]:
-        """Return the learnt gains of every object that was tapped."""
+        """Return the learnt corrections of the model for every object that was tapped."""
         if self.arrangement is None:
             return {}
         return {
@@ -365,7 +366,8 @@ class ArrangementTask(Task):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class AmongOthersTask(ArrangementTask):
-    """Task of moving one object other than the cell's own, as an arrangement that moves only it."""
+    """Task of moving one object that is not the cell's own object. It is planned as an arrangement
+    in which only this object is moved."""
 
     resumable: ClassVar[bool] = True
 

@@ -15,10 +15,10 @@ CodedError = tuple[int, str]
 """Error code and message."""
 
 QUICKEST_IMAGE_S = 0.05
-"""Assumed maximum time, s, by which the estimated capture time of an image is too late. The
-smallest delay of the camera's messages cannot be distinguished from a difference of the clocks.
-Only the part of it that exceeds the smallest delay of the messages of arm and tapper causes an
-error."""
+"""Margin for the error of an image's estimated capture time, s. The estimate is too late by the
+smallest delay of the camera's messages, which cannot be distinguished from a difference of the
+clocks. The capture time is compared with events of arm and tapper, whose messages are delayed too,
+so only the difference of the smallest delays matters."""
 FAULTED = (TapperState.FAULT, TapperState.STOPPED)
 DOING = {
     ArmState.HOMING: "homing",

@@ -28,7 +28,8 @@ SPEED_SHARE = 0.05
 class Confirmation:
     """A tap that a person confirmed at the steady time ``at``, s.
 
-    ``withdrawn``: why the confirmation is no longer valid for any plan; empty if it may be valid.
+    ``withdrawn``: why the confirmation is no longer valid for any plan; empty if it may still
+    be valid.
     """
 
     shot: Shot

@@ -133,7 +133,7 @@ class StopLevels:
     """Names of the nodes that publish ``emergency_stop`` at present."""
     gone: tuple[str, ...]
     """Nodes whose publisher existed when a stop was received, but no longer exists. Only stops
-    after the last ``KeepStop(None)`` count."""
+    since the last reset (``KeepStop(None)``) count."""
     silent: tuple[str, ...] = ()
     """If there are several publishers: nodes whose publisher does not resend its level to a new
     subscription."""
@@ -185,7 +185,7 @@ class Log:
 
 @dataclass(frozen=True, slots=True)
 class KeepGoal:
-    """Store the goal under way, for a restart after a crash; None removes it."""
+    """Store the goal under way, for a restart after a crash; None removes the stored goal."""
 
     content: Content | None
 

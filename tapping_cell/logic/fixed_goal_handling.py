@@ -71,7 +71,8 @@ class FixedGoalHandling(GoalHandling):
         return self._space.area.outline()
 
     def learn(self, task: Task) -> None:
-        """Keep the gains and the estimates of the mounts that were learnt from a goal's taps."""
+        """Keep what was learnt from a goal's taps: the corrections of the object's model and the
+        estimated errors of the mounts."""
         super().learn(task)
         if isinstance(task.session, FixedTapperSession):
             self._mounts = task.session.mounts

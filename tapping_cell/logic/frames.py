@@ -1,4 +1,5 @@
-"""Interface for the poses of other frames in ``table``, for goals in these frames."""
+"""Interface that returns the poses of other frames in ``table``, so that goals can be given in
+these frames."""
 
 from __future__ import annotations
 

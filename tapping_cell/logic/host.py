@@ -34,7 +34,8 @@ class Configured:
 
 @dataclass(frozen=True, slots=True)
 class Unreachable:
-    """The device did not reply while the node was being configured; it will be tried again."""
+    """The device did not reply while the node was being configured; the connection will be tried
+    again."""
 
     fault: HardwareFault
 

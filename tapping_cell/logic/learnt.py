@@ -1,4 +1,4 @@
-"""Conversion of learnt gains to a message."""
+"""Conversion of the learnt corrections of an object's model to a message."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from tapping_cell.planning import Gains
 
 
 def to_message(gains: Gains) -> LearntGains:
-    """Convert the gains of one object to a message."""
+    """Convert the learnt corrections of one object's model to a message."""
     return LearntGains(
         **gains.as_numbers(), explained=int(gains.taken), unexplained=int(gains.outliers)
     )

@@ -5,18 +5,18 @@ from __future__ import annotations
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
-"""Part of the promised time that is reserved for the requests to arm and board, the firing window
-and the firing pulse."""
+"""The arm stands still for this time plus the striker's flight. The time covers the requests to arm
+and board, the firing window and the firing pulse."""
 RELEASE_S = 0.1
 """Minimum part of ``BEFORE_FLIGHT_S`` that must remain when the arm's answer arrives: for the
 request to the board, the firing window and the firing pulse."""
 RELEASED_S = 0.035
 """Maximum time from the board's report that it fired to the end of the firing pulse."""
 SLOWNESS = 1.1
-"""Maximum ratio of actual to predicted time of flight; friction and errors of the energy curve slow
-the striker down."""
+"""Maximum ratio of actual to predicted time of flight. It is above 1, because friction and errors
+of the energy curve can make the striker slower than predicted."""
 LONGEST_HOLD_S = BEFORE_FLIGHT_S + SLOWNESS * LONGEST_FLIGHT_S
-"""Maximum duration that the tapper of any cell may request."""
+"""Maximum time for which the tapper of any cell may ask the arm to stand still."""
 
 
 def flight(stroke: float, speed: float) -> float:
@@ -30,7 +30,8 @@ def hold(time_of_flight: float) -> float:
 
 
 def longest_hold(cell: Cell) -> float:
-    """Return the longest duration that a tapper of the cell requests (for its slowest strike)."""
+    """Return the longest time for which a tapper of the cell asks the arm to stand still: the time
+    for its slowest strike."""
     longest = max(
         hold(flight(tapper.stroke, tapper.curve().slowest))
         for tapper in cell.tapper_sections.values()

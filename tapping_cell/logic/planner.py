@@ -627,8 +627,8 @@ class PlannerLogic:
             self._keep_observing(now)
             return
         if isinstance(decision, Refusal):
-            # If only the observation is too uncertain, continue it, because every further image
-            # improves it.
+            # If the tap is refused only because the object's pose is too uncertain, continue the
+            # observation, because every further image reduces the uncertainty.
             if decision.reason is not RefusalReason.CAMERA_TOO_COARSE or self._late(now):
                 self._fail(REFUSALS[decision.reason], decision.sentence, now)
             else:
@@ -1100,7 +1100,8 @@ class PlannerLogic:
             )
 
     def _learnt_gains(self) -> LearntGains:
-        """Return the gains learnt for the object as a message, cached until they change."""
+        """Return the learnt corrections of the object's model as a message; the message is cached
+        until they change."""
         if not self._configured:
             return LearntGains()
         gains = self._task.session.gains if self._task is not None else self.goals.gains

@@ -11,14 +11,15 @@ from tapping_cell.messages import ErrorCode, TapCommand
 
 LONGEST_EXPIRY_S = 900.0
 """Maximum time from receiving a command to its expiry. The limit exceeds the largest possible sum
-of the planner's place and fire deadlines. A longer expiry would block the cell."""
+of the planner's place and fire deadlines. If a command is abandoned, the arm waits at the strike
+pose until the expiry, so a longer expiry would block the cell."""
 CLOCK_TOLERANCE_S = 1.0
 """Maximum time by which a stamp may lie in the future, because the computers' clocks differ
 slightly."""
 LARGEST_JUMP = 2**28
 """Maximum difference between a tap id and the greater of two numbers: the last id, and the clock's
-time in whole seconds. It corresponds to 8 years. A much greater id would leave no ids for the
-following taps."""
+time in whole seconds. The limit corresponds to 8 years. Without it, one wrong id could leave no
+greater ids for the following taps."""
 
 CodedError = tuple[int, str]
 """Error code and message."""

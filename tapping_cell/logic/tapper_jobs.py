@@ -14,7 +14,8 @@ from tapping_cell.logic.effects import JobContext
 from tapping_cell.logic.tap_commands import CodedError
 
 WINDOW_S = 0.04
-"""Time from the last check before FIRE to the board's deadline; FIRE and its reply take 20 ms."""
+"""Time from the last check before FIRE to the board's deadline, s. It is twice the 20 ms that FIRE
+and its reply take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,7 @@ def charge(
 ) -> ChargeEnd:
     """Charge ``energy`` in J for a shot of a channel; discharge if ``check`` returns a reason.
 
-    ``post_replies``: post the board's last reply before each check.
+    ``post_replies``: whether the board's last reply is sent to the state machine before each check.
     """
     driver: TapperDevice = context.driver
     refusal: CodedError | None = None
@@ -118,7 +119,7 @@ def fire(
     """Fire a charged shot if ``check`` allows it, or discharge it.
 
     ``check`` receives the latest possible end of the release pulse, s on the steady clock.
-    ``post_replies``: post the board's last reply before each check.
+    ``post_replies``: whether the board's last reply is sent to the state machine before each check.
     """
     driver: TapperDevice = context.driver
     refusal: CodedError | None = None

@@ -56,18 +56,18 @@ class PeerLimits:
     turned: float = 0.05
     """Maximum rotation of the object from the pose for which the tap was planned, rad."""
     needs_camera: bool = False
-    """Whether a usable image must have arrived since the start. If False, a camera that has sent
-    nothing yet is not required."""
+    """Whether a tap requires that a usable image has arrived since the node was started. If False,
+    a camera that has sent nothing yet does not prevent taps."""
 
 
 @dataclass(slots=True)
 class Mounts:
     """State of the strikers as reported by the boards.
 
-    ``proven``: whether each striker has been detected at its mount since the boards' start. If a
-    striker was released, it must also have been detected leaving its mount and returning. ``away``:
-    names of the strikers that are not at their mounts. ``fitted``: whether the mounts have
-    switches.
+    ``proven``: whether all strikers have been detected at their mounts since the boards' start. A
+    striker that was released must also have been detected leaving its mount and returning.
+    ``away``: names of the strikers that are not at their mounts. ``fitted``: whether the mounts
+    have switches.
     """
 
     proven: bool = False
@@ -124,8 +124,10 @@ class TapperPeers:
         self._mounts = mounts
 
     def begin_tap(self, object_id: str) -> None:
-        """Begin the checks of a tap of an object (empty: the cell's own object). The following
-        messages of the planner show whether the planner commanded this tap."""
+        """Begin the checks of a tap of the object with this name (empty: the cell's own object).
+
+        The following messages of the planner show whether the planner commanded this tap.
+        """
         self._planners_tap = False
         self._object = object_id
 
@@ -184,8 +186,8 @@ class TapperPeers:
     ) -> CodedError | None:
         """Return why the tapper must not be charged, or None. Arguments as in :meth:`check_firing`.
 
-        Charging may begin while the arm lowers the striker. The arm's last read-back must be
-        recent, and it must show the tip above the strike pose, so that only a vertical motion
+        Charging may begin while the arm still lowers the striker. The arm's last read-back must
+        then be recent and show the tip above the strike pose, so that only a vertical motion
         remains.
         """
         if self._mounts is not None:

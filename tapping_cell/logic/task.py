@@ -115,7 +115,7 @@ class Shot:
 
     def record(self, seen: ObjectState | None, gains: Gains) -> TapRecord:
         """Return the record of this tap. ``seen``: observation of its result, None if there was
-        none. ``gains``: gains of the object after the tap."""
+        none. ``gains``: corrections of the object's model, learnt up to this tap."""
         strike = self.strike
         if seen is None:
             seen = ObjectState()
@@ -213,8 +213,9 @@ class Task:
     def decide(self, seen: ObjectState, frames: int) -> Decision:
         """Decide on the next action from an observation of the object at rest.
 
-        ``frames``: number of frames of a normal observation; a long observation takes
-        ``LONG_OBSERVATION`` times as many. 0 if no time is left for a long observation.
+        ``frames``: number of frames of a normal observation. The decision may be to observe again,
+        until ``LONG_OBSERVATION`` times as many frames are fused. ``frames`` is 0 if there is no
+        time for this.
         """
         assert isinstance(self.session, GoalSession)
         self.session.arm = self.arm
@@ -241,7 +242,7 @@ class Task:
         return monitor.usable(after, frames, now)
 
     def before(self, seen: ObjectState) -> Pose:
-        """Return the pose of the object for which the tap was decided."""
+        """Return the object's pose in ``seen``, the observation from which the tap was decided."""
         return from_message(seen.pose.pose)
 
     def learn(self, shot: Shot, pose: Pose, covariance: Array) -> None:

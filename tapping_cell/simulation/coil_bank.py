@@ -1,6 +1,6 @@
 """Coils at fixed mounts: the strikers of a board with several channels, and their switches.
 
-The model follows the rules of ``firmware/tapper/strikers.c``, but jumps from event to event. The
+The model follows the rules of ``firmware/tapper/strikers.c``, but advances from event to event. The
 switch at a mount is closed while its striker is retracted. The caller sets the flight time of a
 striker.
 """
@@ -14,9 +14,9 @@ SETTLE_TIME = 0.003
 LEAVES_AFTER = 0.002
 """Time from a release until the striker has left its switch, s."""
 LEAVE_LIMIT = 0.2
-"""Longest time from a release until the switch must be open, s."""
+"""Time after a release by which the switch must be open, s."""
 RETURN_LIMIT = 4.0
-"""Longest time from a release until the switch must be closed again, s."""
+"""Time after a release by which the switch must be closed again, s."""
 
 
 class CoilBank:

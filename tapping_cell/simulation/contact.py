@@ -5,7 +5,7 @@ follows F = k d; unloading follows the steeper F = (k / e^2) (d - d0), where d0 
 that remains. The spring therefore returns the fraction e^2 of the work, and e is the restitution at
 any speed and for any masses (Walton and Braun, Journal of Rheology 30, 1986). Along the tangent,
 the contact sticks or slides according to Coulomb's law; a sticking contact may also be compliant
-(Maw, Barber and Fawcett, Wear 38, 1976). The planner's impulse model is not used here.
+(Maw, Barber and Fawcett, Wear 38, 1976). This model is independent of the planner's impulse model.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from tapping_cell.simulation.sliding import Acceleration, Motion
 TOUCH_M = 1e-8
 """Maximum distance between ball and object that counts as contact, m."""
 SMALLEST_RESTITUTION = 0.05
-"""Lower limit of the restitution; below it the unloading spring would need very short steps."""
+"""Minimum restitution. With a lower value, the spring of the unloading would be so stiff that very
+short steps would be needed."""
 _STEPS = 100
 """Number of time steps per contact time (``ContactLaw.contact_time``) in an impact. It is high,
 because the impact determines the object's launch."""

@@ -76,8 +76,8 @@ class SimulatedDevices:
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
         """Handle a release: the striker starts at the true pose of the tip."""
         tip, height = self.tip(now)
-        # The carriage stops at whole motor steps, so the energy may lie slightly outside the energy
-        # curve and is limited to it.
+        # The carriage stops at whole motor steps, so the energy may lie slightly outside the range
+        # of the energy curve. It is then set to the nearest value in this range.
         least, most = self._curve.table[0][0], self._curve.table[-1][0]
         speed = self._curve.speed_for(min(max(energy, least), most))
         return self._on_strike(tip, height, speed, now)

@@ -1,9 +1,9 @@
 """Emulator of a Grbl 1.1 controller with an arm: a state machine in simulated time.
 
 It follows Grbl's documentation and has its own line parser, independent of the driver's codec.
-Real-time bytes take effect immediately, and lines wait for space in the planner. Each move has a
-trapezoidal velocity profile within the rates and accelerations of the axes, and every move ends at
-rest. Unsupported commands are rejected with Grbl's error number, never silently accepted.
+Real-time bytes take effect immediately, and lines wait for space in the planner buffer. Each move
+has a trapezoidal velocity profile within the rates and accelerations of the axes, and every move
+ends at rest. Unsupported commands are rejected with Grbl's error number, never silently accepted.
 """
 
 from __future__ import annotations
@@ -203,8 +203,8 @@ class GrblEmulator:
         return float(self._names[name]) if name else self._settings[1]
 
     def _power(self, now: float) -> None:
-        """Enable the motors. A quill that has sunk is then held at its new position, but the step
-        count is unchanged."""
+        """Enable the motors. If the quill sank while they had no power, it is held at its lower
+        position, but the step count still gives the old one."""
         self._axes.enable(now)
         self._rests_since = now
 
@@ -617,5 +617,5 @@ class GrblEmulator:
 
 
 def _nothing(now: float) -> None:
-    """Do nothing. A dwell and homing set this as the waiting action, so that later lines wait; they
-    end the wait themselves."""
+    """Do nothing. This is the waiting action during a dwell and during homing, which end the wait
+    themselves. While an action waits, no further lines are processed."""

@@ -169,7 +169,7 @@ class MarlinEmulator:
         return min(times) if times else None
 
     def power_cycle(self, now: float) -> None:
-        """Restart the board; the arm stays in place, and its position is set to zero."""
+        """Restart the board. The arm stays in place, but the board takes this position as zero."""
         self.advance(now)
         self._axes.stop_abruptly(now)
         self._output.clear()
@@ -202,8 +202,8 @@ class MarlinEmulator:
             self._send_line(line, now)
 
     def _power(self, now: float) -> None:
-        """Enable the motors. A quill that has sunk is then held at its new position, but the step
-        count is unchanged."""
+        """Enable the motors. If the quill sank while they had no power, it is held at its lower
+        position, but the step count still gives the old one."""
         self._axes.enable(now)
         self._rests_since = now
 

@@ -18,8 +18,7 @@ QUILL = 2
 TO_UNITS = np.array([180 / math.pi, 180 / math.pi, 1e3, 180 / math.pi])
 """Factors from joint values (rad, rad, m, rad) to axis units (deg, deg, mm, deg)."""
 SLIP = 0.3
-"""Standard deviation of the motion that a sudden stop causes without being counted, in axis
-units."""
+"""Standard deviation of the uncounted motion of an axis during a sudden stop, in axis units."""
 
 Joints = tuple[float, float, float, float]
 
@@ -117,8 +116,8 @@ class MotorAxes:
     # Torque
 
     def enable(self, time: float) -> None:
-        """Enable the motors. A quill that has sunk is then held at its new position, but the step
-        count is unchanged."""
+        """Enable the motors. If the quill sank while they had no power, it is held at its lower
+        position, but the step count still gives the old one."""
         sunk = self._torque.sunk(float(self._of_track(time)[QUILL]), time)
         self._torque.restore()
         if sunk > 0:

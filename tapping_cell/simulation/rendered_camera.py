@@ -51,7 +51,7 @@ class SceneSettings:
 
     ``light_falloff``: fraction of the light lost from the brightest side to the darkest, in the
     direction ``light_direction`` (rad, in table); ``noise``: standard deviation in grey levels;
-    ``blur``: sigma of the point spread function in pixels, including the pixel's own area;
+    ``blur``: sigma of the point spread function in pixels, including the averaging over a pixel;
     ``shadow``: displacement of the object's shadow (m, in table); ``shadow_depth``: fraction of the
     light that the shadow removes.
     """
@@ -135,8 +135,9 @@ class SceneRenderer:
         grain, field, state = _random_fields(seed, camera.height, camera.width)
         self._random = np.random.default_rng()
         self._random.bit_generator.state = state
-        # The given blur includes the averaging over a pixel, with a variance of 1/12. The pixel
-        # coverage already contains this averaging, so its variance is subtracted.
+        # `blur` includes the averaging over a pixel, which is a blur with a variance of 1/12
+        # (pixel^2). The pixel coverage already contains this averaging, so its variance is
+        # subtracted.
         self._point_spread = max(0.1, np.sqrt(max(0.0, self.settings.blur**2 - 1.0 / 12.0)))
         distance = float(pose.position[2])
         pixel = distance / camera.fx

@@ -1,4 +1,4 @@
-"""Rendered camera of one cell, from its simulation parameters."""
+"""Creation of a cell's simulated camera from the simulation parameters."""
 
 from __future__ import annotations
 

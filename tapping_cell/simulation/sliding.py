@@ -3,8 +3,8 @@
 The integration is deliberately independent of the closed forms of ``tapping_cell.mechanics``:
 support, table and friction law may be more general than those forms allow. The friction at each
 support point opposes the point's velocity v + omega x r and is proportional to the point's fraction
-of the weight. The total torque is multiplied by the torque factor, an empirical finding of Huang
-and Mason (section 3.1.2).
+of the weight. The sum of the friction torques is multiplied by the torque factor, a correction that
+Huang and Mason found by experiment (section 3.1.2).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ STOP_SPEED = 0.0002
 than 0.1 um further."""
 _LONGEST_SLIDE_S = 60.0
 _STILL = 1e-9
-"""Speed of a point, m/s, below which its friction decreases to zero, because its direction is
-undefined."""
+"""Speed of a support point, m/s, below which its friction decreases to zero, because a point at
+rest has no direction of motion."""
 
 
 class Motion(NamedTuple):

@@ -148,7 +148,8 @@ class SpringDrive:
         self._begin(Phase.LEAVING, now, wake)
 
     def out(self, steps: int, now: float) -> None:
-        """Charge the spring to the position ``steps``, if the present position is known."""
+        """Move the carriage to the position ``steps``, which charges the spring, if the present
+        position is known."""
         if self._phase is Phase.HOLDING:
             self._target, self._opened = steps, False
             self._begin(Phase.OUT, now)

@@ -29,8 +29,8 @@ _GRID = 20
 def sample_support(body: Disk | Ring | Polygon, truth: SupportTruth) -> tuple[Array, Array]:
     """Return support points (n, 2) in the object's frame, m, and the grip (n,) at each point.
 
-    The grip of a point is its fraction of the weight, multiplied by its friction relative to the
-    mean (``lean``). The grips add up to 1.
+    The grip of a point is its fraction of the weight times the ratio of its friction to the mean
+    friction, which ``truth.lean`` describes. The grips add up to 1.
     """
     points: Array
     shares: Array

@@ -206,8 +206,8 @@ class Tabletop:
             world.advance(self._now)
 
     def _pairs(self) -> list[tuple[str, str, float]]:
-        """Return each pair of objects of which at least one moves, and an upper bound of its
-        closing speed, m/s."""
+        """Return each pair of objects of which at least one moves, and an upper bound of the
+        pair's closing speed, m/s."""
         speeds = {}
         for name, world in self.worlds.items():
             vx, vy, omega = world.twist

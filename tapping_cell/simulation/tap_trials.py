@@ -49,9 +49,10 @@ class SimulatedTaps:
         """Return the true displacements (n, 3) of taps on objects at ``poses``; each tap was
         planned for the pose in ``seen``.
 
-        All arrays except ``gains`` are (n, 3) in ``table`` axes. The first two columns of ``gains``
-        (n, 4) also multiply distance and rotation. The other two are ignored, because ``truth``
-        contains the centre of mass. A tap that misses does not move the object.
+        All arrays except ``gains`` are (n, 3) in ``table`` axes. ``gains`` (n, 4): the simulated
+        distance is multiplied by the first column, and the rotation by the second. The other two
+        columns are ignored, because ``truth`` contains the centre of mass. A tap that misses does
+        not move the object.
         """
         plan = self.model.plan(commanded, seen)
         tips = tips_at_rest(plan.strike_pose, self.standoff, self.round_position, self.round_angle)

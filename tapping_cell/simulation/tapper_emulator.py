@@ -206,7 +206,7 @@ class TapperEmulator:
         self.drive.set_power(on, now)
 
     def open_stop_loop(self, now: float) -> None:
-        """Open and close the emergency stop loop; while it is open, the motor has no power."""
+        """Open the emergency stop loop, which cuts the motor's power, and close it again."""
         self.advance(now)
         self._stop(by_wire=True, now=now)
 

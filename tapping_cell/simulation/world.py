@@ -302,9 +302,10 @@ class World:
         """Change the launch so that the slide ends with random errors, whose standard deviations
         are ``position_floor`` and ``angle_floor``.
 
-        The errors of the end pose are converted to errors of the launch. With the decelerations a
-        and alpha at the beginning of the slide, x = v^2 / 2 a, and theta = omega v / (a + alpha v /
-        omega) for small spins.
+        The errors of the end pose are converted to errors of the launch. A launch with speed v and
+        spin omega, and with the decelerations a and alpha at the beginning of the slide, ends after
+        the distance x = v^2 / 2 a and, for small spins, the rotation theta = omega v / (a + alpha v
+        / omega).
         """
         scatter, speed = self._truth.scatter, math.hypot(launch.vx, launch.vy)
         if speed <= 0 or scatter.position_floor == scatter.angle_floor == 0:
