@@ -39,7 +39,7 @@ def measure(count: int) -> dict[str, Any]:
 
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
-    text = [f"{'right of tried':29}" + "".join(f"{name:>14}" for name in NAMES)]
+    text = [f"{'passed of all trials':29}" + "".join(f"{name:>14}" for name in NAMES)]
     tried = wrong = 0
     for kind, row in report.items():
         cells = []

@@ -77,7 +77,7 @@ def lines(report: dict[str, Any]) -> list[str]:
         factors = ", ".join(f"{factor:g}" for factor in row["truth"])
         text.append(
             f"  {factors}: {row['configured']:.2f} as configured, {row['fitted']:.2f} as fitted "
-            f"({100 * row['fewer']:.0f} % fewer), {row['perfect']:.2f} if it knew the truth"
+            f"({100 * row['fewer']:.0f} % fewer), {row['perfect']:.2f} with the true parameters"
         )
     return text
 

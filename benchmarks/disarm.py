@@ -176,8 +176,8 @@ def _loss(cell: ChargingCell, who: str, how: str, chance: Callable[[], float]) -
 def lines(report: dict[str, Any]) -> list[str]:
     """Format the report as lines of text."""
     rows = [
-        f"{name}: discharged after {1e3 * row['mean']:.0f} ms, at worst "
-        f"{1e3 * row['worst']:.0f} ms of {report['count']}"
+        f"{name}: discharged after {1e3 * row['mean']:.0f} ms on average and at most "
+        f"{1e3 * row['worst']:.0f} ms, in {report['count']} trials"
         for name, row in report["losses"].items()
     ]
     return [*rows, f"fired: {report['fired']}; load {report['load']:.1f}"]

@@ -60,7 +60,9 @@ def measure(seconds: int) -> dict[str, Any]:
         graph.check()
         for role, process in pair.items():
             if process.poll() is not None:
-                raise RuntimeError(f"{role} of the bare pair ended with {process.returncode}")
+                raise RuntimeError(
+                    f"the minimal process {role} ended with exit code {process.returncode}"
+                )
     ratios = [sum(turn["cell"].values()) / sum(turn["pair"].values()) for turn in spent]
     shares = {
         group: {

@@ -131,7 +131,7 @@ def _stops(
             listener.received.clear()
             pressed = time.monotonic()
             if not _press(page, stop) or not listener.received.wait(TIMEOUT_S):
-                raise RuntimeError("a stop was not served")
+                raise RuntimeError("a STOP request was refused, or no stop was received")
             times.append(listener.received_at - pressed)
     finally:
         rate = (sent.value - before) / (time.monotonic() - began)

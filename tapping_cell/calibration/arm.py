@@ -45,7 +45,8 @@ _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
 """Maximum standard deviation of a fitted value. A value with a larger standard deviation is kept as
 in the cell file."""
 _CORRELATED = 0.97
-"""Correlation above which a note says that two values are known mainly in combination."""
+"""Correlation above which a note says that the poses determine mainly a combination of two
+values."""
 _OUTLIER = 4.5
 """Number of robust standard deviations above which a row is an outlier. The standard deviations
 used for this are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
@@ -438,10 +439,9 @@ def _notes(
         for b in range(a):
             if abs(correlation[a, b]) > _CORRELATED:
                 warnings.append(
-                    f"{_IN_WORDS[free[b]]} and {_IN_WORDS[free[a]]} are known mainly in "
-                    f"combination (correlation {correlation[a, b]:+.3f}); their combined "
-                    "effect on the wrist"
-                    " is known better than each value"
+                    f"the poses determine mainly a combination of {_IN_WORDS[free[b]]} and "
+                    f"{_IN_WORDS[free[a]]} (correlation {correlation[a, b]:+.3f}); their combined "
+                    "effect on the wrist is known better than each of the two values"
                 )
     elbow = record.joints[used, 1] + values["elbow_zero"]
     if not (elbow.min() < -0.1 and elbow.max() > 0.1):

@@ -29,7 +29,7 @@ _WORDS = {
     "scale_b1": "scale of B1",
     "scale_b2": "scale of B2",
     "scale_b3": "scale of B3",
-    GAIN: "gain of the striker's speed",
+    GAIN: "ratio of measured to commanded striker speed",
 }
 _UNKNOWN = 0.5  # relative standard deviation above which a parameter is not determined
 _SHARE = 0.3  # eigenvector components below this fraction of the largest one are ignored
@@ -148,8 +148,8 @@ def _advice(
         after, description = min(found)
         if after < _UNKNOWN:
             sentences.append(
-                f"{_TAPS} more taps {description} would determine the {_WORDS[name]} to "
-                f"{100 * after:.0f} %."
+                f"{_TAPS} more taps {description} would reduce the uncertainty of the "
+                f"{_WORDS[name]} to {100 * after:.0f} %."
             )
     return sentences
 

@@ -260,7 +260,7 @@ def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
     own = _fit_slides(used, body)
     impacts = _others(fit, used, own, experiments)
     if impacts is None:
-        raise RecordError("the impact was not fitted, or no header gives the striker")
+        raise RecordError("the impact was not fitted, or no experiment.yaml describes the striker")
     tapped = _tapped(used, fit.slide, impacts, body)
     return _taps(used, _labels(used), _measured(used, own), tapped, impacts.rows)
 
@@ -269,7 +269,7 @@ def _others(
     fit: ObjectFit, used: Sequence[Used], own: SlideFit, experiments: Sequence[Experiment]
 ) -> _Impacts | None:
     """Apply the fitted impact model to the strikes of experiments that were not used in the fit;
-    None if the impact was not fitted or no header gives the striker."""
+    None if the impact was not fitted or no ``experiment.yaml`` describes the striker."""
     striker = _striker(experiments)
     if fit.impact is None or striker is None:
         return None
@@ -305,7 +305,7 @@ def _fit_impact(
     sentences: list[str],
 ) -> _Impacts | None:
     if striker is None:
-        sentences.append("No header gives the striker, so the impact is not fitted.")
+        sentences.append("No experiment.yaml describes the striker, so the impact is not fitted.")
         return None
     body = content.body()
     strikes, known = _strikes(used, slide, body)
@@ -436,7 +436,10 @@ def _prediction_sentence(errors: Sequence[ModelError]) -> list[str]:
     widths = " and ".join(
         f"{100 * entry.half_width:.0f} % of the predicted {entry.quantity}" for entry in errors
     )
-    return [f"Of new taps with settings in the range of these runs, 95 % are within {widths}."]
+    return [
+        "The prediction errors of 95 % of new taps with settings in the range of these runs "
+        f"are at most {widths}."
+    ]
 
 
 def _slide_sentences(
@@ -471,9 +474,9 @@ def _slide_sentences(
         more = 10 * each[best]
         after = share * math.sqrt(float(total[1, 1]) / (float(total[1, 1]) + more))
         sentences.append(
-            f"The torque factor is known to {100 * share:.0f} %. Ten more taps like those of "
-            f"run {best}, which are the most informative, would give {100 * after:.0f} %; "
-            "taps that turn the object more are more informative."
+            f"The uncertainty of the torque factor is {100 * share:.0f} %. Ten more taps like those "
+            f"of run {best}, the most informative run, would reduce it to {100 * after:.0f} %. Taps "
+            "that turn the object more are even more informative."
         )
     return sentences
 
@@ -489,10 +492,10 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
     if abs(mean) < max(_MIN_SPEED_ERROR, 3.0 * standard_error):
         return []
     return [
-        "The striker's speed differs from the commanded one by "
-        f"{100 * math.expm1(mean):+.1f} %. The fit accounts for this; "
-        f"the planner's distances deviate by {100 * math.expm1(2 * mean):+.0f} % until "
-        "`calibrate tapper` has measured its curve."
+        "The striker's speed differs from the commanded speed by "
+        f"{100 * math.expm1(mean):+.1f} %. The fit accounts for this, but the planner does not: "
+        f"its distances deviate by {100 * math.expm1(2 * mean):+.0f} % until `calibrate tapper` has "
+        "measured the tapper's curve."
     ]
 
 

@@ -24,7 +24,7 @@ MIN_RUNS = 2
 MIN_IN_RUN = 3
 MIN_TRIALS = 8
 _MIN_MOTION = 0.0002  # m
-_MIN_SPEED = 0.02  # m/s; slides 0.1 mm at a friction of 0.2
+_MIN_SPEED = 0.02  # m/s; at a friction of 0.2 the object slides 0.1 mm
 _FRICTION = (0.005, 5.0)
 # Plausible range of the ratio 2 (spin / speed) / (rotation / distance), with spin and speed at
 # launch. The ratio is about 1 + gamma kappa / 4; the range contains it for torque factors kappa of

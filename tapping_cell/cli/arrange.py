@@ -51,8 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset",
         choices=PRESETS,
-        help="layout of all objects of the cell, used instead of a layout file: a line, a circle "
-        "or a grid in the middle of the table, or swap: the objects exchange places in pairs",
+        help="preset layout of all objects of the cell, in place of a layout file: line, circle "
+        "or grid (at the centre of the area in which objects can be tapped), or swap (the "
+        "objects exchange places in pairs)",
     )
     parser.add_argument(
         "--cell",

@@ -39,7 +39,7 @@ COMMON = {
         "address of the page; 0.0.0.0 for the whole network, with a token",
     ),
     "page_port": ("8010", "port of the page"),
-    "page_stop_port": ("9010", "port of the page's dedicated connection for STOP"),
+    "page_stop_port": ("9010", "port of a second connection of the page, used only for STOP"),
     "description": ("true", "start robot_state_publisher with the URDF, if it is installed"),
 }
 """Arguments of every launch file: default and description."""

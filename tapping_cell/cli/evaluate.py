@@ -130,9 +130,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.0,
         metavar="DEG_PER_MM",
-        help="standard deviation of the additional rotation per distance of an object whose centre "
-        "of mass or friction is not at its middle, drawn for each trial, in degrees per mm "
-        "(default: 0)",
+        help="simulate objects whose centre of mass or of friction is off centre, so that each "
+        "tap adds a rotation in proportion to its distance. Each trial draws this rotation "
+        "per distance; the option is its standard deviation, in degrees per mm (default: 0)",
     )
     parser.add_argument(
         "--probe",
@@ -143,7 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--adapt",
         action="store_true",
-        help="learn the gains of distance and rotation from tap to tap",
+        help="learn from every tap how distance and rotation differ from the prediction",
     )
     numbers(
         "--box",
@@ -170,9 +170,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         choices=("abstract", "physics", "world"),
         default="abstract",
-        help="model of a tap: displacements with scatter (abstract), closed-form impact and slide"
-        " (physics), or the simulated world with every effect and the scatter of its "
-        "simulation parameters (world) (default: abstract)",
+        help="model of a tap: displacements with scatter (abstract), closed-form impact and slide "
+        "(physics), or numerically integrated contact and slide, with the scatter given in "
+        "the simulation parameters, --truth (world) (default: abstract)",
     )
     numbers(
         "--round-position",
@@ -593,7 +593,7 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         f"99 % within {taps['p99']}, maximum {taps['max']}",
         *_seconds_text(figures),
         f"  done              {100 * figures['success_rate']:.2f} %",
-        f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of the done trials",
+        f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of these trials",
         f"  stopping box      {box['distance_mm']:.3f} mm, {box['rotation_deg']:.3f} degrees",
     ]
     if not box["camera_suffices"]:

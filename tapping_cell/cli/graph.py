@@ -100,8 +100,8 @@ class Ended:
         if self.status == -signal.SIGKILL:
             # A killed node cannot log a reason, so its last lines would be misleading.
             return (
-                f"the node {self.name} ended by the signal SIGKILL, sent from outside or by the"
-                " kernel for lack of memory"
+                f"the node {self.name} was killed by the signal SIGKILL, sent by another program,"
+                " or by the kernel because memory ran out"
             )
         how = f"with status {self.status}"
         if self.status < 0:

@@ -152,8 +152,8 @@ class KeptPoints:
                     if kept["common"].get(name) != self._common.get(name)
                 )
                 raise PlanningError(
-                    f"{self._file} holds a sweep with other options ({', '.join(differ)}); choose"
-                    " another folder or delete it"
+                    f"{self._file} contains a sweep with other options ({', '.join(differ)});"
+                    " choose another folder, or delete this file"
                 )
             self._done[_key(kept["point"])] = kept["figures"]
 

@@ -94,7 +94,9 @@ class ChainSection:
         "path of the arm's URDF file, relative to this file; expand a xacro file beforehand"
     )
     base_link: str = text("link of the URDF at which the chain begins")
-    tip_link: str = text("link of the URDF that carries the tapper")
+    tip_link: str = text(
+        "link of the URDF to which the tapper is attached; the kinematic chain ends here"
+    )
     tool: tuple[float, float, float, float, float, float] = quantity(
         "pose of the striker's tip in tip_link (x, y, z in m, roll, pitch, yaw in rad); the x axis "
         "of the tip points along the line of travel, and its z axis up",
@@ -103,7 +105,8 @@ class ChainSection:
         7.0,
     )
     max_acceleration: tuple[float, ...] = quantity(
-        "deceleration of each joint of the arm in a braking stop: rad/s^2 or m/s^2",
+        "deceleration of each joint of the arm in a braking stop, in the order of "
+        "joints: rad/s^2 (rotary joint) or m/s^2 (prismatic joint)",
         "",
         0.001,
         1000.0,
@@ -184,18 +187,31 @@ class ArmSection:
     tip_yaw: float = quantity(
         "angle from the tool's heading to the striker's line of travel", "rad", -7.0, 7.0
     )
-    tip_height: float = quantity("height of the tip when the quill is at zero", "m", 0.0, 2.0)
-    lower: FourNumbers = quantity("lower joint limits: rad, rad, m, rad", "", -20.0, 20.0)
-    upper: FourNumbers = quantity("upper joint limits: rad, rad, m, rad", "", -20.0, 20.0)
+    tip_height: float = quantity(
+        "height of the tip above the table when the quill is at zero", "m", 0.0, 2.0
+    )
+    lower: FourNumbers = quantity(
+        "lower limits of shoulder, elbow, quill and tool: rad, rad, m, rad", "", -20.0, 20.0
+    )
+    upper: FourNumbers = quantity(
+        "upper limits of shoulder, elbow, quill and tool: rad, rad, m, rad", "", -20.0, 20.0
+    )
     max_speed: FourNumbers = quantity(
-        "maximum joint speeds: rad/s, rad/s, m/s, rad/s", "", 0.001, 100.0
+        "maximum speeds of shoulder, elbow, quill and tool: rad/s, rad/s, m/s, rad/s",
+        "",
+        0.001,
+        100.0,
     )
     max_acceleration: FourNumbers = quantity(
-        "maximum joint accelerations: rad/s^2, rad/s^2, m/s^2, rad/s^2", "", 0.001, 1000.0
+        "maximum accelerations of shoulder, elbow, quill and tool: rad/s^2, rad/s^2, "
+        "m/s^2, rad/s^2",
+        "",
+        0.001,
+        1000.0,
     )
     singularity_margin: float = quantity(
-        "minimum angle by which the elbow stays away from the stretched and from the folded "
-        "position",
+        "minimum angle of the elbow from the stretched and from the folded position, in which "
+        "the arm is singular",
         "rad",
         0.0,
         0.5,
@@ -210,7 +226,11 @@ class ArmSection:
         "travel speed as a fraction of the maximum joint speeds", "", 0.01, 1.0
     )
     near_speed: float = quantity(
-        "speed near the object as a fraction of the maximum joint speeds", "", 0.01, 1.0
+        "speed of the slow moves (the last part of the lowering, backing off, lowering "
+        "at the park pose), as a fraction of the maximum joint speeds",
+        "",
+        0.01,
+        1.0,
     )
     back_off: float = quantity(
         "distance by which the tip retreats along the line of travel after a tap, before the arm "
@@ -220,7 +240,8 @@ class ArmSection:
         0.1,
     )
     park: FourNumbers = quantity(
-        "joint positions of the park pose, out of the camera's view: rad, rad, m, rad",
+        "joint positions at which the arm waits outside the camera's view: shoulder, "
+        "elbow, quill, tool in rad, rad, m, rad",
         "",
         -20.0,
         20.0,
@@ -235,23 +256,31 @@ class ArmSection:
         "settings of the arm's own ROS driver, for the dialect ros2_control", default=None
     )
     port: str = text(
-        "path of the controller's serial port; ~ is the home folder, {namespace} the node's "
-        "namespace, {cell} a name unique to this namespace and ROS domain, for the simulated ports",
+        "path of the controller's serial port. Placeholders: ~ is the home folder, and "
+        "{namespace} is the node's namespace. In paths of simulated ports, {cell} is a name that "
+        "is unique to the namespace and the ROS domain.",
         default="",
     )
     baud: int = quantity(
         "baud rate of the arm's serial line", "baud", 1200, 4_000_000, default=115_200
     )
-    homing: str = choice("homing method of the arm", "firmware", "manual_pose", "none")
+    homing: str = choice(
+        "homing method: firmware (the controller's own homing cycle), manual_pose (a person "
+        "moves the arm to the pose home) or none (the controller always knows its position, "
+        "for example from absolute encoders)",
+        "firmware",
+        "manual_pose",
+        "none",
+    )
     home: FourNumbers = quantity(
-        "joint positions at the end of homing: rad, rad, m, rad",
+        "joint positions at the end of homing: shoulder, elbow, quill, tool in rad, rad, m, rad",
         "",
         -20.0,
         20.0,
         default=(0.0,) * 4,
     )
     near_height: float = quantity(
-        "distance above the strike pose; closer to it, the striker is lowered at near_speed",
+        "height above the strike pose below which the striker is lowered at near_speed",
         "m",
         0.0,
         0.2,
@@ -262,7 +291,8 @@ class ArmSection:
     )
     link_thickness: float = quantity("thickness of the links", "m", 0.001, 0.5, default=0.04)
     link_clearance: float = quantity(
-        "height of the links' undersides above the tip when the quill is at zero",
+        "vertical distance from the tip up to the undersides of the links when the quill "
+        "is at zero",
         "m",
         -0.5,
         1.0,
@@ -307,7 +337,7 @@ class ArmSection:
         default=1e-4,
     )
     settle_time: float = quantity(
-        "settling time after the last move before the arm counts as in position",
+        "time from the end of the last move until the arm counts as in position",
         "s",
         0.0,
         5.0,
@@ -318,17 +348,19 @@ class ArmSection:
         default=False,
     )
     joint_offset: FourNumbers = quantity(
-        "calibrated joint offsets, true position minus the controller's position: rad, rad, m, rad",
+        "calibrated offsets of shoulder, elbow, quill and tool: true position minus the "
+        "position in the controller, in rad, rad, m, rad",
         "",
         -1.0,
         1.0,
         default=(0.0,) * 4,
     )
     calibration: Provenance | None = section(
-        "record of the calibration of base and joint offsets", default=None
+        "record of the calibration that set base and joint_offset", default=None
     )
     steps_per_unit: tuple[float, ...] = quantity(
-        "required steps per degree or mm of the controller's four axes; not checked if empty",
+        "steps per degree (rotary axis) or per mm (quill) that must be set in the "
+        "controller for its four axes; if empty, the steps are not checked",
         "",
         0.001,
         1e6,
@@ -495,7 +527,10 @@ class OutputSection:
         "full name of the topic (std_msgs/Bool) that reports whether the guard is closed"
     )
     pulses: tuple[float, ...] = quantity(
-        "pulse length for each of tapper.energies, in increasing order", "s", 0.0005, 0.08
+        "pulse length for each energy in tapper.energies, in the same order; must increase",
+        "s",
+        0.0005,
+        0.08,
     )
     read_back: str = text(
         "full name of the topic (std_msgs/Bool) that reports whether the output is on; if left "
@@ -503,7 +538,7 @@ class OutputSection:
         default="",
     )
     latency: float = quantity(
-        "maximum delay, as measured, from sending a command until the output has switched",
+        "maximum measured delay between sending a command and the switching of the output",
         "s",
         0.001,
         0.045,
@@ -522,8 +557,8 @@ class OutputSection:
         longest = max(self.pulses, default=0.0) + 2 * self.latency
         if longest > LONGEST_SHOT:
             raise ValueError(
-                f"the longest pulse and twice the latency take {longest:.3f} s, but the "
-                f"arm stands still for at most {LONGEST_SHOT:g} s; shorten the pulses"
+                f"the longest pulse and twice the latency take {longest:.3f} s (limit "
+                f"{LONGEST_SHOT:g} s); shorten the pulses, or use an output with a smaller latency"
             )
 
 
@@ -547,22 +582,41 @@ class TapperSection:
     )
     mass: float = quantity("mass of the striker", "kg", 0.001, 10.0)
     tip_radius: float = quantity("radius of the ball at the tip", "m", 0.0005, 0.1)
-    constraint: Constraint = choice("guidance of the striker", "linear_bearings", "free")
-    standoff: float = quantity("distance from the tip at rest to the object", "m", 0.001, 0.2)
+    constraint: Constraint = choice(
+        "guidance of the striker in the impact model: linear_bearings (it moves only along "
+        "its line of travel) or free (it can also be deflected sideways)",
+        "linear_bearings",
+        "free",
+    )
+    standoff: float = quantity(
+        "distance between the tip at rest and the object's edge before a tap", "m", 0.001, 0.2
+    )
     stroke: float = quantity("maximum travel of the tip", "m", 0.001, 0.3)
-    tool_radius: float = quantity("half the width of the bar behind the tip", "m", 0.0005, 0.1)
-    tool_start: float = quantity("distance from tip centre to front end of the bar", "m", 0.0, 0.2)
-    tool_length: float = quantity("distance from tip centre to rear end of the bar", "m", 0.0, 1.0)
+    tool_radius: float = quantity(
+        "half the width of the tool, which is the bar behind the tip", "m", 0.0005, 0.1
+    )
+    tool_start: float = quantity(
+        "distance from the centre of the tip back to the front end of the tool (the bar "
+        "behind the tip)",
+        "m",
+        0.0,
+        0.2,
+    )
+    tool_length: float = quantity(
+        "distance from the centre of the tip back to the rear end of the tool", "m", 0.0, 1.0
+    )
     energies: tuple[float, ...] = quantity(
-        "energies of the calibration curve, in increasing order", "J", 0.0, 1000.0
+        "charged energies at which the striker's speed was measured, increasing", "J", 0.0, 1000.0
     )
     speeds: tuple[float, ...] = quantity(
-        "striker speeds at the energies of the calibration curve, in increasing order",
+        "measured striker speed at each of these energies, increasing",
         "m/s",
         0.0,
         100.0,
     )
-    calibration: Provenance | None = section("record of the calibration of the curve", default=None)
+    calibration: Provenance | None = section(
+        "record of the calibration that set energies and speeds", default=None
+    )
 
     def curve(self) -> EnergyCurve:
         """Return the calibration curve of striker speed against energy.
@@ -616,24 +670,29 @@ class FixedTapperSection:
     )
     direction: float = quantity("direction of travel in the frame table", "rad", -7.0, 7.0)
     channel: int = quantity(
-        "channel of the tapper on its board", "", 0, CHANNELS_PER_BOARD - 1, default=0
+        "number of the board's channel to which the tapper is connected",
+        "",
+        0,
+        CHANNELS_PER_BOARD - 1,
+        default=0,
     )
     port: str | None = text(
-        "serial port of the tapper's board; tapper.port if left out", default=None
+        "serial port of the tapper's board (default: that of tapper.port)", default=None
     )
     stroke: float | None = quantity("maximum travel of the tip", "m", 0.001, 0.5, default=None)
     tip_radius: float | None = quantity(
         "radius of the ball at the tip", "m", 0.0005, 0.1, default=None
     )
     energies: tuple[float, ...] | None = quantity(
-        "energies of the tapper's calibration curve, in increasing order",
+        "charged energies at which this tapper's striker speed was measured, increasing "
+        "(default: tapper.energies)",
         "J",
         0.0,
         1000.0,
         default=None,
     )
     speeds: tuple[float, ...] | None = quantity(
-        "striker speeds at the energies of the calibration curve, in increasing order",
+        "measured striker speed at each of these energies, increasing (default: tapper.speeds)",
         "m/s",
         0.0,
         100.0,
@@ -654,7 +713,7 @@ class FixedTappersSection:
     strike_height: float = quantity("height of the tips above the table", "m", 0.001, 0.2)
     tappers: tuple[FixedTapperSection, ...] = section("tappers at fixed mounts")
     calibration: Provenance | None = section(
-        "record of the calibration of the mounts", default=None
+        "record of the calibration that set position and direction of the tappers", default=None
     )
 
     def __post_init__(self) -> None:
@@ -691,11 +750,13 @@ class GoalSection:
     angle_tolerance: float = quantity(
         "maximum angle error at which a goal counts as reached", "rad", 0.001, 1.0
     )
-    planner: str = text("name of the planning method")
+    planner: str = text(
+        "name of the planning method, such as optimal; docs/planning.md describes the methods"
+    )
     max_taps: int = quantity("maximum number of taps for a goal", "", 1, 1000)
     objective: str = choice(
-        "quantity to minimise: the number of taps, or the time of the taps, including the motion "
-        "of the arm or the flight of fixed strikers",
+        "quantity to minimise: taps (number of taps) or time (total time, including the motion "
+        "of the arm or the flight of the fixed strikers)",
         "taps",
         "time",
         default="taps",
@@ -711,7 +772,10 @@ class CellFile:
     camera_info: str = text("path of the camera_info file, relative to this file")
     object: str = text("path of the object file, relative to this file")
     table: TableSection = section("usable area of the table")
-    tapper: TapperSection = section("settings of the tapper, or those common to all fixed tappers")
+    tapper: TapperSection = section(
+        "settings of the arm's tapper; in a cell with fixed tappers, the values for all "
+        "tappers, some of which each tapper can override"
+    )
     camera: CameraSection = section("accuracy of the camera")
     goal: GoalSection = section("tolerances and limits of a goal, and the planning method")
     arm: ArmSection | None = section("arm that carries the tapper", default=None)
@@ -721,7 +785,7 @@ class CellFile:
     keep_outs: KeepOutSection = section("keep-out zones", default=KeepOutSection())
     objects: tuple[str, ...] = text(
         "paths of the object files of further objects on the table, relative to this file; each "
-        "object needs a unique name and marker",
+        "object needs its own name and, if it has a marker, its own marker id",
         default=(),
     )
 

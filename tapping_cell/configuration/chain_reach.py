@@ -34,8 +34,8 @@ def chain_reach(cell: Cell) -> Iterator[str]:
     seed = _first(chain, upright(np.array(cell.arm.geometry().forward(cell.arm.park))))
     if seed is None:
         yield (
-            f"{cell.path}: the arm of arm.ros2_control.chain cannot bring the striker upright to "
-            "arm.park; check chain.mount, chain.tool and arm.park"
+            f"{cell.path}: the arm of arm.ros2_control.chain cannot reach the park pose (arm.park) "
+            "with the striker upright; check chain.mount, chain.tool and arm.park"
         )
         return
     missed, asked, where = 0, 0, ""

@@ -100,7 +100,8 @@ def _heights(cell: Cell) -> Iterator[str]:
     if arm.travel_height <= max(arm.strike_height, cell.object.height):
         yield (
             f"{path}: key 'arm.travel_height' is {1e3 * arm.travel_height:.1f} mm; it must be "
-            f"above the object ({1e3 * cell.object.height:.1f} mm) and the strike height"
+            f"above the object's height ({1e3 * cell.object.height:.1f} mm) and above "
+            f"'arm.strike_height' ({1e3 * arm.strike_height:.1f} mm); increase it"
         )
     if arm.chain() is None:
         highest = arm.tip_height + arm.upper[2] + min(0.0, arm.joint_offset[2])
@@ -114,7 +115,7 @@ def _heights(cell: Cell) -> Iterator[str]:
         yield (
             f"{path}: key 'tapper.stroke' is {1e3 * tapper.stroke:.1f} mm, not more than "
             f"'tapper.standoff' ({1e3 * tapper.standoff:.1f} mm): the striker never reaches the "
-            "object"
+            "object; reduce the standoff or lengthen the stroke"
         )
     slowest = min(tapper.speeds)
     if tapper.stroke > LONGEST_FLIGHT_S * slowest:
@@ -132,7 +133,7 @@ def _joints(cell: Cell) -> Iterator[str]:
             if not low <= value <= high:
                 yield (
                     f"{cell.path}: key 'arm.{name}[{index}]' is {value:g}, outside the joint's "
-                    f"limits {low:g} to {high:g} ('arm.lower', 'arm.upper')"
+                    f"limits {low:g} to {high:g} ('arm.lower', 'arm.upper'); correct one of them"
                 )
 
 
@@ -157,7 +158,8 @@ def _curve(cell: Cell) -> Iterator[str]:
     if needed > curve.fastest:
         yield (
             f"{cell.path}: the fastest speed of 'tapper.speeds' is {1e3 * curve.fastest:.0f} mm/s, "
-            f"but even the smallest tap of {1e3 * smallest:.1f} mm needs {1e3 * needed:.0f} mm/s"
+            f"but even the smallest tap of {1e3 * smallest:.1f} mm needs {1e3 * needed:.0f} mm/s; "
+            "calibrate the tapper at higher speeds, or use a stronger or heavier striker"
         )
 
 
@@ -185,7 +187,8 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
         return [
             f"{cell.path}: the object of {1e3 * space.object_radius:.0f} mm radius fits nowhere on "
             f"the table of {1e3 * space.workspace.length:.0f} x {1e3 * space.workspace.width:.0f} "
-            "mm with its margins and keep-outs"
+            "mm with its margins and keep-out zones; enlarge the table area, or reduce "
+            "margins or zones"
         ], []
     share = float(np.count_nonzero(free.tappable)) / float(np.count_nonzero(fits))
     if share == 0.0:
@@ -213,8 +216,8 @@ def _lens(cell: Cell) -> Iterator[str]:
     ):
         if not size / 4 <= value <= 3 * size / 4:
             yield (
-                f"{file}: the principal point's {name} {value:.0f} is far from the middle of "
-                f"{size} pixels: image_width, image_height and camera_matrix may belong to "
+                f"{file}: the principal point's {name} {value:.0f} is far from the "
+                f"image's centre ({size / 2:.0f}): image_width, image_height and camera_matrix may belong to "
                 "different resolutions"
             )
     ratio = float(matrix[0, 0] / matrix[1, 1])
@@ -235,8 +238,9 @@ def _noise(cell: Cell) -> Iterator[str]:
             yield (
                 f"{cell.path}: key 'goal.{name}_tolerance' is {factor * limit:.3g} {unit}, "
                 f"less than {NOISE_MARGIN:g} standard deviations of a measurement "
-                f"('camera.{name}_noise', {factor * spread:.3g} {unit}): a goal may never "
-                "be measured as reached"
+                f"('camera.{name}_noise', {factor * spread:.3g} {unit}): the cell may "
+                "never measure a goal as reached; increase the tolerance, or measure more "
+                "accurately (a nearer or better camera, a larger marker)"
             )
 
 
@@ -257,7 +261,7 @@ def _ports(cell: Cell) -> Iterator[str]:
     arm = cell.file.arm
     if arm is not None:
         if arm.port and arm.port in boards:
-            yield f"{cell.path}: arm and tapper have the same port {arm.port}"
+            yield f"{cell.path}: arm and tapper have the same port {arm.port}; give each its own"
         boards.setdefault(arm.port, []).append("arm")
     for port, names in boards.items():
         if port and not Path(port).expanduser().exists():

@@ -40,7 +40,9 @@ class LayoutFile:
 
     goals: tuple[LayoutGoal, ...] = section("goals, each for a different object")
     in_order: bool = text(
-        "whether the objects are brought to their goals in the order of the list", default=False
+        "whether the objects are brought to their goals in the order of the key goals; "
+        "if false, the planner chooses the order",
+        default=False,
     )
     may_move: tuple[str, ...] = text(
         "names of objects without a goal that may be tapped out of the way", default=()
@@ -54,8 +56,8 @@ class LayoutFile:
         default=0,
     )
     time_limit: float = quantity(
-        "time limit for all objects together; 0 means the planner's time limit times the number "
-        "of goals",
+        "time limit for all objects together; 0 means the planner's time limit for one goal "
+        "times the number of goals",
         "s",
         0.0,
         86400.0,

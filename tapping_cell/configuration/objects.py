@@ -86,7 +86,7 @@ class DotSection:
         "centre of the dot in the object's frame: x, y", "m", -0.5, 0.5
     )
     shade: str = choice(
-        "brightness of the dot compared with the rest of the top", "darker", "brighter"
+        "whether the dot is darker or brighter than the rest of the top", "darker", "brighter"
     )
 
 
@@ -95,10 +95,11 @@ class OutlineSection:
     """Appearance of an object without a marker, detected by its outline."""
 
     shade: str = choice(
-        "brightness of the object's top compared with the table", "darker", "brighter"
+        "whether the object's top is darker or brighter than the table", "darker", "brighter"
     )
     dot: DotSection | None = section(
-        "dot away from the centre, required if the outline does not determine the angle",
+        "dot that is not at the centre of the top; required if the outline does not "
+        "determine the angle, as for a disk or a square",
         default=None,
     )
 
@@ -133,8 +134,8 @@ def seen_as(
 def position_floor_key() -> Any:
     """Declare the key ``position_floor`` of the scatter of a tap."""
     return quantity(
-        "part of the standard deviation of the object's final position, along and across the tap, "
-        "that does not depend on the size of the tap",
+        "standard deviation of the object's final position, along and across the tap, for very "
+        "small taps; added in quadrature to the part that grows with the size of the tap",
         "m",
         0.0,
         0.05,
@@ -145,8 +146,8 @@ def position_floor_key() -> Any:
 def angle_floor_key() -> Any:
     """Declare the key ``angle_floor`` of the scatter of a tap."""
     return quantity(
-        "part of the standard deviation of the rotation by a tap that does not depend on the size "
-        "of the rotation",
+        "standard deviation of the rotation by a tap for very small rotations; added in "
+        "quadrature to the part that grows with the rotation",
         "rad",
         0.0,
         0.5,
@@ -173,7 +174,11 @@ class ScatterSection:
         default=0.15,
     )
     direction: float = quantity(
-        "standard deviation of the direction of a tap", "rad", 0.0, 0.5, default=math.radians(1.0)
+        "standard deviation of the direction in which a tap moves the object",
+        "rad",
+        0.0,
+        0.5,
+        default=math.radians(1.0),
     )
     position_floor: float = position_floor_key()
     angle_floor: float = angle_floor_key()
@@ -189,23 +194,33 @@ class ObjectFile:
     height: float = quantity("height of the top above the table", "m", 0.0005, 0.5)
     friction: float = quantity("coefficient of friction with the table", "", 0.01, 2.0)
     torque_factor: float = quantity(
-        "scaling factor of the friction torque (Huang and Mason)", "", 0.05, 20.0
+        "factor by which the torque of the friction with the table is scaled (Huang and Mason)",
+        "",
+        0.05,
+        20.0,
     )
-    restitution: float = quantity("coefficient of restitution with the striker", "", 0.0, 1.0)
+    restitution: float = quantity(
+        "coefficient of restitution of the impact between striker and object", "", 0.0, 1.0
+    )
     contact_friction: float = quantity("coefficient of friction with the striker", "", 0.001, 2.0)
     marker: MarkerSection | None = section("marker on the top", default=None)
     outline: OutlineSection | None = section(
         "appearance of an object without a marker", default=None
     )
     impact_scale: tuple[float, float, float] = quantity(
-        "calibrated factors of the constants B1, B2 and B3 of the impact model",
+        "calibrated factors by which the constants B1, B2 and B3 of the impact model are "
+        "multiplied",
         "",
         0.01,
         100.0,
         default=(1.0, 1.0, 1.0),
     )
     smallest_tap: float = quantity(
-        "shortest displacement that the tapper produces reliably", "m", 0.0001, 0.1, default=0.0017
+        "shortest distance by which a tap moves this object reliably",
+        "m",
+        0.0001,
+        0.1,
+        default=0.0017,
     )
     scatter: ScatterSection = section("scatter of a tap", default=ScatterSection())
     calibration: Provenance | None = section(

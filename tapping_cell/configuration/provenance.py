@@ -34,7 +34,10 @@ class Provenance:
     uncertainty: float = quantity("standard deviation of the result", "", 0.0, 1e12)
     uncertainty_of: str = text("quantity and unit of the uncertainty")
     deviations: Mapping[str, float] = quantity(
-        "standard deviations of the values by name, in the units of the file", "", 0.0, 1e12
+        "standard deviation of each calibrated value, by its name and in its unit in this file",
+        "",
+        0.0,
+        1e12,
     )
     notes: tuple[str, ...] = text("remarks on the calibration", default=())
 

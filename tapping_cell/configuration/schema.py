@@ -249,7 +249,7 @@ def _value(hint: Any, value: Any, limits: Limits, source: str, key: str) -> Any:
         if not isinstance(value, str):
             raise _wrong(source, key, value, "a text", limits)
         if len(value) > limits.longest or "\0" in value:
-            wanted = f"a text of at most {limits.longest} characters without a NUL"
+            wanted = f"a text of at most {limits.longest} characters, without NUL characters"
             raise _wrong(source, key, value, wanted, limits)
         if limits.choices and value not in limits.choices:
             raise _wrong(source, key, value, limits.range_text(), limits)

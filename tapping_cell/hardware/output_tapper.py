@@ -188,7 +188,8 @@ class OutputTapperDriver:
         if not (0 < shot <= protocol.MAXIMUM_SHOT and least <= energy <= most):
             raise self._noted(
                 FaultReason.OUT_OF_RANGE,
-                f"shot {shot} with {energy:g} J: the shot must be 1 to {protocol.MAXIMUM_SHOT}, the"
+                f"shot {shot} with {energy:g} J: the shot number must be 1 to "
+                f"{protocol.MAXIMUM_SHOT}, the"
                 f" energy {least:g} to {most:g} J (tapper.energies)",
             )
         self._refuse_spent(shot)

@@ -166,7 +166,11 @@ class Ros2ControlDialect:
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
                     f"{self._link.name} "
-                    + ("still moves" if reading.moving else "has not ended its goal"),
+                    + (
+                        "still moves"
+                        if reading.moving
+                        else "has not reported the end of the trajectory"
+                    ),
                 )
 
     def idle(self, duration: float) -> None:

@@ -332,7 +332,8 @@ class TapperDriver:
         if not (0 < shot <= protocol.MAXIMUM_SHOT and 0 < energy_uj <= protocol.MAXIMUM_ENERGY_UJ):
             raise self._noted(
                 FaultReason.OUT_OF_RANGE,
-                f"shot {shot} with {energy:g} J: the shot must be 1 to {protocol.MAXIMUM_SHOT}, the"
+                f"shot {shot} with {energy:g} J: the shot number must be 1 to "
+                f"{protocol.MAXIMUM_SHOT}, the"
                 f" energy above 0 and at most {protocol.MAXIMUM_ENERGY_UJ * 1e-6:g} J",
             )
         self._refuse_spent(shot)

@@ -435,7 +435,8 @@ class ArmLogic(DeviceLogic[State, Event]):
                 return HoldStill.Response(granted=True, duration=request.duration)
             return HoldStill.Response(
                 error_code=ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
-                error_msg=f"the promise for tap {request.tap_id} had already ended",
+                error_msg=f"the time for which the arm stands still for tap {request.tap_id} had "
+                "already ended",
             )
         error = self._unsteady(request, now)
         if error is not None:

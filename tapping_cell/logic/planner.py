@@ -725,7 +725,9 @@ class PlannerLogic:
             shot.asked_again = f"asked again because {difference}"
             self._log(LogLevel.INFO, f"tap {shot.number} must be confirmed again: {difference}")
             return False
-        self._log(LogLevel.INFO, f"tap {shot.number} is unchanged; the confirmation holds")
+        self._log(
+            LogLevel.INFO, f"tap {shot.number} has hardly changed; its confirmation remains valid"
+        )
         return True
 
     def _command(self, shot: Shot, now: Now) -> None:
@@ -835,7 +837,7 @@ class PlannerLogic:
         if task.not_fired >= self._settings.attempts:
             self._fail(code, sentence, now)
             return
-        self._log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another one")
+        self._log(LogLevel.WARNING, f"tap {shot.number}: {sentence}; planning another tap")
         self._give_up(TapperState.NOT_FIRED, now)
 
     def _wait_for_tapper(self, task: Task, now: Now) -> None:

@@ -21,7 +21,9 @@ class PlannerSettings:
         default="",
     )
     adapt: bool = text("learn from every tap how the object responds", default=True)
-    keep_gains: bool = text("keep the gains learnt for an object between runs", default=False)
+    keep_gains: bool = text(
+        "keep what was learnt about an object's response between runs", default=False
+    )
     probe: bool = text(
         "begin a goal with up to three of the smallest taps if the object's friction is not known",
         default=False,

@@ -220,7 +220,7 @@ class TapperPeers:
         arm, limit = self._arm, self._limits.arm_freshness
         code = ErrorCode.TAPPER_ARM_NOT_IN_POSITION
         if arm is None:
-            return code, "the arm has not reported yet"
+            return code, "no arm_state has been received yet; check that scara_arm is running"
         if arm.state != ArmState.IN_POSITION or arm.tap_id != tap_id:
             return (
                 code,
@@ -229,10 +229,18 @@ class TapperPeers:
             )
         age = max(self._clocks["arm"].age(arm.header.stamp, now), now.steady - self._arm_received)
         if age > limit:
-            return code, f"the arm's read-back is {age:.2f} s old, more than {limit:.2f} s"
+            return (
+                code,
+                f"the arm's last position read-back is {age:.2f} s old (limit {limit:.2f} s); ",
+            )
+            "check scara_arm and the network"
         if not _above(arm, strike):
             # If two planners were started by mistake, two taps may have the same id.
-            return code, f"the arm is in position for another tap with the id {tap_id}"
+            return (
+                code,
+                f"the arm is in position for another tap with the same id {tap_id}; make sure ",
+            )
+            "that only one planner runs"
         return None
 
     def clocks_differ(self, now: Now) -> CodedError | None:

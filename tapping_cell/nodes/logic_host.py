@@ -221,7 +221,9 @@ class LogicHost(Generic[Machine]):
                 self.stop_file.keep(effect.content)
         except OSError as error:
             what = "stop" if isinstance(effect, fx.KeepStop) else "goal"
-            self._node.get_logger().error(f"a restart of the node would lose the {what}: {error}")
+            self._node.get_logger().error(
+                f"the {what} could not be stored, so a restart of the node would lose it: {error}"
+            )
 
     def later(self, action: Callable[[], None]) -> None:
         """Run an action in the executor's thread after its current callback."""

@@ -1,7 +1,7 @@
 """Expected number of taps to a goal with fixed tappers, on a grid over the object's (x, y, theta).
 
-A state is the error relative to a fixed goal, because the position of the object determines which
-tappers can hit it and how. The grid is graded: its steps are uniform near the goal and then grow in
+A state is the object's error relative to one goal. Each goal is solved separately, because the
+object's position on the table determines which tappers can hit it and how. The grid is graded: its steps are uniform near the goal and then grow in
 proportion to the distance from it, up to a largest step. The step is limited because the expected
 number of taps is interpolated between grid points: if a single tap cannot move the object by one
 step, the result is far too high. The cell of a state is found without a search.

@@ -83,9 +83,9 @@ def check_goal(
     if free is not None or gap > WIDEST_GAP:
         return Refusal(
             RefusalReason.GOAL_OUT_OF_REACH,
-            f"at the goal {place_text(goal)} the arm cannot tap from directions in a range of "
-            f"{math.degrees(gap):.0f} degrees; to correct every error, at most "
-            f"{math.degrees(WIDEST_GAP):.0f} degrees may be missing; "
+            f"at the goal {place_text(goal)} the directions of possible taps have a gap of "
+            f"{math.degrees(gap):.0f} degrees; to correct every error, the gap must be at most "
+            f"{math.degrees(WIDEST_GAP):.0f} degrees; "
             "choose a goal nearer to the middle of the arm's reach, or away from keep-outs"
             + others_text(space),
         )

@@ -46,8 +46,8 @@ def precision_limit(settings: PlannerSettings) -> str:
     return (
         f"the tolerance of {1e3 * settings.tolerance_position:.3g} mm and "
         f"{math.degrees(settings.tolerance_angle):.3g} degrees is too fine for the smallest tap: "
-        f"its {1e3 * least:.3g} mm scatter by {1e3 * along:.2g} mm in distance and "
-        f"{1e3 * across:.2g} mm across{turned}, so that only {100.0 * share:.2g} % of such taps "
-        f"would end within it; {100.0 * MIN_SHARE:.0f} % are needed. Widen the tolerance, or make "
-        "smaller or more repeatable taps (smallest_tap and scatter of the object's file)"
+        f"a tap of {1e3 * least:.3g} mm scatters by {1e3 * along:.2g} mm along and "
+        f"{1e3 * across:.2g} mm across its direction{turned}, so that only {100.0 * share:.2g} % of "
+        f"such taps would end within the tolerance; {100.0 * MIN_SHARE:.0f} % are needed. Widen the "
+        "tolerance, or make smaller or more repeatable taps (smallest_tap and scatter of the object's file)"
     )

@@ -470,8 +470,8 @@ class PositioningSession(GoalSession):
         if self.taps >= self._most_taps:
             return Refusal(
                 RefusalReason.TOO_MANY_TAPS,
-                f"the object is not at the goal after {self.taps} of at most {self._most_taps}"
-                " taps; allow more, or check the striker, the camera and the object's file",
+                f"the object is not at the goal after {self.taps} taps (limit {self._most_taps});"
+                " raise the limit, or check the striker, the camera and the object's file",
             )
         return None
 

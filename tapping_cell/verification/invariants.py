@@ -292,7 +292,7 @@ class InvariantChecker:
             self.violate(
                 "outside the permit",
                 f"shot {release.shot} was released {end - release.time:.3f} s before the end of"
-                " the arm's promise to stand still",
+                " the arm's promise to stand still, too short for the pulse and the stroke",
             )
 
     def _check_last_check(self, release: Release) -> None:

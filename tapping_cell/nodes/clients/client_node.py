@@ -69,5 +69,5 @@ class ClientNode:
         task: Any = call
         self._executor.create_task(task)
         if not done.wait(patience):
-            raise TimeoutError(f"the client's own thread did not answer within {patience:.0f} s")
+            raise TimeoutError(f"this program's ROS thread did not respond within {patience:.0f} s")
         return found[0]

@@ -53,7 +53,8 @@ class Parameters:
         default=False,
     )
     withdraw_until_seen: bool = text(
-        "after a tap, withdraw only until the camera sees the object; if false, to the park pose",
+        "after a tap, withdraw only until the camera sees the object; if false, withdraw "
+        "to the park pose",
         default=True,
     )
     link_frames: bool = text(

@@ -143,7 +143,7 @@ class Parameters:
     name: str = text("name of the run's folder; if empty, made from time and goal", default="")
     picture_rate: float = quantity(
         "maximum rate at which images of camera/image_annotated/compressed are recorded; 0 for "
-        "none; camera_pose publishes them at its rate compressed_rate",
+        "none; the parameter compressed_rate of camera_pose limits it too",
         "Hz",
         0.0,
         10.0,

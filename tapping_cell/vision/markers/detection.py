@@ -199,7 +199,10 @@ class ReferenceMap:
             raise MarkerError(f"the reference markers' ids {ids} contain an id twice")
         for marker in self.markers:
             if not 0.0 < marker.size < 10.0:
-                raise MarkerError(f"reference marker {marker.id} has the size {marker.size} m")
+                raise MarkerError(
+                    f"reference marker {marker.id} has the size {marker.size} m; it must be "
+                    "above 0 and below 10 m"
+                )
             marker_pattern(self.dictionary, marker.id)
 
     def corners(self) -> Array:
