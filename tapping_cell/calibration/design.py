@@ -44,7 +44,7 @@ NEAR_MIDDLE = 0.030
 FAN = math.radians(137.507764)
 """Golden angle: steps of this angle give evenly spread directions for any number of trials."""
 ATTEMPTS = 2
-"""Number of attempts per requested trial after which a run is given up."""
+"""Maximum number of taps per requested trial; a run that needs more is given up."""
 MISSED = 0.1
 """Fraction of the expected displacement below which a tap counts as missed."""
 
@@ -134,7 +134,7 @@ def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[
 
 
 def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
-    """Return the trial with its outcome, which states whether a single tap explains the motion.
+    """Return the trial with the outcome that its motion shows (see ``trials.OUTCOMES``).
 
     ``expected`` is the expected displacement in m. The outcome of a lost trial (no pose after the
     tap) is unchanged.

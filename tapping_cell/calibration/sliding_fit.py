@@ -111,7 +111,8 @@ class SlideFit:
 class _Samples(NamedTuple):
     """Measured poses of all trials, concatenated (N,); ``rows`` is the trial of each pose.
 
-    An infinite time denotes the pose at rest, relative to the pose before the tap.
+    A sample with an infinite time is the pose at rest after the slide, relative to the pose before
+    the tap.
     """
 
     rows: Rows

@@ -58,9 +58,9 @@ _NOISES = 32
 """Number of candidate values for the scatter of a tap."""
 _STRETCHES = (0.7, 1.4)
 """Candidate length scales of the deviation g, as fractions of the range of ln E. ``_AMPLITUDES``
-are the candidate standard deviations of g. Smaller ones are not tried, because losses and
-thresholds make every drive deviate from the ideal, and assuming too small a deviation costs more
-accuracy than it gains."""
+are the candidate standard deviations of g. Smaller amplitudes are not tried: losses and thresholds
+make every drive deviate from the ideal, and assuming too small a deviation costs more accuracy than
+it gains."""
 _ALIKE = 0.02
 """Relative difference up to which energies count as the same energy level."""
 
@@ -110,8 +110,9 @@ class TapperCalibration:
     ``energies`` in J and ``speeds`` in m/s are increasing; ``deviations`` are relative standard
     deviations of the speeds. ``scatter`` is the relative scatter of a tap's speed. ``least_energy``
     in J and ``least_travel`` in m describe the smallest reliable tap. ``by_friction`` is the
-    relative change of all speeds per relative change of the object file's friction, and
-    ``by_restitution`` that per change of the file's restitution by 1.
+    relative change of all speeds if the friction in the object file changes, divided by the
+    relative change of the friction. ``by_restitution`` is the relative change of all speeds if the
+    restitution in the file changes, divided by the change of the restitution.
     """
 
     energies: tuple[float, ...]
@@ -380,8 +381,8 @@ def _isotonic(values: Array) -> Array:
 
 
 def _propagation(record: TapRecord, tap: Tap, usable: NDArray[np.bool_]) -> tuple[float, float]:
-    """Compute the relative change of the speeds per relative change of the friction, and per unit
-    of the restitution, by finite differences."""
+    """Compute, by finite differences, the relative change of the speeds per relative change of the
+    friction, and that per change of the restitution."""
     part = TapRecord(*(getattr(record, name)[usable] for name in TapRecord.__slots__))
     plain = striker_speeds(part, tap)
     step = 0.01

@@ -287,8 +287,9 @@ class TabulatedPolygonSlide(PolygonSlide):
     """Relative error below which the inverse makes one last step, which reduces the error to 1e-8,
     far below the error of the table."""
     _inverse_limit = 1e-3
-    """The error of the table. Beyond the table, slides jump by up to 1e-4 of their size where the
-    number of integration steps changes."""
+    """Relative error that is accepted if the inverse does not converge: the error of the table.
+    Beyond the table, an exact solution may not exist, because slides jump by up to 1e-4 of their
+    size where the number of integration steps changes."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide

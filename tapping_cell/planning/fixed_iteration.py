@@ -79,7 +79,8 @@ AROUND = (0.93, 1.07)
 """Multiples of the best length that are tried as well."""
 
 CHUNK = 200_000
-"""Number of states after taps computed per batch, so that a batch fits in the processor's cache."""
+"""Number of end states of taps that are computed per batch, so that a batch fits in the processor's
+cache."""
 
 PER_HALF_STEP = 6
 """Resolution of the index table of an axis: number of entries per half of the grid's smallest
@@ -131,8 +132,8 @@ def _solve_on(problem: _Problem, improvements: int, start: Solution | None) -> S
 
 
 class _Axis:
-    """Lookup table for the nearest point or half point of an axis, ten times as fast as a
-    logarithm.
+    """Lookup table for the points of one axis, including the points halfway between grid points: it
+    finds the nearest one, ten times as fast as a logarithm.
 
     ``stride``: stride of the axis in the flat value table. Coordinates beyond the axis have the
     index ``beyond``.

@@ -57,8 +57,8 @@ JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
 """Criteria (number of taps, probability) for refusing an object that does not rotate. After this
 number of taps that are not outliers, the object is refused if its rotation gain is below the least
 gain with this probability. The second criterion is weaker, because further taps hardly improve the
-estimate of a gain slightly below the least gain. Without it, such a goal would end only at the
-maximum number of taps."""
+estimate of a gain slightly below the least gain. Without it, a run with such an object would end
+only at the maximum number of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 

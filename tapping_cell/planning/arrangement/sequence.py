@@ -48,9 +48,9 @@ CLOSEST = 3
 possible."""
 
 AGAIN = 1.0
-"""Extra cost, in taps, of moving an object out of the way, for each time that it was moved out of
-the way before: these moves did not help enough. Close to an earlier buffer place the extra cost is
-doubled."""
+"""Extra cost, in taps, of moving an object out of the way, for each time that it has already been
+moved out of the way, because those moves did not help enough. Close to an earlier buffer place the
+extra cost is doubled."""
 
 NARROW = 0.03
 """Gap to another object, m, below which a buffer place has an extra cost of up to one tap."""
