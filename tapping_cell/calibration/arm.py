@@ -221,7 +221,7 @@ def _begin(
     singular = np.linalg.svd(columns, compute_uv=False)
     if singular[-1] < 1e-3 * singular[0]:
         # The tool has the same angle to the forearm in all rows, so the rows do not determine the
-        # mount. Keep that of the cell file.
+        # mount. Keep the mount of the cell file.
         columns = columns[:, :2]
         columns[:, 1] += complex(geometry.tip_forward, geometry.tip_side) * heading
     random = np.random.default_rng(0)

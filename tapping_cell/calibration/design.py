@@ -31,7 +31,8 @@ from tapping_cell.se2 import Pose
 DESIGN_FILE = "design.yaml"
 
 SPEEDS = (0.75, 1.1)
-"""Striker speeds in m/s; the paper's disk then travels 30 to 100 mm in 6 to 12 frames at 30 Hz."""
+"""Striker speeds in m/s. At these speeds the paper's disk travels 30 to 100 mm, in 6 to 12 frames
+of a camera at 30 Hz."""
 INCIDENCES = (math.radians(20.0), math.radians(-45.0))
 """One incidence at which the contact sticks and one at which it slides, for contact frictions near
 0.2. Their signs differ, so that the object's rotations and the effects of a constant error of the

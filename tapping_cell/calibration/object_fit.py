@@ -365,8 +365,8 @@ def _strikes(
 
 
 def _speed_known(used: Sequence[Used]) -> float:
-    """Return the relative standard deviation of the factor common to all striker speeds; inf unless
-    all speeds were measured."""
+    """Return the relative standard deviation of the factor common to all striker speeds; inf if
+    some speeds were not measured."""
     measured = [not math.isnan(entry.trial.striker_speed_measured) for entry in used]
     if not all(measured):
         return math.inf

@@ -182,9 +182,9 @@ class PolygonSlide:
         """Compute the means, over the face, of the unit vector of motion (x, y) and of its moment
         (m).
 
-        The arguments are velocities (n,) of the centre of mass in the body's axes, not all zero.
-        The friction force is -mu m g times the first two means; the torque is -mu m g times the
-        third.
+        The arguments are the velocities (n,) of the centre of mass in the body's axes and the spins
+        (n,); at least one of the three must not be zero. The friction force is -mu m g times the
+        first two means; the torque is -mu m g times the third.
         """
         speed = np.hypot(vx, vy)
         far = speed > _FAR * self._gyration * np.abs(spin)

@@ -9,11 +9,11 @@ axes of the launch:
     along = (N^2 / mu g) A,  left = (N^2 / mu g) L,
     rotation = (omega N / mu g) B,  duration = (N / mu g) D.
 
-Each is stored minus the same function of the equivalent disk, which contains the part that is not
-smooth. The table is filled from slow to fast launches. For a launch of size s, the equations of
-motion are integrated for a short distance. The state reached is a launch of a smaller size, which
-is already in the table (a semi-Lagrangian scheme). The table is filled with cubic interpolation on
-a coarse grid and read with linear interpolation on a finer grid.
+The table stores the difference of each function from that of the equivalent disk, which contains
+the part that is not smooth. The table is filled from slow to fast launches. For a launch of size s,
+the equations of motion are integrated for a short distance. The state reached is a launch of a
+smaller size, which is already in the table (a semi-Lagrangian scheme). The table is filled with
+cubic interpolation on a coarse grid and read with linear interpolation on a finer grid.
 
 The table ends at ``LARGEST_SIZE``, which for the paper's objects is a slide of 100 to 200 mm. A
 faster launch is integrated by the equations of motion until it is within the table.

@@ -93,6 +93,6 @@ def sensitivity(tap: Tap, displacement: ArrayLike) -> Sensitivity:
 
 
 def norm(jacobian: ArrayLike) -> Array:
-    """Compute the spectral norm (...,): the largest gain of an error vector, treating mm and
-    degrees alike."""
+    """Compute the spectral norm (...,): the largest gain of an error vector, with mm and degrees as
+    equivalent units."""
     return np.asarray(np.linalg.norm(np.asarray(jacobian), ord=2, axis=(-2, -1)))

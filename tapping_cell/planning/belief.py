@@ -133,7 +133,7 @@ class Belief:
             slope: (..., numbers).
             measured: (...,). NaN means no measurement and leaves the estimate unchanged.
             share: (...,), standard deviation of a measurement relative to the true value.
-            floor: (...,), standard deviation of a measurement of 0.
+            floor: (...,), standard deviation of a measurement if the true value is 0.
         """
         h, y = np.asarray(slope, dtype=float), np.asarray(measured, dtype=float)
         known = np.isfinite(y)

@@ -45,8 +45,8 @@ ROWS = 2048
 
 
 class MultiPlanner:
-    """Planner whose taps lead to a lower cone, with fewer remaining taps, for all errors on the
-    error line.
+    """Planner whose taps lead to a cone with a lower number, and thus with fewer remaining taps,
+    for all errors on the error line.
 
     Among the taps with this guarantee it chooses the tap whose expected end is in the lowest cone;
     if there are several, it chooses the shortest.

@@ -87,7 +87,7 @@ def best_first(
 ) -> Array:
     """Return the possible taps in the order of their expected times, (m, 3).
 
-    After some taps the arm or the tool lacks space to tap straight to the goal. The cost of such a
+    After some taps the arm or the tool cannot make the tap straight to the goal. The cost of such a
     tap is increased by the probability that the straight tap would be the next one.
 
     ``space``: strike space; ``times``: durations of the arm's motions; ``tip``: pose of the arm's

@@ -37,7 +37,7 @@ MISSED = 0.1
 """A tap has missed if it moved the object by less than this share of the expected distance."""
 
 ELSEWHERE = math.radians(20.0)
-"""Minimum change of direction after a miss, because the same tap would miss again."""
+"""Minimum change of the tap's direction after a miss, because the same tap would miss again."""
 
 WORTH_OBSERVING = 0.02
 """Minimum probability of being within the tolerance for requesting a longer observation."""

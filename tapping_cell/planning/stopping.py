@@ -5,8 +5,8 @@ cell stops only if the probability that the true pose is within the tolerance is
 ``CONFIDENCE``. A lower bound of this probability is used: the integral of the observation's normal
 distribution over the circle of the position tolerance, minus the probability that the rotation is
 outside its tolerance (Bonferroni's bound, which does not assume independence). For an observation
-at the edge of the tolerance the probability is about one half. Then a longer observation may
-confirm the goal; if it does not, the object is tapped again.
+at the edge of the tolerance the probability is about one half. In this case a longer observation
+may confirm the goal; if it does not, the object is tapped again.
 
 Plans are made for a stopping box. On each axis, its half width is the tolerance minus ``MARGIN``
 standard deviations of a long observation.

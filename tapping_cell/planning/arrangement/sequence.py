@@ -232,8 +232,8 @@ class SequencePlanner:
         if not any(gap(area, blocked.area(blocked.goal)) < _margin(blocked) for area in areas):
             path = self._maps.path(blocked, areas, poses[blocked.name], blocked.goal)
             return math.isfinite(path) and self._maps.fits(blocked, areas, blocked.goal)
-        # Other objects occupy the goal as well, so the move alone does not open it. It helps if
-        # this object occupies part of the goal.
+        # Other objects occupy the goal as well, so the move alone does not open it. The move helps
+        # if ``body`` occupies part of the goal.
         before = gap(body.area(scene.poses[body.name]), blocked.area(blocked.goal))
         return before < _margin(blocked)
 
