@@ -328,8 +328,8 @@ def _candidates(model: ImpactModel, base: _Fit, slid: int) -> tuple[str, ...]:
 def weighted_slopes(
     model: ImpactModel, values: Mapping[str, float], names: Sequence[str], deviation: Array
 ) -> Array:
-    """Compute derivatives of the residuals with respect to the parameters, (n, 3, p); 0 if not
-    measured."""
+    """Compute the derivatives of the residuals with respect to the parameters, (n, 3, p). The
+    derivatives of residuals that were not measured are 0."""
     known = np.isfinite(model.seen())
     columns = []
     for name in names:

@@ -117,7 +117,8 @@ def target_page(paper: tuple[float, float], target: Target) -> Page:
 def reference_map(
     paper: tuple[float, float], size: float, dictionary: str, first_id: int
 ) -> ReferenceMap:
-    """Arrange eight markers of side ``size`` (m) along the edges of a sheet; origin in its middle.
+    """Arrange eight markers of side ``size`` (m) along the edges of a sheet with the origin in its
+    middle.
 
     Raises:
         SheetError: the markers do not fit.

@@ -64,7 +64,7 @@ class _Curve:
 
     def _side(self, sign: float) -> tuple[Array, Array]:
         """Tabulate ln(R omega / v) minus its terminal value, against ln(remaining time). ``sign``
-        is the side of the terminal value.
+        is 1 for ratios above the terminal value and -1 for ratios below it.
         """
         width = _FARTHEST - sign * self._terminal
         if width < 1e-6:

@@ -291,14 +291,13 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
     finite_since = np.where(moving, since, 0.0)
 
     def derivatives(value: Array, perturbed: Array, rate: Array, by_torque: Array) -> Array:
-        """Compute the derivatives (N, 10) of ``value``; the formulas hold for distance and rotation
-        alike."""
+        """Compute the derivatives (N, 10) of ``value``, which is the distance or the rotation."""
         derivative = np.zeros((rows.size, _LOCAL + _SHARED))
         by_spin = (perturbed - value) / bump[rows]
-        # With launch velocity and time multiplied by c, distance and rotation are multiplied by
-        # c^2. Euler's theorem therefore gives the derivative with respect to the speed. With the
-        # friction multiplied by c, the distance, the rotation and the time until they are reached
-        # are divided by c, which gives the derivative with respect to ln friction.
+        # If the launch velocity and the time are multiplied by c, distance and rotation are
+        # multiplied by c^2. Euler's theorem therefore gives the derivative with respect to the
+        # speed. If the friction is multiplied by c, the distance, the rotation and the time until
+        # they are reached are divided by c, which gives the derivative with respect to ln friction.
         by_speed = (2 * value - finite_since * rate - spin[rows] * by_spin) / speed[rows]
         derivative[:, _IMPACT] = np.where(moving, -rate, 0.0)
         derivative[:, _SPEED], derivative[:, _SPIN] = by_speed, by_spin

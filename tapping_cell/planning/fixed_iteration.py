@@ -8,9 +8,9 @@ after which the object is nearest to the goal, and the length that corrects the 
 improvement compares, in every state, the taps by the mean of W (see ``fixed_policy``) over the
 scatter. W is taken from the nearest point of a table that also has points halfway between the grid
 points. The state after a tap is therefore an index, which is computed only once per grid. Between
-improvements, sweeps with a sparse transition matrix, based on linear interpolation, evaluate the
-policy. A coarse grid is solved first and initialises the fine grid, which compares only the taps
-that are promising on the coarse grid.
+improvements, the policy is evaluated by sweeps with a sparse transition matrix of linear
+interpolation weights. A coarse grid is solved first and initialises the fine grid, which compares
+only the taps that are promising on the coarse grid.
 """
 
 from __future__ import annotations

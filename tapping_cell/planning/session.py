@@ -154,7 +154,8 @@ class GoalSession(ABC):
 
     @property
     def ready(self) -> bool:
-        """True if a decision can be made, that is, if any required solution is available."""
+        """True if a decision can be made. A session that requires a solution is ready once it is
+        available."""
         return True
 
     @abstractmethod

@@ -26,8 +26,8 @@ from tapping_cell.se2 import Pose, transform_points
 BoolArray = NDArray[np.bool_]
 
 ArmReach = Callable[[Array], BoolArray]
-"""Function that returns which tip poses, (..., 3) in `table`, the arm can reach: (...,) or, with
-one column per elbow side, (..., sides)."""
+"""Function that returns which tip poses (..., 3) in `table` the arm can reach. The result has the
+shape (...,) or, if it is given for each elbow side, (..., sides)."""
 
 OUTLINE_POINTS = 72
 PATH_POINTS = 12

@@ -37,8 +37,9 @@ needed because taps may end beside the buffer place."""
 BUFFERS_TRIED = 12
 
 TOOL_CLEARANCE = 0.10
-"""Gap between a buffer place and an unfinished goal, m, below which an object there obstructs taps
-at the goal. The tool needs this space, and a polygon can be tapped along only a few lines."""
+"""Gap between a buffer place and an unfinished goal, m, below which an object at the buffer place
+obstructs taps at the goal. The tool needs this space, and a polygon can be tapped along only a few
+lines."""
 
 CROWDING_COST = 2.0
 """Extra cost, in taps, of a buffer place directly beside an unfinished goal."""
