@@ -106,9 +106,9 @@ class ArmCalibration:
     ``values`` maps the names in ``NAMES`` and ``LINKS`` to values in m and rad. ``deviations`` are
     the standard deviations of the fitted values; ``held`` names the values that were not fitted.
     ``residuals`` (N, 2) in m and ``turns`` (N,) in rad are the position and angle residuals of the
-    rows used. ``wrist_deviation`` in m and ``heading_deviation`` in rad are the standard deviations
-    of the wrist position and the forearm's heading that result from the standard deviations of the
-    values (root mean square over the rows used).
+    rows used. ``wrist_deviation`` in m and ``heading_deviation`` in rad are the resulting standard
+    deviations of the wrist position and of the forearm's heading (root mean square over the rows
+    used).
     """
 
     values: dict[str, float]

@@ -46,9 +46,9 @@ _CAUSES = {
 @dataclass(frozen=True, slots=True)
 class Misfit:
     """A deviation of ``quantity`` (distance, rotation) that depends on ``cause`` (setting, place,
-    direction). ``probability`` is the p-value of the F test, ``size`` the relative standard
-    deviation, and ``inflation`` the F statistic: the mean square due to the cause divided by that
-    of the scatter."""
+    direction). ``probability`` is the p-value of the F test, and ``size`` is the relative standard
+    deviation due to the cause. ``inflation`` is the F statistic: the mean square due to the cause
+    divided by the mean square of the scatter."""
 
     quantity: str
     cause: str

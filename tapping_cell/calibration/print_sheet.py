@@ -216,7 +216,8 @@ def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> N
 def object_page(
     paper: tuple[float, float], ids: Sequence[int], size: float, dictionary: str
 ) -> Page:
-    """Lay out object markers in rows, each in a square to cut out that includes a white border.
+    """Lay out object markers in rows. Each is in a square, with a white border, that is to be cut
+    out.
 
     Raises:
         SheetError: the markers do not fit.

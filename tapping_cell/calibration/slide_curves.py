@@ -185,7 +185,8 @@ class SlideCurves:
     def launch(
         self, distance: Array, rotation: Array, friction: float, log_torque_factor: float
     ) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Compute speeds and spins (n,) that cause these displacements, and their derivatives.
+        """Compute speeds and spins (n,) that cause these displacements, and the derivatives of
+        both.
 
         The derivatives are with respect to ln(torque factor).
         """

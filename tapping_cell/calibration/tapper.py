@@ -6,9 +6,9 @@ the striker's speed from the impact's ratio of launch to striker speed. The fitt
     ln v = a + ln(E) / 2 + g(ln E),
 
 which is the ideal drive (v ~ sqrt(E)) with a smooth deviation g. The deviation g is a Gaussian
-process; its amplitudes and length scales are weighted by the marginal likelihood (Rasmussen and
-Williams, Gaussian Processes for Machine Learning, chapter 5). The level a has no prior, whereas g
-deviates from zero only as far as the data support it.
+process. Several amplitudes and length scales of g are tried, and their curves are weighted by the
+marginal likelihood (Rasmussen and Williams, Gaussian Processes for Machine Learning, chapter 5).
+The level a has no prior, whereas g deviates from zero only as far as the data support it.
 """
 
 from __future__ import annotations

@@ -207,8 +207,8 @@ class PolygonTable:
     ) -> tuple[Array, Array]:
         """Integrate the slide over steps of the logarithm of N.
 
-        Returns two arrays: (3, n), the velocity after the steps, scaled to unit length and in the
-        axes of the start; and (4, n), the displacement divided by N^2 and the time divided by N.
+        Returns the velocity (3, n) after the steps, scaled to unit length and in the axes of the
+        start, and an array (4, n) of the displacement divided by N^2 and the time divided by N.
         Sizes and steps are scalars or (n,).
         """
 

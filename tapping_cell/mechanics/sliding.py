@@ -39,11 +39,11 @@ class Sliding:
     a value that is not finite and positive.
 
     For a disk or a ring, the relative error of :meth:`rest` in distance, rotation and duration is
-    1e-9 at torque factors of 0.2 to 5 (the tests require 1e-8) and 2e-8 at torque factors of 0.05
-    to 20, for every combination of speed and spin. The reference is an integration with tight
-    tolerance. For a polygon the error is 1e-4, relative to a brute-force integration (the tests
-    require 1e-3). :meth:`launch` is the inverse of :meth:`rest`: exact up to rounding errors for
-    round bodies, accurate to 1e-11 for polygons.
+    1e-9 at torque factors of 0.2 to 5 (the tests require 1e-8). At torque factors of 0.05 to 20 it
+    is 2e-8. Both figures hold for every combination of speed and spin. The reference is an
+    integration with tight tolerance. For a polygon the error is 1e-4, relative to a brute-force
+    integration (the tests require 1e-3). :meth:`launch` is the inverse of :meth:`rest`: exact up to
+    rounding errors for round bodies, accurate to 1e-11 for polygons.
     """
 
     body: Body

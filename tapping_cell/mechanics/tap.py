@@ -395,8 +395,8 @@ def _rotate(vector: Array, angle: Array) -> Array:
 
 
 def _turn(planar: Array, angle: Array) -> Array:
-    """Rotate a twist or displacement (..., 3) by ``angle``; equivalent to axes rotated by
-    -angle."""
+    """Rotate a twist or displacement (..., 3) by ``angle``. The result is also its components in
+    axes rotated by -angle."""
     return np.concatenate([_rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
 
 

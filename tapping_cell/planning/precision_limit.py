@@ -16,8 +16,9 @@ tap away from the goal."""
 
 
 def smallest_tap_share(settings: PlannerSettings) -> float:
-    """Compute the share of the smallest taps that end in the stopping box if the object's distance
-    from the goal is exactly the length of the tap and the tap points straight towards the goal."""
+    """Compute the share of the smallest taps that end in the stopping box under the best
+    conditions: the object's distance from the goal is exactly the length of the tap, and the tap
+    points straight towards the goal."""
     least, scatter, camera = settings.smallest_distance, settings.scatter, settings.camera
     # Two observations contribute noise: one for aiming the tap and one for judging its result.
     camera_noise = 2.0 * camera.position**2
