@@ -217,8 +217,8 @@ def floor_estimates(
 def _parts(
     measured: Launches, tapped: Launches, impact: ImpactFit, runs: Sequence[int]
 ) -> tuple[Parts | None, Parts | None]:
-    """Divide the scatter of position and of angle within runs into parts proportional to the size
-    of the tap and constant floors."""
+    """Divide the scatter within runs, of the position and of the angle, into a part proportional to
+    the size of the tap and a constant floor."""
     labels = np.asarray(runs)
     return (
         scatter_parts(

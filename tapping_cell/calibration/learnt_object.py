@@ -187,8 +187,8 @@ def _errors(predicted: Array, measured: Array) -> tuple[Array, Array, Array]:
 
 
 def _parts(predicted: Array, errors: Sequence[Array]) -> tuple[Parts | None, Parts | None]:
-    """Divide the scatter of position and of angle into parts proportional to the size of the tap
-    and constant floors."""
+    """Divide the scatter, of the position and of the angle, into a part proportional to the size of
+    the tap and a constant floor."""
     length, turn = np.hypot(predicted[:, 0], predicted[:, 1]), predicted[:, 2]
     off = np.hypot(turn, _SLOPE / _ROTATION * length) * errors[1]
     return (

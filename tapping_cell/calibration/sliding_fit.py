@@ -48,9 +48,13 @@ _LOCAL = 6
 _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
-_CENTRE_STD = 0.05  # prior (std) of the centre of pressure; only worn or tilted objects exceed it
+# Prior standard deviation of the centre of pressure over the support's radius; only worn or tilted
+# objects exceed it.
+_CENTRE_STD = 0.05
 _STARTS = (0.6, 1.5, 3.5)
-_FREE = 0.3  # prior (std) of ln of a trial's friction if it is estimated from this trial alone
+# Prior standard deviation of ln(friction of a trial / shared friction) if it is estimated from this
+# trial alone.
+_FREE = 0.3
 _MIN_SCATTER = 1e-4
 _NEAR_ONE = 1e-3
 

@@ -244,8 +244,8 @@ def _groups(energies: Array) -> NDArray[np.intp]:
 
 
 def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]) -> float:
-    """Return the lowest energy, in J, at and above which all energy levels move the object
-    reliably.
+    """Return the lowest energy level, in J, that moves the object reliably and above which all
+    levels do so too.
 
     A tap that does not move the object was too weak only if taps of similar energy move the object
     little. If they move it far, the tap missed and is ignored here.
@@ -293,8 +293,8 @@ class _Curve:
     """
 
     def __init__(self, x: Array, y: Array, seen: Array) -> None:
-        """Fit taps (N,) to their ln energies ``x``, ln speeds ``y`` and camera noise ``seen`` of ln
-        speed."""
+        """Fit the curve to taps (N,) with ln energies ``x``, ln speeds ``y`` and camera noise
+        ``seen`` of ln speed."""
         self._x = x
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x

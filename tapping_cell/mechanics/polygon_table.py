@@ -161,8 +161,8 @@ class PolygonTable:
         sizes = _SIZE_GRADE * levels / (1.0 - levels)
         table = np.empty((4, _SIZES, _RATIOS, count))
         for index, size in enumerate(sizes.tolist()):
-            # The first two levels are integrated until the object rests: the first has size 0, so
-            # the ratio of their sizes is infinite.
+            # The first two sizes are integrated until the object rests. The first size is 0, which
+            # a slide of the second size reaches only at rest.
             known = table[:, index - 1] if index > 1 else None
             length = 0.5 * math.log(size / sizes[index - 1]) if index > 1 else 0.0
             level = self._level(phi, alpha, size, length, known)

@@ -58,8 +58,8 @@ LENGTHS = (8, 12)
 and on the finer ones."""
 
 OUTER = 0.020
-"""Distance outside the working area, m, up to which states are solved, for objects that left the
-area."""
+"""States are solved up to this distance outside the working area, m, because an object may leave
+the area."""
 
 POINTS = (4, 8)
 """Number of equally likely points that represent a tap's scatter while solving: on the coarse grid
