@@ -7,9 +7,9 @@ rotation c = exp(i yaw) and a point m in the tool frame, the predicted position 
     p = b + c (L1 exp(i q1) + L2 exp(i (q1 + q2)) + m exp(i (q1 + q2 + q4)))
 
 and the predicted angle is yaw + q1 + q2 + q4 plus the marker's angle on the tool. Here q2 is the
-controller's value plus the offset of the elbow. The shoulder's offset cannot be distinguished from
-the base's yaw, nor the tool joint's offset from the marker's angle on the tool, whatever poses are
-recorded.
+controller's value plus the offset of the elbow. No set of poses separates the shoulder's offset
+from the base's yaw, or the tool joint's offset from the marker's angle on the tool. Therefore
+neither offset is fitted.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ RECORD_COLUMNS = (
 )
 """Columns of the record file; each row is one pose."""
 _LOOSE = {"m": 0.005, "rad": np.radians(1.0)}
-"""Maximum standard deviation of a fitted value. A value with a larger standard deviation is kept as
-in the cell file."""
+"""Maximum standard deviation of a fitted length (m) or angle (rad). If the poses determine a value
+less accurately, it is not fitted, and the cell file's value is kept."""
 _CORRELATED = 0.97
-"""Correlation above which a note says that the poses determine mainly a combination of two
-values."""
+"""Correlation of two fitted values above which a note says that the poses determine mainly a
+combination of the two."""
 _OUTLIER = 4.5
 """Number of robust standard deviations above which a row is an outlier. The standard deviations
 used for this are at least ``_POSITION_FLOOR`` (m) and ``_ANGLE_FLOOR`` (rad)."""
@@ -55,7 +55,8 @@ _WORST_SPREAD = 0.005
 """Standard deviation of the position residuals, in m, above which the calibration is refused,
 because the rows do not fit this arm."""
 _ALIKE = 0.01
-"""Grid size, in rad, to which joints are rounded when different poses are counted."""
+"""Joint angles are rounded to multiples of this value, in rad, before different poses are
+counted."""
 _SUBSETS = 200
 _IN_WORDS = {
     "base_x": "x of the base",
@@ -102,12 +103,12 @@ class ArmOutlier:
 class ArmCalibration:
     """Result of the arm's calibration.
 
-    ``values`` are in m and rad, by name (NAMES, LINKS). ``deviations`` are the standard deviations
-    of the fitted values; ``held`` names the values that were not fitted. ``residuals`` (N, 2) in m
-    and ``turns`` (N,) in rad are the position and angle residuals of the rows used.
-    ``wrist_deviation`` in m and ``heading_deviation`` in rad are the standard deviations of the
-    wrist position and the forearm's heading that result from the standard deviations of the values
-    (root mean square over the rows used).
+    ``values`` maps the names in ``NAMES`` and ``LINKS`` to values in m and rad. ``deviations`` are
+    the standard deviations of the fitted values; ``held`` names the values that were not fitted.
+    ``residuals`` (N, 2) in m and ``turns`` (N,) in rad are the position and angle residuals of the
+    rows used. ``wrist_deviation`` in m and ``heading_deviation`` in rad are the resulting standard
+    deviations of the wrist position and of the forearm's heading (root mean square over the rows
+    used).
     """
 
     values: dict[str, float]
@@ -174,8 +175,8 @@ def _unit(name: str) -> str:
 
 
 def _to_hold(free: Sequence[str], loose: dict[str, float]) -> str:
-    """Choose the poorly determined value that is to be kept as in the cell file: the one whose
-    value in the file is most likely to be accurate."""
+    """Choose, among the poorly determined values, the next one to keep as in the cell file: the one
+    whose value in the file is most likely to be accurate."""
     order = ("forearm", "upper_arm", "elbow_zero", "mount_x", "mount_y", "mount_angle")
     known = [name for name in order if name in free and not loose[name] <= 1.0]
     return known[0] if known else max(loose, key=lambda name: loose[name])
@@ -220,7 +221,7 @@ def _begin(
     singular = np.linalg.svd(columns, compute_uv=False)
     if singular[-1] < 1e-3 * singular[0]:
         # The tool has the same angle to the forearm in all rows, so the rows do not determine the
-        # mount. Keep that of the cell file.
+        # mount. Keep the mount of the cell file.
         columns = columns[:, :2]
         columns[:, 1] += complex(geometry.tip_forward, geometry.tip_side) * heading
     random = np.random.default_rng(0)
@@ -393,7 +394,8 @@ def _result(
 
 
 def _by_differences(joints: Array, values: dict[str, float], names: Sequence[str]) -> Array:
-    """Compute derivatives (N, 3, len(names)) of the wrist's x and y and the forearm's heading."""
+    """Compute derivatives (N, 3, len(names)) of the wrist's x and y and the forearm's heading with
+    respect to the values ``names``."""
 
     def place(values: dict[str, float]) -> Array:
         base = complex(values["base_x"], values["base_y"])

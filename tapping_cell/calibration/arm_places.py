@@ -15,8 +15,8 @@ _INSIDE = 0.01
 """Distance to keep from the joint limits, in rad, so that an error of a joint's zero cannot stop a
 move."""
 _TRIED = 50
-"""Maximum number of candidate positions per requested pose. It suffices, because an arm reaches
-most of its table."""
+"""Maximum number of candidate positions per requested pose. Usually far fewer are needed, because
+an arm reaches most of its table."""
 
 
 def arm_places(

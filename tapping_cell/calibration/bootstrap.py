@@ -1,12 +1,13 @@
-"""Bootstrap confidence intervals for estimates at which the scores of all trials sum to zero.
+"""Bootstrap confidence intervals for fits that minimise a sum of costs, one for each trial.
 
-An estimate t solves sum_i s_i(t) = 0 over the trials. Near the fitted estimate t_0, the score is
-approximately s_i(t) = s_i + H_i (t - t_0), where s_i is the score and H_i the information of trial
-i at t_0. One Newton step gives the estimate of a resample and its standard error, so thousands of
-resamples cost only a matrix product. Trials are resampled within each run, so every run keeps its
-number of trials. The interval is the studentised one (percentile-t; Davison and Hinkley, Bootstrap
-Methods and their Application, 1997, section 5.2.1). Its coverage is correct even for few trials,
-for which the plain percentile interval is too short.
+The score s_i(t) of trial i is the gradient of its cost, so an estimate t solves sum_i s_i(t) = 0.
+Near the fitted estimate t_0, the score is approximately s_i(t) = s_i + H_i (t - t_0), where s_i is
+the score at t_0 and H_i the information: the second derivative of the cost at t_0. One Newton step
+gives the estimate of a resample and its standard error, so thousands of resamples cost only a
+matrix product. Trials are resampled within each run, so every run keeps its number of trials. The
+interval is the studentised one (percentile-t; Davison and Hinkley, Bootstrap Methods and their
+Application, 1997, section 5.2.1). Its coverage is correct even for few trials, for which the plain
+percentile interval is too short.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ Array = NDArray[np.float64]
 
 REPLICATES = 2000
 LEVEL = 0.95
-# Deviations are clipped at this many standard errors, because a resample may lack the trials that
-# determine a parameter.
+# The deviation of a resample from the estimate is clipped at this many standard errors, because a
+# resample may lack the trials that determine a parameter.
 _MAX_STD = 5.0
 
 
@@ -74,8 +75,8 @@ def spread(
     ratio = np.clip(ratio, -_MAX_STD, _MAX_STD)
     tail = (1 - level) / 2
     upper, lower = np.quantile(ratio, [1 - tail, tail], axis=0)
-    # For few trials the standard error is slightly too small. This factor accounts for the degrees
-    # of freedom that the fit uses.
+    # For few trials the standard error is slightly too small, because the fit uses degrees of
+    # freedom. The factor corrects this.
     std = std[0] * math.sqrt(count / max(count - size, 1))
     return Spread(low=-upper * std, high=-lower * std, std=std)
 

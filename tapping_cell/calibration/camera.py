@@ -305,9 +305,9 @@ def _choose(
 ) -> tuple[Lens, dict[str, float]]:
     """Choose a lens model by cross-validation.
 
-    A more complex model is chosen only if it reduces the mean squared error by 25 %, or by at least
-    2 % and at least two standard errors of the difference. It must also be invertible over the
-    whole image.
+    A more complex model is chosen only if it is invertible over the whole image and reduces the
+    mean squared error enough: by 25 %, or by at least 2 % and two standard errors of the
+    difference.
     """
     order = np.random.default_rng(1).permutation(len(views))
     folds = [order[start::_FOLDS] for start in range(_FOLDS)]

@@ -64,7 +64,8 @@ def screen(
 
 
 def _apart(view: TargetView, other: TargetView) -> float:
-    """Return the mean distance of common corners in pixels; infinite for fewer than four."""
+    """Return the mean distance, in pixels, between the positions of a corner in the two views, over
+    the corners that both views show; infinite if these are fewer than four."""
     _, mine, others = np.intersect1d(view.ids, other.ids, return_indices=True)
     if len(mine) < 4:
         return np.inf

@@ -48,8 +48,9 @@ class RecordError(ValueError):
 class Column:
     """A column of numbers with its SI ``unit`` (a key of ``UNITS``) and its closed range.
 
-    ``least_largest`` is a magnitude that at least one value of the column should reach. Otherwise
-    the column probably has the wrong unit (metres in a column of millimetres).
+    ``least_largest`` is a magnitude that at least one value of the column should reach. If none
+    reaches it, the column probably has the wrong unit, for example metres in a column of
+    millimetres.
     """
 
     name: str

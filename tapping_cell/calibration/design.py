@@ -31,7 +31,8 @@ from tapping_cell.se2 import Pose
 DESIGN_FILE = "design.yaml"
 
 SPEEDS = (0.75, 1.1)
-"""Striker speeds in m/s; the paper's disk then travels 30 to 100 mm in 6 to 12 frames at 30 Hz."""
+"""Striker speeds in m/s. At these speeds the paper's disk travels 30 to 100 mm, in 6 to 12 frames
+of a camera at 30 Hz."""
 INCIDENCES = (math.radians(20.0), math.radians(-45.0))
 """One incidence at which the contact sticks and one at which it slides, for contact frictions near
 0.2. Their signs differ, so that the object's rotations and the effects of a constant error of the
@@ -44,7 +45,7 @@ NEAR_MIDDLE = 0.030
 FAN = math.radians(137.507764)
 """Golden angle: steps of this angle give evenly spread directions for any number of trials."""
 ATTEMPTS = 2
-"""Number of attempts per requested trial after which a run is given up."""
+"""Maximum number of taps per requested trial; a run that needs more is given up."""
 MISSED = 0.1
 """Fraction of the expected displacement below which a tap counts as missed."""
 
@@ -134,7 +135,7 @@ def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[
 
 
 def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
-    """Return the trial with its outcome, which states whether a single tap explains the motion.
+    """Return the trial with the outcome that its motion shows (see ``trials.OUTCOMES``).
 
     ``expected`` is the expected displacement in m. The outcome of a lost trial (no pose after the
     tap) is unchanged.

@@ -58,7 +58,7 @@ def slide_estimates(
         width = spread(slide.score, slide.information, runs, seed)
     except ValueError as problem:
         raise RecordError(message) from problem
-    # In slides without noise and without rotation, the bootstrap finds no spread, although the
+    # The bootstrap reports no uncertainty for slides without noise and rotation, although such
     # slides do not determine the torque factor. Therefore also check the Fisher information.
     expected = np.sqrt(np.diag(np.linalg.inv(slide.information.sum(axis=0))))
     if max(float(np.max(width.std[:2])), float(np.max(expected[:2]))) > _UNKNOWN:
@@ -217,8 +217,8 @@ def floor_estimates(
 def _parts(
     measured: Launches, tapped: Launches, impact: ImpactFit, runs: Sequence[int]
 ) -> tuple[Parts | None, Parts | None]:
-    """Divide the scatter of position and of angle within runs into parts proportional to the size
-    of the tap and constant floors."""
+    """Divide the scatter within runs, of the position and of the angle, into a part proportional to
+    the size of the tap and a constant floor."""
     labels = np.asarray(runs)
     return (
         scatter_parts(
@@ -234,8 +234,11 @@ def _parts(
 
 
 def _within(off: Array, runs: NDArray[np.int_]) -> Array:
-    """Return the deviations of the taps from the means of their runs, scaled so that their variance
-    is that of a tap; NaN for the only tap of a run."""
+    """Return the deviation of each tap from the mean of its run; NaN if the run has only one tap.
+
+    Subtracting the mean of n taps reduces the variance by the factor (n - 1) / n, so the deviations
+    are scaled up accordingly.
+    """
     made = np.full(off.size, math.nan)
     for run in np.unique(runs):
         own = (runs == run) & np.isfinite(off)

@@ -1,11 +1,11 @@
 """Analysis of which parameters the trials determine, and which further taps would determine more.
 
-The Fisher information of the launches (squared derivatives with respect to the parameters, divided
-by the variance of a tap) covers all parameters, including those that the fit keeps fixed. A
-parameter is not determined if, with all others free, its relative standard deviation is too large.
-Eigenvectors with small eigenvalues are combinations of parameters that are not determined. The
-information of candidate experiments is added to that of the trials, and the best candidate is
-recommended.
+The Fisher information of the launches is the sum of their squared derivatives with respect to the
+parameters, divided by the variance of a tap. It is computed for all parameters, including those
+that the fit keeps fixed. A parameter is not determined if, with all others free, its relative
+standard deviation is too large. Eigenvectors with small eigenvalues are combinations of parameters
+that are not determined. The information of candidate experiments is added to that of the trials,
+and the best candidate is recommended.
 """
 
 from __future__ import annotations
@@ -41,8 +41,12 @@ _INCIDENCES = tuple(math.radians(angle) for angle in (0, 10, 20, 30, 40, 50, 60)
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """Relative standard deviations of the parameters, inf if not determined: ``alone`` with the
-    other parameters known, ``together`` with all free. ``sentences`` are the findings as text."""
+    """Result of the analysis.
+
+    ``alone`` holds the relative standard deviation of each parameter if the other parameters are
+    known, and ``together`` if all parameters are unknown. A value of inf means that the trials do
+    not determine the parameter. ``sentences`` are the findings as text.
+    """
 
     alone: Mapping[str, float]
     together: Mapping[str, float]
@@ -89,7 +93,8 @@ def _information(
 
 
 def _deviations(information: Array, values: Mapping[str, float]) -> tuple[Array, Array]:
-    """Compute relative standard deviations with the other parameters known, and with all free."""
+    """Compute relative standard deviations (p,), first with the other parameters known, then with
+    all free."""
     restitution = values["restitution"]
     to_relative = np.ones(len(information))
     to_relative[0] = (1 + restitution) / max(restitution, 1e-3)
@@ -177,7 +182,8 @@ def _candidates(
 
 
 def _alike(strikes: Strikes, speed: float, incidence: float) -> Strikes:
-    """Create candidate taps with incidences of both signs and the trials' median accuracy."""
+    """Create candidate taps with incidences of both signs, measured as accurately as the median
+    trial."""
 
     def many(column: Array) -> Array:
         return np.full(_TAPS, float(np.nanmedian(column)))

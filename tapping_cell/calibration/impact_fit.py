@@ -1,4 +1,5 @@
-"""Fit of restitution, contact friction and the scales of B1, B2 and B3 to measured launches.
+"""Fit of restitution, contact friction and the scales of the impact constants B1, B2 and B3 to
+measured launches.
 
 A trial gives the striker's speed, contact point, incidence and launch: speed, spin over speed, and
 direction relative to the contact normal. The residuals of the impact model (``mechanics.impact``)
@@ -180,8 +181,7 @@ class ImpactModel:
         return np.asarray(np.hypot(size * np.asarray(scatter), self.measured_std()))
 
     def with_known(self, **values: float) -> ImpactModel:
-        """Return a copy with other values for the given parameters, which the fit is to keep
-        fixed."""
+        """Return a copy that keeps the given parameters at these values unless they are fitted."""
         return ImpactModel(self.strikes, self._body, self._striker, self.known | values)
 
     def with_strikes(self, strikes: Strikes) -> ImpactModel:
@@ -200,7 +200,8 @@ class ImpactModel:
         return np.asarray(point - values["restitution"] * s.speed * np.cos(s.incidence))
 
     def with_free(self, free: Sequence[str], x: Array) -> dict[str, float]:
-        """Return all parameters; ``x`` are the logarithms of the ``free`` parameters."""
+        """Return the values of all parameters, given the logarithms ``x`` of the ``free``
+        parameters."""
         values = dict(self.known)
         for name, value in zip(free, x.tolist(), strict=True):
             values[name] = _outside(name, value)
@@ -264,8 +265,8 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
 def _scatter(
     model: ImpactModel, off: Array, launch: Array, used: int
 ) -> tuple[float, float, float]:
-    """Estimate the scatter of a tap, whose variance is that of the residuals minus that of the
-    measurement."""
+    """Estimate the scatter of a tap: its variance is the variance of the residuals minus that of
+    the measurement."""
     measured = model.measured_std()
     size = np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
     values = []
@@ -327,8 +328,8 @@ def _candidates(model: ImpactModel, base: _Fit, slid: int) -> tuple[str, ...]:
 def weighted_slopes(
     model: ImpactModel, values: Mapping[str, float], names: Sequence[str], deviation: Array
 ) -> Array:
-    """Compute derivatives of the residuals with respect to the parameters, (n, 3, p); 0 if not
-    measured."""
+    """Compute the derivatives of the residuals with respect to the parameters, (n, 3, p). The
+    derivatives of residuals that were not measured are 0."""
     known = np.isfinite(model.seen())
     columns = []
     for name in names:

@@ -187,8 +187,8 @@ def _errors(predicted: Array, measured: Array) -> tuple[Array, Array, Array]:
 
 
 def _parts(predicted: Array, errors: Sequence[Array]) -> tuple[Parts | None, Parts | None]:
-    """Divide the scatter of position and of angle into parts proportional to the size of the tap
-    and constant floors."""
+    """Divide the scatter, of the position and of the angle, into a part proportional to the size of
+    the tap and a constant floor."""
     length, turn = np.hypot(predicted[:, 0], predicted[:, 1]), predicted[:, 2]
     off = np.hypot(turn, _SLOPE / _ROTATION * length) * errors[1]
     return (
@@ -200,7 +200,8 @@ def _parts(predicted: Array, errors: Sequence[Array]) -> tuple[Parts | None, Par
 def _about(
     name: str, value: float, spread: float, wide: float, old: float, *, fitted: bool = True
 ) -> Estimate:
-    """Create the estimate of a value whose logarithm has the standard deviation ``spread``."""
+    """Create the estimate of a value whose logarithm has the standard deviation ``spread``; the
+    interval covers ``wide`` standard deviations to each side."""
     if not fitted:
         return Estimate(name, old, math.nan, math.nan, math.nan, old, fitted=False)
     low, high = value * math.exp(-wide * spread), value * math.exp(wide * spread)
@@ -215,7 +216,8 @@ def _scatter(name: str, value: float, count: int, old: float, unit: str) -> Esti
 
 
 def _smallest(content: ObjectFile, predicted: Array) -> Estimate:
-    """Return the smallest displacement of the taps used, or the file's value if that is smaller."""
+    """Return the smallest predicted displacement of the taps used, or the file's value if that is
+    smaller."""
     seen = float(np.hypot(predicted[:, 0], predicted[:, 1]).min())
     value = min(max(seen, 1e-4), content.smallest_tap)
     return Estimate("smallest_tap", value, 0.0, value, 0.0, content.smallest_tap, "m")

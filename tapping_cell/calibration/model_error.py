@@ -30,7 +30,8 @@ _SIGNIFICANT = 0.001
 """Significance level of one test; six tests are made for each fit."""
 _MIN_TRIALS = 8
 _FLOOR = {"distance": 0.005, "rotation": 0.01}
-"""Relative deviations that are negligible even if they are statistically significant."""
+"""Relative standard deviations that are negligible in practice; the scatter is assumed to be at
+least this large, so that smaller model errors are not reported."""
 _MIN_TURN = 0.2
 """Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful."""
 _CAUSES = {
@@ -45,9 +46,9 @@ _CAUSES = {
 @dataclass(frozen=True, slots=True)
 class Misfit:
     """A deviation of ``quantity`` (distance, rotation) that depends on ``cause`` (setting, place,
-    direction). ``probability`` is the p-value of the F test, ``size`` the relative standard
-    deviation, and ``inflation`` the F statistic: the mean square due to the cause divided by that
-    of the scatter."""
+    direction). ``probability`` is the p-value of the F test, and ``size`` is the relative standard
+    deviation due to the cause. ``inflation`` is the F statistic: the mean square due to the cause
+    divided by the mean square of the scatter."""
 
     quantity: str
     cause: str
@@ -76,7 +77,8 @@ class ModelError:
 
     @property
     def total(self) -> float:
-        """Standard deviation of scatter and model error combined, for use by a planner."""
+        """Combined standard deviation of scatter and model error, with which a planner should
+        work."""
         return math.hypot(self.scatter, self.error)
 
 
@@ -165,8 +167,8 @@ def model_errors(taps: Taps) -> tuple[ModelError, ...]:
 
 
 def _mean_squares(off: Array, groups: NDArray[np.str_]) -> tuple[float, float]:
-    """Compute the mean square within groups and the mean square of the group means about the
-    model."""
+    """Compute the mean square of the residuals about their group means and, weighted by the sizes
+    of the groups, the mean square of the group means."""
     names = np.unique(groups)
     within = sum(float(np.sum((off[groups == n] - off[groups == n].mean()) ** 2)) for n in names)
     between = sum(float(np.sum(groups == n) * off[groups == n].mean() ** 2) for n in names)

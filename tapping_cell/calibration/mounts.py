@@ -5,8 +5,8 @@ distance. The direction and the rotation depend on the offset and angle of the t
 distance on the speed. Three unknowns per tapper (offset of the line to the left in m, angle of the
 line in rad, and logarithm of the speed factor) are fitted to all of its taps by least squares. The
 weights come from the tap's scatter and the camera's noise, and the soft-l1 loss reduces the effect
-of outliers. Taps at one position determine the offset of the line there. To determine its angle,
-taps at several positions along the line are needed.
+of outliers. Taps at one position of the object determine the line's offset at this position. To
+determine the line's angle, taps at several positions along the line are needed.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ WIDEST = np.array([0.003, math.radians(2.0), 0.5])
 and protractor."""
 
 MAX_DEVIATION = 0.0003
-"""Standard deviation of the line's offset at the object, m, up to which a fit is accurate enough
-for planning."""
+"""Maximum standard deviation of the line's offset at the object, m, for planning with the fitted
+line."""
 
 
 @dataclass(frozen=True, slots=True)

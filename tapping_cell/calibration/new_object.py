@@ -22,11 +22,12 @@ TORQUE_FACTOR = 1.8
 """Initial torque factor: the geometric mean of 0.8 (weight near the centre) and 4.0 (weight at the
 rim). The largest value in the paper is 3.64."""
 RESTITUTION, CONTACT_FRICTION = 0.6, 0.2
-"""Initial values, for a hard tip on plastic or soft metal. When the object is learnt, their errors
-are compensated by the friction that is fitted."""
+"""Initial values, for a hard tip on plastic or soft metal. When the object is learnt from taps, the
+fitted friction compensates for errors of these values."""
 DENSITY = 1500.0
-"""Density in kg/m^3, between wood and aluminium, for objects of unknown mass. An error of the mass
-causes an error of the launch speed, which the friction fitted by learning compensates."""
+"""Density in kg/m^3, between wood and aluminium, for objects of unknown mass. A wrong mass gives a
+wrong launch speed; when the object is learnt from taps, the fitted friction compensates for this
+too."""
 
 
 def new_object(

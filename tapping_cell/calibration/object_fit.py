@@ -365,8 +365,8 @@ def _strikes(
 
 
 def _speed_known(used: Sequence[Used]) -> float:
-    """Return the relative standard deviation of the factor common to all striker speeds; inf unless
-    all speeds were measured."""
+    """Return the relative standard deviation of the factor common to all striker speeds; inf if
+    some speeds were not measured."""
     measured = [not math.isnan(entry.trial.striker_speed_measured) for entry in used]
     if not all(measured):
         return math.inf
@@ -474,9 +474,9 @@ def _slide_sentences(
         more = 10 * each[best]
         after = share * math.sqrt(float(total[1, 1]) / (float(total[1, 1]) + more))
         sentences.append(
-            f"The uncertainty of the torque factor is {100 * share:.0f} %. Ten more taps like those "
-            f"of run {best}, the most informative run, would reduce it to {100 * after:.0f} %. Taps "
-            "that turn the object more are even more informative."
+            f"The uncertainty of the torque factor is {100 * share:.0f} %. Ten more taps like "
+            f"those of run {best}, the most informative run, would reduce it to "
+            f"{100 * after:.0f} %. Taps that turn the object more are even more informative."
         )
     return sentences
 
@@ -494,8 +494,8 @@ def _tapper_sentences(used: Sequence[Used]) -> list[str]:
     return [
         "The striker's speed differs from the commanded speed by "
         f"{100 * math.expm1(mean):+.1f} %. The fit accounts for this, but the planner does not: "
-        f"its distances deviate by {100 * math.expm1(2 * mean):+.0f} % until `calibrate tapper` has "
-        "measured the tapper's curve."
+        f"its distances deviate by {100 * math.expm1(2 * mean):+.0f} % until `calibrate tapper` "
+        "has measured the tapper's curve."
     ]
 
 

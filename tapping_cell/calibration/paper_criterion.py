@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 
 
 class PaperFit(NamedTuple):
-    """Friction and torque factor by the paper's criterion; ``rms`` is that of the differences, in
-    m/s."""
+    """Friction and torque factor by the paper's criterion; ``rms`` is the root mean square of the
+    averaged differences, in m/s."""
 
     friction: float
     torque_factor: float

@@ -3,7 +3,7 @@
 There are four comparisons. For sliding alone, displacements are calculated from the measured
 initial velocities, and vice versa. For the impact alone, initial velocities are calculated from the
 striker's speed and the incidence. For the whole tap, displacements are calculated from these
-velocities. The error is the ratio of the calculated to the measured mean of a run, minus 1.
+velocities. The error of a run is the ratio of the calculated mean to the measured mean, minus 1.
 Rotations and spins are positive in the direction in which the object turned, so that taps that
 rotate the object in opposite senses do not cancel in the mean.
 """
@@ -38,9 +38,10 @@ class Launches:
 class RunErrors:
     """Relative errors of one run's means; NaN if unknown.
 
-    ``label`` names the run, and ``trials`` is its number of trials. ``sliding_*`` are errors of
-    displacements from measured velocities, ``inverse_*`` of velocities from measured displacements,
-    ``impact_*`` of velocities from the striker, ``tap_*`` of displacements from the striker.
+    ``label`` names the run, and ``trials`` is its number of trials. ``sliding_*`` are the errors of
+    displacements calculated from measured velocities, ``inverse_*`` those of velocities calculated
+    from measured displacements. ``impact_*`` and ``tap_*`` are the errors of velocities and of
+    displacements calculated from the striker's speed and the incidence.
     """
 
     label: str

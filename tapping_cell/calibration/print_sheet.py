@@ -117,7 +117,8 @@ def target_page(paper: tuple[float, float], target: Target) -> Page:
 def reference_map(
     paper: tuple[float, float], size: float, dictionary: str, first_id: int
 ) -> ReferenceMap:
-    """Arrange eight markers of side ``size`` (m) along the edges of a sheet; origin in its middle.
+    """Arrange eight markers of side ``size`` (m) along the edges of a sheet with the origin in its
+    middle.
 
     Raises:
         SheetError: the markers do not fit.
@@ -215,7 +216,8 @@ def _refuse_too_small(paper: tuple[float, float], references: ReferenceMap) -> N
 def object_page(
     paper: tuple[float, float], ids: Sequence[int], size: float, dictionary: str
 ) -> Page:
-    """Lay out object markers in rows, each in a square to cut out that includes a white border.
+    """Lay out object markers in rows. Each is in a square, with a white border, that is to be cut
+    out.
 
     Raises:
         SheetError: the markers do not fit.

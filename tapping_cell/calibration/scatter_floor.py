@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 MIN_TRIALS = 8
 MIN_RATIO = 2.5
-"""Minimum ratio of the 90 % quantile of the sizes to the 10 % quantile. With more similar sizes,
-the taps do not determine a floor."""
+"""Minimum ratio of the 90 % quantile of the sizes to the 10 % quantile. If the sizes are more
+similar, the taps do not determine a floor."""
 SIGNIFICANCE = 0.01
 _TINY = 1e-12
 
@@ -43,8 +43,8 @@ def scatter_parts(series: Sequence[tuple[Array, Array]]) -> Parts | None:
     """Estimate the shares and the common floor of one or more series.
 
     Args:
-        series: for each series, the deviations of the taps, whose expected value is 0, and the
-            sizes of the taps: a pair of arrays (n,) in the same unit.
+        series: for each series, a pair of arrays (n,) in the same unit: the deviations of the taps
+            (expected value 0) and the sizes of the taps.
 
     Returns:
         The estimate, or None if there are too few taps, or if their sizes are too similar to

@@ -145,7 +145,8 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     rejection = _against_poses(trial, spread, turn_spread)
     if rejection is not None:
         return rejection
-    # A high initial speed without displacement is a wrong unit, not a miss; it is detected below.
+    # A high initial speed without displacement indicates a wrong unit, not a miss. It is handled
+    # below.
     still = not trial.initial_speed > _MIN_SPEED
     if still and trial.displacement < max(_MIN_MOTION, _OTHER_NOISE * spread):
         return _Rejection(

@@ -35,8 +35,12 @@ class Estimate(NamedTuple):
 
 
 class NormalEquations(NamedTuple):
-    """A linearised problem: half the sum of squares, and each trial's contributions to J^T J,
-    (n, p, p), (n, p, s), (n, s, s), and to J^T r, (n, p) and (n, s)."""
+    """A linearised problem with the Jacobian J and the residuals r.
+
+    ``cost`` is half the sum of squares. ``h_local`` (n, p, p), ``h_mixed`` (n, p, s) and
+    ``h_shared`` (n, s, s) are the blocks of each trial's J^T J. ``g_local`` (n, p) and ``g_shared``
+    (n, s) are the parts of each trial's J^T r.
+    """
 
     cost: float
     h_local: Array

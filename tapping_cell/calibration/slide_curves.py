@@ -64,7 +64,7 @@ class _Curve:
 
     def _side(self, sign: float) -> tuple[Array, Array]:
         """Tabulate ln(R omega / v) minus its terminal value, against ln(remaining time). ``sign``
-        is the side of the terminal value.
+        is 1 for ratios above the terminal value and -1 for ratios below it.
         """
         width = _FARTHEST - sign * self._terminal
         if width < 1e-6:
@@ -96,7 +96,7 @@ class _Curve:
     def at(self, speed: Array, rim: Array, time: Array, rows: NDArray[np.intp]) -> State:
         """Compute states at times (N,) for launches (n,) with speed and rim speed of 0 or more.
 
-        Times are multiplied by mu g. ``rows`` (N,) is the launch of each time.
+        Times are multiplied by mu g. ``rows`` (N,) is the index of each time's launch.
         """
         total = self.table.rest_many(speed, rim)
         left = np.maximum(total[2][rows] - time, 0.0)
@@ -158,8 +158,8 @@ class SlideCurves:
     ) -> tuple[State, Slopes]:
         """Compute states (N,) of launches (speed and spin, (n,), m/s and rad/s) at times (N,) in s.
 
-        ``rows`` (N,) is the launch of each time, and ``friction`` (n,) is given for each launch. An
-        infinite time gives the end of the slide.
+        ``rows`` (N,) is the index of each time's launch, and ``friction`` (n,) is that of each
+        launch. An infinite time gives the end of the slide.
         """
         speed, spin = launch
         rim = np.abs(spin) * self._radius
@@ -185,7 +185,8 @@ class SlideCurves:
     def launch(
         self, distance: Array, rotation: Array, friction: float, log_torque_factor: float
     ) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Compute speeds and spins (n,) that cause these displacements, and their derivatives.
+        """Compute speeds and spins (n,) that cause these displacements, and the derivatives of
+        both.
 
         The derivatives are with respect to ln(torque factor).
         """

@@ -48,9 +48,13 @@ _LOCAL = 6
 _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)
-_CENTRE_STD = 0.05  # prior (std) of the centre of pressure; only worn or tilted objects exceed it
+# Prior standard deviation of the centre of pressure over the support's radius; only worn or tilted
+# objects exceed it.
+_CENTRE_STD = 0.05
 _STARTS = (0.6, 1.5, 3.5)
-_FREE = 0.3  # prior (std) of ln of a trial's friction if it is estimated from this trial alone
+# Prior standard deviation of ln(friction of a trial / shared friction) if it is estimated from this
+# trial alone.
+_FREE = 0.3
 _MIN_SCATTER = 1e-4
 _NEAR_ONE = 1e-3
 
@@ -111,7 +115,8 @@ class SlideFit:
 class _Samples(NamedTuple):
     """Measured poses of all trials, concatenated (N,); ``rows`` is the trial of each pose.
 
-    An infinite time denotes the pose at rest, relative to the pose before the tap.
+    A sample with an infinite time is the pose at rest after the slide, relative to the pose before
+    the tap.
     """
 
     rows: Rows
@@ -290,14 +295,13 @@ def _misses(problem: _Problem, at: Estimate) -> _Misses:
     finite_since = np.where(moving, since, 0.0)
 
     def derivatives(value: Array, perturbed: Array, rate: Array, by_torque: Array) -> Array:
-        """Compute the derivatives (N, 10) of ``value``; the formulas hold for distance and rotation
-        alike."""
+        """Compute the derivatives (N, 10) of ``value``, which is the distance or the rotation."""
         derivative = np.zeros((rows.size, _LOCAL + _SHARED))
         by_spin = (perturbed - value) / bump[rows]
-        # With launch velocity and time multiplied by c, distance and rotation are multiplied by
-        # c^2. Euler's theorem therefore gives the derivative with respect to the speed. With the
-        # friction multiplied by c, the distance, the rotation and the time until they are reached
-        # are divided by c, which gives the derivative with respect to ln friction.
+        # If the launch velocity and the time are multiplied by c, distance and rotation are
+        # multiplied by c^2. Euler's theorem therefore gives the derivative with respect to the
+        # speed. If the friction is multiplied by c, the distance, the rotation and the time until
+        # they are reached are divided by c, which gives the derivative with respect to ln friction.
         by_speed = (2 * value - finite_since * rate - spin[rows] * by_spin) / speed[rows]
         derivative[:, _IMPACT] = np.where(moving, -rate, 0.0)
         derivative[:, _SPEED], derivative[:, _SPIN] = by_speed, by_spin

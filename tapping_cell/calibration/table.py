@@ -322,7 +322,7 @@ class _Problem:
 
     def _system(self, poses: Sequence[CameraPose], markers: Array) -> tuple[Array, Array, Array]:
         """Compute normalised residuals (O, 8) and their derivatives with respect to the camera pose
-        (O, 8, 6) and the marker pose (O, 8, 3)."""
+        (O, 8, 6) and the marker pose (O, 8, 3); O is the number of markers in all images."""
         rotation = np.array([pose.rotation for pose in poses])[self.image]
         shift = np.array([pose.translation for pose in poses])[self.image]
         places = markers[self.marker]

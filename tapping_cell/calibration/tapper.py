@@ -6,9 +6,9 @@ the striker's speed from the impact's ratio of launch to striker speed. The fitt
     ln v = a + ln(E) / 2 + g(ln E),
 
 which is the ideal drive (v ~ sqrt(E)) with a smooth deviation g. The deviation g is a Gaussian
-process; its amplitudes and length scales are weighted by the marginal likelihood (Rasmussen and
-Williams, Gaussian Processes for Machine Learning, chapter 5). The level a has no prior, whereas g
-deviates from zero only as far as the data support it.
+process. Several amplitudes and length scales of g are tried, and their curves are weighted by the
+marginal likelihood (Rasmussen and Williams, Gaussian Processes for Machine Learning, chapter 5).
+The level a has no prior, whereas g deviates from zero only as far as the data support it.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ _NOISES = 32
 """Number of candidate values for the scatter of a tap."""
 _STRETCHES = (0.7, 1.4)
 """Candidate length scales of the deviation g, as fractions of the range of ln E. ``_AMPLITUDES``
-are the candidate standard deviations of g. Smaller ones are not tried, because losses and
-thresholds make every drive deviate from the ideal, and assuming too small a deviation costs more
-accuracy than it gains."""
+are the candidate standard deviations of g. Smaller amplitudes are not tried: losses and thresholds
+make every drive deviate from the ideal, and assuming too small a deviation costs more accuracy than
+it gains."""
 _ALIKE = 0.02
 """Relative difference up to which energies count as the same energy level."""
 
@@ -110,8 +110,9 @@ class TapperCalibration:
     ``energies`` in J and ``speeds`` in m/s are increasing; ``deviations`` are relative standard
     deviations of the speeds. ``scatter`` is the relative scatter of a tap's speed. ``least_energy``
     in J and ``least_travel`` in m describe the smallest reliable tap. ``by_friction`` is the
-    relative change of all speeds per relative change of the object file's friction, and
-    ``by_restitution`` that per change of the file's restitution by 1.
+    relative change of all speeds if the friction in the object file changes, divided by the
+    relative change of the friction. ``by_restitution`` is the relative change of all speeds if the
+    restitution in the file changes, divided by the change of the restitution.
     """
 
     energies: tuple[float, ...]
@@ -185,8 +186,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     while True:
         curve = _Curve(x[usable], y[usable], seen[usable])
-        # The camera's noise dominates the shortest displacements. It is included in the expected
-        # scatter, so that these taps are not rejected.
+        # For the shortest displacements, the camera's noise is the largest error. It is included in
+        # the expected scatter, so that these taps are not rejected.
         off = np.abs(y - curve.at(x)[0]) / np.hypot(1.0, seen / max(curve.noise, _FLOOR))
         spread = max(1.4826 * float(np.median(off[usable])), _FLOOR)
         strange = usable & (off > _OUTLIER * spread)
@@ -243,8 +244,8 @@ def _groups(energies: Array) -> NDArray[np.intp]:
 
 
 def _least(record: TapRecord, groups: NDArray[np.intp], moves: NDArray[np.bool_]) -> float:
-    """Return the lowest energy, in J, at and above which all energy levels move the object
-    reliably.
+    """Return the lowest energy level, in J, that moves the object reliably and above which all
+    levels do so too.
 
     A tap that does not move the object was too weak only if taps of similar energy move the object
     little. If they move it far, the tap missed and is ignored here.
@@ -292,8 +293,8 @@ class _Curve:
     """
 
     def __init__(self, x: Array, y: Array, seen: Array) -> None:
-        """Fit taps (N,) to their ln energies ``x``, ln speeds ``y`` and camera noise ``seen`` of ln
-        speed."""
+        """Fit the curve to taps (N,) with ln energies ``x``, ln speeds ``y`` and camera noise
+        ``seen`` of ln speed."""
         self._x = x
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x
@@ -380,8 +381,8 @@ def _isotonic(values: Array) -> Array:
 
 
 def _propagation(record: TapRecord, tap: Tap, usable: NDArray[np.bool_]) -> tuple[float, float]:
-    """Compute the relative change of the speeds per relative change of the friction, and per unit
-    of the restitution, by finite differences."""
+    """Compute, by finite differences, the relative change of the speeds per relative change of the
+    friction, and that per change of the restitution."""
     part = TapRecord(*(getattr(record, name)[usable] for name in TapRecord.__slots__))
     plain = striker_speeds(part, tap)
     step = 0.01

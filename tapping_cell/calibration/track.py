@@ -168,7 +168,8 @@ def _disturbed(
 def _guess(time: Array, along: Array, displacement: float) -> tuple[float, float]:
     """Estimate the time of the impact and the deceleration.
 
-    At constant deceleration, the square root of the remaining distance decreases linearly.
+    At constant deceleration, the square root of the remaining distance decreases linearly with
+    time.
     """
     left = np.sqrt(np.maximum(displacement - along, 0.0))
     if time.size < 2 or not left[0] > left[-1]:

@@ -216,9 +216,9 @@ def _lens(cell: Cell) -> Iterator[str]:
     ):
         if not size / 4 <= value <= 3 * size / 4:
             yield (
-                f"{file}: the principal point's {name} {value:.0f} is far from the "
-                f"image's centre ({size / 2:.0f}): image_width, image_height and camera_matrix may belong to "
-                "different resolutions"
+                f"{file}: the principal point's {name} {value:.0f} is far from the image's "
+                f"centre ({size / 2:.0f}): image_width, image_height and camera_matrix may belong "
+                "to different resolutions"
             )
     ratio = float(matrix[0, 0] / matrix[1, 1])
     if not 0.9 < ratio < 1.1:

@@ -50,7 +50,7 @@ class Body:
 
     @property
     def gamma(self) -> float:
-        """m R^2 / I with the support's radius R: 2 for a uniform disk, 1 for a thin ring."""
+        """Ratio m R^2 / I with the support's radius R: 2 for a uniform disk, 1 for a thin ring."""
         return self.mass * self.support_radius**2 / self.inertia
 
     def boundary(self, angle: ArrayLike) -> Array:
@@ -109,7 +109,7 @@ class Disk(_Round):
 
     @property
     def inertia(self) -> float:
-        """m R^2 / 2, in kg m^2."""
+        """Moment of inertia of a uniform disk, m R^2 / 2, in kg m^2."""
         return self.mass * self.radius**2 / 2
 
 
@@ -188,7 +188,7 @@ class Polygon(Body):
 
     @property
     def inertia(self) -> float:
-        """Mass times the mean of r^2 over the face, in kg m^2."""
+        """Moment of inertia: the mass times the mean of r^2 over the face, in kg m^2."""
         return self.mass * float(np.trace(self.second_moments))
 
     @property
@@ -204,9 +204,9 @@ class Polygon(Body):
     def equivalent_disk(self) -> Disk:
         """Return the disk of the same mass, height and radius of gyration.
 
-        For a square and launches with R omega up to v, the disk's slide deviates by up to 1 % in
-        distance and 4 % in rotation, and sideways by up to 1.5 % of the distance (tested). For
-        elongated shapes the disk is a poor approximation.
+        For a square with R omega up to v, the disk's slide has errors of up to 1 % of the distance
+        and 4 % of the rotation, and it neglects a sideways drift of up to 1.5 % of the distance
+        (tested). For elongated shapes the disk is a poor approximation.
         """
         return Disk(self.support_radius, self.mass, self.height)
 

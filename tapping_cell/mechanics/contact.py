@@ -31,8 +31,8 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
     ``direction``.
 
     ``start`` and ``direction`` are (..., 2) in the body's frame; ``direction`` has unit length. If
-    the ball starts inside the body, the contact is where its line enters the body, so the travel is
-    negative. A ball that is already past the body misses.
+    the ball starts inside the body, the contact is where its line of travel enters the body, so the
+    travel is negative. A ball that is already past the body misses.
     """
     if isinstance(body, Polygon):
         return _polygon_contact(body, tip_radius, start, direction)
@@ -43,9 +43,11 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
 
 
 def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) -> Contact:
-    """Compute the contact with a polygon: the first intersection of the path of the ball's centre
-    with the polygon's outline enlarged by the ball's radius, which consists of shifted edges and
-    arcs about the corners."""
+    """Compute the contact with a polygon.
+
+    The polygon's outline, enlarged by the ball's radius, consists of shifted edges and of arcs
+    about the corners. The contact is where the path of the ball's centre first meets this outline.
+    """
     points, normals, lengths = body.points, body.edge_normals, body.edge_lengths
     from_vertex = start[..., None, :] - points
     closing = direction @ normals.T

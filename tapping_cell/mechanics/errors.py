@@ -25,7 +25,8 @@ class InvalidParameterError(MechanicsError):
 
 
 class UnreachableDisplacementError(MechanicsError):
-    """A displacement that no single tap can produce: more rotation than its distance allows."""
+    """A displacement that no single tap can produce, such as one with too much rotation for its
+    distance."""
 
 
 def positive(

@@ -44,8 +44,8 @@ _ALL = slice(None)
 Constraint = Literal["linear_bearings", "free"]
 
 # Maximum planned angle between the striker's axis and the contact normal. At such a grazing
-# incidence the striker slides during the whole impact, so that every impulse within the friction
-# cone can be planned.
+# incidence the striker usually slides during the whole impact, and the impulse is on the edge of
+# the friction cone. Plans can therefore use the whole cone.
 LARGEST_INCIDENCE = math.radians(89.0)
 _ROOT_STEPS = 60
 _ROOT_TOLERANCE = 1e-15
@@ -136,9 +136,8 @@ class Impact:
         """Compute the maximum angle (rad) of the impulse to either side of the normal at
         ``contact``.
 
-        This is the arctangent of the contact friction. It is less if the contact does not slide
-        throughout at any incidence up to ``LARGEST_INCIDENCE``. ``contact`` (..., 2) is (c_n, c_t)
-        in m.
+        If the contact slides throughout the impact at ``LARGEST_INCIDENCE``, this is the arctangent
+        of the contact friction; otherwise it is smaller. ``contact`` (..., 2) is (c_n, c_t) in m.
         """
         c = np.asarray(contact, dtype=float)
         angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
@@ -215,8 +214,8 @@ class Impact:
     def incidence_for(self, impulse_slope: ArrayLike, contact: ArrayLike) -> Array:
         """Compute the incidence (rad) at which the impulse has P_t / P_n = ``impulse_slope``.
 
-        The slope must be within the friction cone. ``contact`` (..., 2) is (c_n, c_t) in m. NaN if
-        no incidence within ``LARGEST_INCIDENCE`` gives the slope.
+        The slope must be within the friction cone. ``contact`` (..., 2) is (c_n, c_t) in m. The
+        result is NaN if no incidence within ``LARGEST_INCIDENCE`` gives the slope.
         """
         bracket = self._bracket(impulse_slope, contact)
         root = np.full(bracket.found.shape, np.nan)
@@ -228,7 +227,7 @@ class Impact:
         return root.reshape(bracket.shape)
 
     def has_incidence(self, impulse_slope: ArrayLike, contact: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether :meth:`incidence_for` finds an incidence; this is much faster."""
+        """Return whether :meth:`incidence_for` would find an incidence, without computing it."""
         bracket = self._bracket(impulse_slope, contact)
         return bracket.found.reshape(bracket.shape)
 
@@ -251,9 +250,9 @@ class Impact:
 
         straight = np.zeros(slope.shape)
         e_straight = error(straight, _ALL)
-        # For a sticking contact, the slope is linear in the tangent of the incidence. A bound of
-        # 1.5 times this linear estimate usually brackets the root; otherwise the largest incidence
-        # is used.
+        # For a sticking contact, the slope is linear in the tangent of the incidence. The other end
+        # of the bracket is 1.5 times this linear estimate of the root, or the largest incidence if
+        # the root is not between them.
         b1, b2, _ = self.inverse_inertias(straight, c)
         other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
         e_other = error(other, _ALL)

@@ -11,9 +11,9 @@ over a face of area A
 
 by the divergence theorem, as in Goyal, Ruina and Papadopoulos (Wear 143, 1991). The classic
 Runge-Kutta method integrates the motion over the logarithm of the velocity's magnitude, because a
-slide is smooth in this variable until its end. The accuracy, relative to a brute-force sum over a
-grid of friction points, is 1e-4; the tests require 1e-3, the accuracy of their grid. The inverse is
-accurate to 1e-11.
+slide is smooth in this variable until its end. Compared with a brute-force sum over a grid of
+friction points, the relative error is 1e-4. The tests require only 1e-3, because the grid in the
+tests is no more accurate. The relative error of the inverse is 1e-11.
 """
 
 from __future__ import annotations
@@ -182,9 +182,9 @@ class PolygonSlide:
         """Compute the means, over the face, of the unit vector of motion (x, y) and of its moment
         (m).
 
-        The arguments are velocities (n,) of the centre of mass in the body's axes, not all zero.
-        The friction force is -mu m g times the first two means; the torque is -mu m g times the
-        third.
+        The arguments are the velocities (n,) of the centre of mass in the body's axes and the spins
+        (n,); at least one of the three must not be zero. The friction force is -mu m g times the
+        first two means; the torque is -mu m g times the third.
         """
         speed = np.hypot(vx, vy)
         far = speed > _FAR * self._gyration * np.abs(spin)

@@ -9,11 +9,11 @@ axes of the launch:
     along = (N^2 / mu g) A,  left = (N^2 / mu g) L,
     rotation = (omega N / mu g) B,  duration = (N / mu g) D.
 
-Each is stored minus the same function of the equivalent disk, which contains the part that is not
-smooth. The table is filled from slow to fast launches. For a launch of size s, the equations of
-motion are integrated for a short distance. The state reached is a launch of a smaller size, which
-is already in the table (a semi-Lagrangian scheme). The table is filled with cubic interpolation on
-a coarse grid and read with linear interpolation on a finer grid.
+The table stores the difference of each function from that of the equivalent disk, which contains
+the part that is not smooth. The table is filled from slow to fast launches. For a launch of size s,
+the equations of motion are integrated for a short distance. The state reached is a launch of a
+smaller size, which is already in the table (a semi-Lagrangian scheme). The table is filled with
+cubic interpolation on a coarse grid and read with linear interpolation on a finer grid.
 
 The table ends at ``LARGEST_SIZE``, which for the paper's objects is a slide of 100 to 200 mm. A
 faster launch is integrated by the equations of motion until it is within the table.
@@ -161,8 +161,8 @@ class PolygonTable:
         sizes = _SIZE_GRADE * levels / (1.0 - levels)
         table = np.empty((4, _SIZES, _RATIOS, count))
         for index, size in enumerate(sizes.tolist()):
-            # The first two levels are integrated until the object rests: the first has size 0, so
-            # the ratio of their sizes is infinite.
+            # The first two sizes are integrated until the object rests. The first size is 0, which
+            # a slide of the second size reaches only at rest.
             known = table[:, index - 1] if index > 1 else None
             length = 0.5 * math.log(size / sizes[index - 1]) if index > 1 else 0.0
             level = self._level(phi, alpha, size, length, known)
@@ -207,8 +207,8 @@ class PolygonTable:
     ) -> tuple[Array, Array]:
         """Integrate the slide over steps of the logarithm of N.
 
-        Returns two arrays: (3, n), the velocity after the steps, scaled to unit length and in the
-        axes of the start; and (4, n), the displacement divided by N^2 and the time divided by N.
+        Returns the velocity (3, n) after the steps, scaled to unit length and in the axes of the
+        start, and an array (4, n) of the displacement divided by N^2 and the time divided by N.
         Sizes and steps are scalars or (n,).
         """
 
@@ -287,8 +287,9 @@ class TabulatedPolygonSlide(PolygonSlide):
     """Relative error below which the inverse makes one last step, which reduces the error to 1e-8,
     far below the error of the table."""
     _inverse_limit = 1e-3
-    """The error of the table. Beyond the table, slides jump by up to 1e-4 of their size where the
-    number of integration steps changes."""
+    """Relative error that is accepted if the inverse does not converge: the error of the table.
+    Beyond the table, an exact solution may not exist, because slides jump by up to 1e-4 of their
+    size where the number of integration steps changes."""
 
     def __init__(
         self, polygon: Polygon, deceleration: float, torque_factor: float, disk: RoundSlide

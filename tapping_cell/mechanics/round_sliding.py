@@ -23,7 +23,7 @@ class RoundSlide:
     m."""
 
     def __init__(self, table: SlideTable, deceleration: float, radius: float) -> None:
-        """Store the table and the units."""
+        """Store the table and the quantities that convert its values to SI units."""
         self.table = table
         self._deceleration = deceleration
         self._radius = radius

@@ -53,11 +53,12 @@ def paper_tap(mirrored: bool = False) -> Tap:
     """Return the tap with the aluminium disk, table and striker of sections 3.1, 4 and 5.1 of the
     paper.
 
-    Radius 48 mm, height 12 mm, 245.5 g, friction 0.17, torque factor 3.64, restitution 0.86. The
-    contact friction of 0.20 is derived from the paper's statement that 10 degrees over 10 mm is
-    three times the rotation that one tap can cause. The ball's radius and two impact constants are
-    fitted to the Jacobian. These constants hold for only one direction of rotation: the positive
-    one or, with ``mirrored``, the negative one.
+    The disk has a radius of 48 mm, a height of 12 mm and a mass of 245.5 g. The friction is 0.17,
+    the torque factor 3.64 and the restitution 0.86. The contact friction of 0.20 is derived from
+    the paper's statement that 10 degrees over 10 mm is three times the rotation that one tap can
+    cause. The ball's radius and two impact constants are fitted to the Jacobian. These constants
+    hold for only one direction of rotation: the positive one or, with ``mirrored``, the negative
+    one.
     """
     disk = Disk(radius=0.048, mass=0.2455, height=0.012)
     striker = Striker(mass=_STRIKER_MASS, tip_radius=0.0054, constraint="free")
@@ -92,6 +93,6 @@ def sensitivity(tap: Tap, displacement: ArrayLike) -> Sensitivity:
 
 
 def norm(jacobian: ArrayLike) -> Array:
-    """Compute the spectral norm (...,): the largest gain of an error vector, treating mm and
-    degrees alike."""
+    """Compute the spectral norm (...,): the largest gain of an error vector, with mm and degrees as
+    equivalent units."""
     return np.asarray(np.linalg.norm(np.asarray(jacobian), ord=2, axis=(-2, -1)))

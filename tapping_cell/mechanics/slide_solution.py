@@ -8,7 +8,8 @@ the larger of v and R omega, and tau the smaller divided by N. Then, in the regi
     distance = (v N / mu g) X(tau),  R rotation = (R omega N / mu g) Theta(tau),
     duration = (N / mu g) D(tau),
 
-where X, Theta and D obey the linear equations psi y' = a y - 1 with (translating, then spinning)
+where X, Theta and D obey the linear equations psi y' = a y - 1 with these coefficients in the
+translating regime (left) and in the spinning regime (right):
 
     psi     = tau (F - Lambda T / tau)            tau (Lambda T - F / tau)
     a_X     = 2 F                                 Lambda T + F / tau

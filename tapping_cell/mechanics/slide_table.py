@@ -267,9 +267,9 @@ class SlideTable:
         return value
 
     def _inverse_guess(self) -> Array:
-        """Compute the table of p as a function of the ratio of the travels, graded like tau:
-        coefficients of Hermite polynomials, first of the translating and then of the spinning
-        regime."""
+        """Compute the table of p as a function of the ratio of the travels, which is graded like
+        tau. Return the coefficients of Hermite polynomials, first of the translating and then of
+        the spinning regime."""
         p = _floats(np.linspace(0.0, 1.0, PIECES + 1))
         halves = []
         for half in range(2):

@@ -1,7 +1,7 @@
 """Compute how far a launched body slides and rotates, and the launch for a given displacement.
 
-The equations, with R the radius of the support, gamma = m R^2 / I, mu the friction with the table
-and kappa the torque factor of Huang and Mason (section 3.1.2):
+The equations are, with R the radius of the support, gamma = m R^2 / I, mu the friction with the
+table and kappa the torque factor of Huang and Mason (section 3.1.2):
 
     dv/dt = -mu g F,   d omega/dt = -kappa gamma (mu g / R) T.
 
@@ -39,11 +39,11 @@ class Sliding:
     a value that is not finite and positive.
 
     For a disk or a ring, the relative error of :meth:`rest` in distance, rotation and duration is
-    1e-9 at torque factors of 0.2 to 5 (the tests require 1e-8) and 2e-8 at torque factors of 0.05
-    to 20, for every combination of speed and spin. The reference is an integration with tight
-    tolerance. For a polygon the error is 1e-4, relative to a brute-force integration (the tests
-    require 1e-3). :meth:`launch` is the inverse of :meth:`rest`: exact up to rounding errors for
-    round bodies, accurate to 1e-11 for polygons.
+    1e-9 at torque factors of 0.2 to 5 (the tests require 1e-8). At torque factors of 0.05 to 20 it
+    is 2e-8. Both figures hold for every combination of speed and spin. The reference is an
+    integration with tight tolerance. For a polygon the error is 1e-4, relative to a brute-force
+    integration (the tests require 1e-3). :meth:`launch` is the inverse of :meth:`rest`: exact up to
+    rounding errors for round bodies, accurate to 1e-11 for polygons.
     """
 
     body: Body
@@ -78,8 +78,9 @@ class Sliding:
     def approximated(self) -> Sliding:
         """Return a copy in which a polygon slides like its equivalent disk.
 
-        The copy is much faster, with an error of 1 to 2 %. It is intended for planners, which
-        evaluate hundreds of taps per decision. A round body is unaffected.
+        The copy is much faster, with the errors given in :meth:`Polygon.equivalent_disk`. It is
+        intended for planners, which evaluate hundreds of taps per decision. A round body is
+        unaffected.
         """
         rough = copy.copy(self)
         object.__setattr__(rough, "_model", self._axisymmetric)
@@ -88,9 +89,9 @@ class Sliding:
     def tabulated(self) -> Sliding:
         """Return a copy that computes a polygon's slides from a table.
 
-        The copy is hundreds of times faster, with an error of 1e-3. The table of a new shape or
-        torque factor takes a second or two to create, and is cached. A round body's slides always
-        come from a table.
+        The copy is hundreds of times faster, with errors of 1e-3 of the displacement and 1e-2 of
+        the duration. The table of a new shape or torque factor takes a second or two to create, and
+        is cached. A round body's slides always come from a table.
         """
         if not isinstance(self.body, Polygon):
             return self

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# The mean converges quadratically: from a complementary modulus of 1e-12 in eight steps. One more
-# is made for safety.
+# The arithmetic-geometric mean converges quadratically. From a complementary modulus of 1e-12 it
+# takes eight steps; one more step is made for safety.
 _AGM_STEPS = 9
 _SMALLEST_COMPLEMENT = 1e-12
 

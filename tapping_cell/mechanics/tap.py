@@ -1,9 +1,9 @@
 """A whole tap (impact and slide): its outcome (``Tap.outcome``) and its inverse (``Tap.plan``).
 
 The body is launched along the impulse, so the desired launch determines the impulse's line of
-action. Its direction is that of the velocity, and its distance from the centre of mass is (I omega)
-/ (m v). The contact point is where that line enters the body, and the angle of the line from the
-contact normal must be within the friction cone. The striker's axis is the one for which Routh's
+action. This line has the direction of the velocity, and its distance from the centre of mass is (I
+omega) / (m v). The contact point is where the line enters the body, and the angle of the line from
+the contact normal must be within the friction cone. The striker's axis is the one for which Routh's
 method gives this impulse angle.
 """
 
@@ -395,8 +395,8 @@ def _rotate(vector: Array, angle: Array) -> Array:
 
 
 def _turn(planar: Array, angle: Array) -> Array:
-    """Rotate a twist or displacement (..., 3) by ``angle``; equivalent to axes rotated by
-    -angle."""
+    """Rotate a twist or displacement (..., 3) by ``angle``. The result is also its components in
+    axes rotated by -angle."""
     return np.concatenate([_rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
 
 

@@ -25,14 +25,15 @@ CHUNK = 160
 
 LEAST = 80
 """Minimum number of safe candidates in the first chunk, unless fewer are left. All candidates of a
-chunk are checked together. The minimum is doubled for each further chunk, because the computing
-time depends little on the number."""
+chunk are checked together. The minimum is doubled for each further chunk, because checking a chunk
+takes almost the same time whatever its size."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
-"""Function of poses (n, 3) and displacements (n, 3) that returns which of them are possible."""
+"""Function that returns which displacements (n, 3) of objects at poses (n, 3) are possible,
+(n,)."""
 
 Selection = Callable[[Array], NDArray[np.bool_]]
-"""Function of displacements (n, 3) from the present pose that returns which of them to keep."""
+"""Function that returns which displacements (n, 3) from the present pose to keep, (n,)."""
 
 
 def alternative_taps(
@@ -82,7 +83,7 @@ def alternative_taps(
             cost += visited.extra(made.after[part], cost)
         waiting = np.concatenate([waiting, part])
         waiting_cost = np.concatenate([waiting_cost, cost])
-        # Candidates are ready if none that is still unchecked can be better.
+        # A candidate is returned as soon as no unchecked candidate can be better.
         following = order[start : start + 1]
         ready = waiting_cost <= made.cost[following].min(initial=np.inf)
         rank = np.argsort(waiting_cost[ready], kind="stable")

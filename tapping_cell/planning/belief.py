@@ -1,10 +1,10 @@
 """A bank of Kalman filters that is robust to a wrong prior, to outliers and to lasting changes.
 
 Each filter of the bank starts from a prior of a different width (static multiple models: Magill,
-IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects. Thanks to the wide
-priors, the estimate for an object that differs greatly from the expected values needs only one
-additional measurement. A measurement may be an outlier (a bumped object, a striker that missed).
-Each filter weights measurements by the probability that they are valid (probabilistic data
+IEEE Trans. Automatic Control 10, 1965). The narrow prior suits most objects. For an object that
+differs greatly from the expected values, a filter with a wide prior gives a good estimate after
+only one additional measurement. A measurement may be an outlier (a bumped object, a striker that
+missed). Each filter weights measurements by the probability that they are valid (probabilistic data
 association: Bar-Shalom and Tse, Automatica 11, 1975). The true values may also change permanently.
 An additional filter, the candidate, assumes that the true values changed at the last measurement.
 If the next measurement agrees with the candidate, the candidate outweighs the other filters and
@@ -133,7 +133,7 @@ class Belief:
             slope: (..., numbers).
             measured: (...,). NaN means no measurement and leaves the estimate unchanged.
             share: (...,), standard deviation of a measurement relative to the true value.
-            floor: (...,), standard deviation of a measurement of 0.
+            floor: (...,), standard deviation of a measurement if the true value is 0.
         """
         h, y = np.asarray(slope, dtype=float), np.asarray(measured, dtype=float)
         known = np.isfinite(y)

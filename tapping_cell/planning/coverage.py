@@ -22,8 +22,8 @@ INWARD = math.radians(80.0)
 """Largest angle between an inward tap and the direction to the middle."""
 
 MIDDLE = 0.25
-"""Share of the working radius, near the middle, within which every direction counts as inward.
-There, it is sufficient that no gap between neighbouring directions of taps exceeds ``WIDEST_GAP``.
+"""Points within this share of the working radius are near the middle. There, every direction counts
+as inward, and no gap between neighbouring directions of taps may exceed ``WIDEST_GAP``.
 """
 
 WIDEST_GAP = math.radians(170.0)

@@ -8,9 +8,9 @@ after which the object is nearest to the goal, and the length that corrects the 
 improvement compares, in every state, the taps by the mean of W (see ``fixed_policy``) over the
 scatter. W is taken from the nearest point of a table that also has points halfway between the grid
 points. The state after a tap is therefore an index, which is computed only once per grid. Between
-improvements, sweeps with a sparse transition matrix, based on linear interpolation, evaluate the
-policy. A coarse grid is solved first and initialises the fine grid, which compares only the taps
-that are promising on the coarse grid.
+improvements, the policy is evaluated by sweeps with a sparse transition matrix of linear
+interpolation weights. A coarse grid is solved first and initialises the fine grid, which compares
+only the taps that are promising on the coarse grid.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ LENGTHS = (8, 12)
 and on the finer ones."""
 
 OUTER = 0.020
-"""Distance outside the working area, m, up to which states are solved, for objects that left the
-area."""
+"""States are solved up to this distance outside the working area, m, because an object may leave
+the area."""
 
 POINTS = (4, 8)
 """Number of equally likely points that represent a tap's scatter while solving: on the coarse grid
@@ -79,7 +79,8 @@ AROUND = (0.93, 1.07)
 """Multiples of the best length that are tried as well."""
 
 CHUNK = 200_000
-"""Number of states after taps computed per batch, so that a batch fits in the processor's cache."""
+"""Number of end states of taps that are computed per batch, so that a batch fits in the processor's
+cache."""
 
 PER_HALF_STEP = 6
 """Resolution of the index table of an axis: number of entries per half of the grid's smallest
@@ -131,8 +132,8 @@ def _solve_on(problem: _Problem, improvements: int, start: Solution | None) -> S
 
 
 class _Axis:
-    """Lookup table for the nearest point or half point of an axis, ten times as fast as a
-    logarithm.
+    """Lookup table for the points of one axis, including the points halfway between grid points: it
+    finds the nearest one, ten times as fast as a logarithm.
 
     ``stride``: stride of the axis in the flat value table. Coordinates beyond the axis have the
     index ``beyond``.

@@ -1,10 +1,12 @@
 """Expected number of taps to a goal with fixed tappers, on a grid over the object's (x, y, theta).
 
 A state is the object's error relative to one goal. Each goal is solved separately, because the
-object's position on the table determines which tappers can hit it and how. The grid is graded: its steps are uniform near the goal and then grow in
-proportion to the distance from it, up to a largest step. The step is limited because the expected
-number of taps is interpolated between grid points: if a single tap cannot move the object by one
-step, the result is far too high. The cell of a state is found without a search.
+object's position on the table determines which tappers can hit it and how.
+
+The grid is graded: its steps are uniform near the goal and then grow in proportion to the distance
+from it, up to a largest step. The step is limited because the expected number of taps is
+interpolated between grid points: if a single tap cannot move the object by one step, the result is
+far too high. The cell of a state is found without a search.
 
 W is the least expected number of taps if at least one more tap must be made. The cost inside the
 stopping box is 0. If the objective is time, W is the least expected time, in units of

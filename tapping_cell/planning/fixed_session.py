@@ -56,13 +56,13 @@ POINTS = 24
 """Number of equally likely points that represent the scatter in a decision."""
 
 DEVIATIONS = 3.0
-"""Size of the uncertainty bound, in standard deviations, within which a slide must stay on the
-table and off the keep-outs."""
+"""Number of standard deviations by which a slide may deviate from the prediction and must still
+stay on the table and off the keep-outs."""
 
 RETRIEVABLE = 1.5
-"""Size of the uncertainty bound, in standard deviations, within which another tap must be able to
-bring the object back. For an object that was never tapped, the upper bound of a slide is then 1.4
-times the slide predicted from its file."""
+"""Number of standard deviations by which a slide may deviate from the prediction and must still end
+where another tap can bring the object back. For an object that was never tapped, the upper bound of
+a slide is then 1.4 times the slide predicted from its file."""
 
 WAY = np.linspace(0.25, 1.0, 4)
 """Fractions of a slide at which the object's distance to the keep-outs is checked."""

@@ -30,7 +30,7 @@ STEEPEST = math.radians(60.0)
 make it graze or miss the object."""
 
 STROKE_MARGIN = 0.003
-"""Minimum remaining stroke at the contact, m."""
+"""Minimum stroke that must remain when the tip touches the object, m."""
 
 BESIDES_FLIGHT_S = 0.40
 """Mean time of a tap, s, that is not the striker's flight to the object: the messages to the board,

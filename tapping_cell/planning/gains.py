@@ -11,9 +11,9 @@ frame. o is an offset with two components, for an object whose centre of mass or
 at its middle: the rotation per distance (rad/m) that a tap through the middle causes. An error of
 the friction coefficient changes distance and rotation by the same factor. The rotation is therefore
 divided by the measured distance, so that G describes only the torque of the friction. Each estimate
-is a ``Belief``. Its prior is a mixture of a narrow distribution, for an accurate object file, and
-wide ones. Measurements are weighted by the tap's scatter and the camera's noise, and outliers are
-distinguished from lasting changes.
+is a ``Belief``. The prior of each belief is a mixture of a narrow distribution, for an accurate
+object file, and wide ones. Measurements are weighted by the tap's scatter and the camera's noise,
+and outliers are distinguished from lasting changes.
 """
 
 from __future__ import annotations
@@ -47,8 +47,9 @@ DISTANCE = Prior(
     change=1,
     span=4.0,
 )
-"""Prior of ln(distance gain), a mixture: a standard deviation of 4 % for an object that matches its
-file, and one that allows for a friction that differs from the file by a factor of up to 4."""
+"""Prior of ln(distance gain): a mixture of a narrow distribution (standard deviation 4 %) for an
+object that matches its file and a wide one for a friction that differs from the file by a factor of
+up to 4."""
 
 ROTATION = Prior(
     weight=np.array([0.60, 0.20, 0.12, 0.08]),
@@ -59,8 +60,8 @@ ROTATION = Prior(
     change=3,
     span=20.0,
 )
-"""Prior of (G, o): a mixture for an object that matches its file, one whose G is within a factor of
-3, one with an offset, and one with both deviations."""
+"""Prior of (G, o): a mixture of four distributions, for an object that matches its file, for one
+whose G differs by a factor of up to 3, for one with an offset, and for one with both deviations."""
 
 DIRECTION = Prior(
     weight=np.array([0.85, 0.15]),
@@ -83,7 +84,8 @@ MIN_MOVE = 1e-6
 """Length, m, below which a displacement counts as zero."""
 
 UNEXPLAINED = 0.5
-"""Probability of being a valid measurement below which a tap is an outlier."""
+"""A tap counts as an outlier if its probability of being a valid measurement is below this
+value."""
 
 
 _ONE_DEVIATION = (float(ndtr(-1.0)), float(ndtr(1.0)))

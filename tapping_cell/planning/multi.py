@@ -9,9 +9,9 @@ cone of a tap,
 
     h_i(r) = largest over taps d of  H + (1 - s) min(k |d|, H / s),   H = h_(i-1)(|r - d|)
 
-so that the far end of the line stays below H and its near end above -H. The paper's task takes five
-taps with error lines of 60 %, and two taps with 30 %. These numbers are guaranteed as long as the
-errors stay within the lines.
+so that the rotation that remains after the tap is between -H and H at both ends of the error line.
+The paper's task takes five taps with error lines of 60 %, and two taps with 30 %. These numbers are
+guaranteed as long as the errors stay within the lines.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ ERROR_LINE = 0.6
 task takes five taps."""
 
 AIM = 0.3
-"""Share of the box's distance: the last tap must aim within this distance from the goal."""
+"""The last tap must aim at a place whose distance from the goal is at most this share of the box's
+half width."""
 
 FARTHEST = 1.0
 """Distance in m up to which cones are chained."""
@@ -44,8 +45,8 @@ ROWS = 2048
 
 
 class MultiPlanner:
-    """Planner whose taps lead to a lower cone, with fewer remaining taps, for all errors on the
-    error line.
+    """Planner whose taps lead to a cone with a lower number, and thus with fewer remaining taps,
+    for all errors on the error line.
 
     Among the taps with this guarantee it chooses the tap whose expected end is in the lowest cone;
     if there are several, it chooses the shortest.

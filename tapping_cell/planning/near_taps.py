@@ -87,7 +87,8 @@ def best_first(
 ) -> Array:
     """Return the possible taps in the order of their expected times, (m, 3).
 
-    If the arm cannot tap directly to the goal afterwards, a tap's cost is up to one tap higher.
+    After some taps the arm or the tool cannot make the tap straight to the goal. The cost of such a
+    tap is increased by the probability that the straight tap would be the next one.
 
     ``space``: strike space; ``times``: durations of the arm's motions; ``tip``: pose of the arm's
     tip, x, y, height, yaw in `table`. The other arguments are as for ``near_taps``.

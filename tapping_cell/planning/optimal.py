@@ -86,9 +86,9 @@ class OptimalPolicy:
 class OptimalPlanner:
     """The optimal method: its plan is loaded from the cache, or solved now or in the background.
 
-    While a plan is solved in the background, ``fallback`` (by default exact two-tap plans) is used
-    until the plan on the coarse grid is ready, and that plan until the plan on the fine grid is
-    ready. ``name`` contains the method in use.
+    While a plan is solved in the background, the taps come from ``fallback`` (by default exact
+    two-tap plans), then from the plan on the coarse grid as soon as it is ready, and finally from
+    the plan on the fine grid. ``name`` contains the method in use.
     """
 
     def __init__(

@@ -16,8 +16,9 @@ tap away from the goal."""
 
 
 def smallest_tap_share(settings: PlannerSettings) -> float:
-    """Compute the share of the smallest taps that end in the stopping box if the object's distance
-    from the goal is exactly the length of the tap and the tap points straight towards the goal."""
+    """Compute the share of the smallest taps that end in the stopping box under the best
+    conditions: the object's distance from the goal is exactly the length of the tap, and the tap
+    points straight towards the goal."""
     least, scatter, camera = settings.smallest_distance, settings.scatter, settings.camera
     # Two observations contribute noise: one for aiming the tap and one for judging its result.
     camera_noise = 2.0 * camera.position**2
@@ -47,7 +48,8 @@ def precision_limit(settings: PlannerSettings) -> str:
         f"the tolerance of {1e3 * settings.tolerance_position:.3g} mm and "
         f"{math.degrees(settings.tolerance_angle):.3g} degrees is too fine for the smallest tap: "
         f"a tap of {1e3 * least:.3g} mm scatters by {1e3 * along:.2g} mm along and "
-        f"{1e3 * across:.2g} mm across its direction{turned}, so that only {100.0 * share:.2g} % of "
-        f"such taps would end within the tolerance; {100.0 * MIN_SHARE:.0f} % are needed. Widen the "
-        "tolerance, or make smaller or more repeatable taps (smallest_tap and scatter of the object's file)"
+        f"{1e3 * across:.2g} mm across its direction{turned}, so that only {100.0 * share:.2g} % "
+        f"of such taps would end within the tolerance; {100.0 * MIN_SHARE:.0f} % are needed. Widen "
+        "the tolerance, or make smaller or more repeatable taps (smallest_tap and scatter of the "
+        "object's file)"
     )

@@ -37,7 +37,7 @@ MISSED = 0.1
 """A tap has missed if it moved the object by less than this share of the expected distance."""
 
 ELSEWHERE = math.radians(20.0)
-"""Minimum change of direction after a miss, because the same tap would miss again."""
+"""Minimum change of the tap's direction after a miss, because the same tap would miss again."""
 
 WORTH_OBSERVING = 0.02
 """Minimum probability of being within the tolerance for requesting a longer observation."""
@@ -57,8 +57,8 @@ JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
 """Criteria (number of taps, probability) for refusing an object that does not rotate. After this
 number of taps that are not outliers, the object is refused if its rotation gain is below the least
 gain with this probability. The second criterion is weaker, because further taps hardly improve the
-estimate of a gain slightly below the least gain. Without it, such a goal would end only at the
-maximum number of taps."""
+estimate of a gain slightly below the least gain. Without it, a run with such an object would end
+only at the maximum number of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
@@ -154,7 +154,8 @@ class GoalSession(ABC):
 
     @property
     def ready(self) -> bool:
-        """True if a decision can be made, that is, if any required solution is available."""
+        """True if a decision can be made. A session that requires a solution is ready once it is
+        available."""
         return True
 
     @abstractmethod

@@ -5,8 +5,8 @@ cell stops only if the probability that the true pose is within the tolerance is
 ``CONFIDENCE``. A lower bound of this probability is used: the integral of the observation's normal
 distribution over the circle of the position tolerance, minus the probability that the rotation is
 outside its tolerance (Bonferroni's bound, which does not assume independence). For an observation
-at the edge of the tolerance the probability is about one half. Then a longer observation may
-confirm the goal; if it does not, the object is tapped again.
+at the edge of the tolerance the probability is about one half. In this case a longer observation
+may confirm the goal; if it does not, the object is tapped again.
 
 Plans are made for a stopping box. On each axis, its half width is the tolerance minus ``MARGIN``
 standard deviations of a long observation.
@@ -32,7 +32,8 @@ MARGIN = 2.5758293035489004
 LONG_OBSERVATION = 9
 """Number of nominal observations that are fused in a long observation. An observation takes much
 less time than a tap. With a tolerance of 0.1 mm and 0.1 degrees, and noise of a tenth of that,
-fusing 9 instead of 4 nominal observations saves 0.25 taps and costs 0.6 more observations."""
+fusing 9 instead of 4 nominal observations saves 0.25 taps per run and costs 0.6 more
+observations."""
 
 SMALLEST_SHARE = 0.25
 """Smallest box as a share of the tolerance; a smaller box would need too many taps."""
@@ -41,9 +42,9 @@ _REACH = 6.0
 """Number of standard deviations beyond which a normal distribution is neglected."""
 
 _NODES, _ROUND_NODES = 241, 41
-"""Numbers of quadrature nodes. An isotropic position covariance needs fewer nodes, because the
-integration can then run in any direction. At a right angle to the residual, the integrand changes
-slowly. Both numbers give an accuracy of 1e-8 (tested)."""
+"""Numbers of quadrature nodes for any position covariance and for an isotropic one. An isotropic
+covariance needs fewer nodes: the integration can then run at a right angle to the residual, where
+the integrand changes slowly. Both numbers give an accuracy of 1e-8 (tested)."""
 
 
 class StoppingBox(NamedTuple):

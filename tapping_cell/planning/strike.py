@@ -26,8 +26,8 @@ from tapping_cell.se2 import Pose, transform_points
 BoolArray = NDArray[np.bool_]
 
 ArmReach = Callable[[Array], BoolArray]
-"""Function that returns which tip poses, (..., 3) in `table`, the arm can reach: (...,) or, with
-one column per elbow side, (..., sides)."""
+"""Function that returns which tip poses (..., 3) in `table` the arm can reach. The result has the
+shape (...,) or, if it is given for each elbow side, (..., sides)."""
 
 OUTLINE_POINTS = 72
 PATH_POINTS = 12
@@ -231,9 +231,9 @@ class StrikeSpace:
         )
 
     def strike_poses(self, object_pose: Array, displacements: Array) -> tuple[BoolArray, Array]:
-        """Return which displacements (n, 3) are possible with some contact, (n,), and the poses of
-        the tip at rest for them, (n, 3), NaN for the others. Reach and clearance are not checked
-        here."""
+        """Return which displacements (n, 3) are possible with some contact, (n,), and the poses (n,
+        3) of the tip at rest for these displacements; NaN for the impossible ones. Reach and
+        clearance are not checked here."""
         possible = np.asarray(self.tap.reachable(displacements, object_pose))
         poses = np.full(displacements.shape, math.nan)
         if np.any(possible):

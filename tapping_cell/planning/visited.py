@@ -43,8 +43,8 @@ class VisitedPoses:
         self._costs = np.append(self._costs, cost)
 
     def extra(self, poses: Array, cost: Array) -> Array:
-        """Return by how many taps the costs stored for poses near these poses (n, 3) exceed the
-        estimates ``cost`` (n,)."""
+        """Return, for poses (n, 3) with the estimated costs ``cost`` (n,), by how many taps the
+        costs stored for visited poses nearby exceed these estimates, (n,)."""
         if not self._costs.size:
             return np.zeros(cost.shape)
         apart = poses[:, None, :] - self._poses

@@ -25,7 +25,8 @@ class AmongOthers:
         self._paths: dict[tuple[FreeSpace, frozenset[CircleArea], float, float], PathLengths] = {}
 
     def map(self, body: Body, others: Iterable[CircleArea]) -> FreeSpace:
-        """Return the map of tappable places of an object if these areas are occupied."""
+        """Return the map of an object's tappable places on a table on which these areas are
+        occupied."""
         areas = frozenset(others)
         key = (body.free, areas)
         if key not in self._maps:

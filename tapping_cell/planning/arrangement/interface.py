@@ -51,8 +51,8 @@ class Purpose(Enum):
 class Move:
     """Move of one object to a target by one or more taps.
 
-    reason: why this move is made now, as text for messages. blocked: name of the object that it
-    makes way for, or empty.
+    reason: why this move is made now, as text for messages. blocked: name of the object for which
+    the moved object makes way, or empty.
     """
 
     name: str

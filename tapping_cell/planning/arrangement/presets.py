@@ -16,7 +16,8 @@ from tapping_cell.se2 import Pose
 PRESETS = ("line", "circle", "grid", "swap")
 
 PRESET_GAP = 0.040
-"""Gap between the bounding circles of neighbouring objects, m; the tool needs about this much."""
+"""Gap between the bounding circles of neighbouring objects, m. The tool needs a gap of about this
+size."""
 
 
 def preset_goals(

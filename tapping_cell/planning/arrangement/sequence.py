@@ -38,8 +38,9 @@ needed because taps may end beside the buffer place."""
 BUFFERS_TRIED = 12
 
 TOOL_CLEARANCE = 0.10
-"""Gap between a buffer place and an unfinished goal, m, below which an object there obstructs taps
-at the goal. The tool needs this space, and a polygon can be tapped along only a few lines."""
+"""Gap between a buffer place and an unfinished goal, m, below which an object at the buffer place
+obstructs taps at the goal. The tool needs this space, and a polygon can be tapped along only a few
+lines."""
 
 CROWDING_COST = 2.0
 """Extra cost, in taps, of a buffer place directly beside an unfinished goal."""
@@ -49,9 +50,9 @@ CLOSEST = 3
 possible."""
 
 AGAIN = 1.0
-"""Extra cost, in taps, of moving an object out of the way, for each time that it was moved out of
-the way before: these moves did not help enough. Close to an earlier buffer place the extra cost is
-doubled."""
+"""Extra cost, in taps, of moving an object out of the way, for each time that it has already been
+moved out of the way, because those moves did not help enough. Close to an earlier buffer place the
+extra cost is doubled."""
 
 NARROW = 0.03
 """Gap to another object, m, below which a buffer place has an extra cost of up to one tap."""
@@ -233,8 +234,8 @@ class SequencePlanner:
         if not any(gap(area, blocked.area(blocked.goal)) < _margin(blocked) for area in areas):
             path = self._maps.path(blocked, areas, poses[blocked.name], blocked.goal)
             return math.isfinite(path) and self._maps.fits(blocked, areas, blocked.goal)
-        # Other objects occupy the goal as well, so the move alone does not open it. It helps if
-        # this object occupies part of the goal.
+        # Other objects occupy the goal as well, so the move alone does not open it. The move helps
+        # if ``body`` occupies part of the goal.
         before = gap(body.area(scene.poses[body.name]), blocked.area(blocked.goal))
         return before < _margin(blocked)
 

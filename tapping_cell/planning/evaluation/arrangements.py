@@ -1,10 +1,10 @@
 """Trials with several objects on one table: random scenes with ground truth.
 
-Objects slide in straight lines, as tapped objects do (see the section on sliding in the
-documentation of the mechanics). If an object hits another object, the impact is inelastic: along
-the normal, both continue with the velocity of their common centre of mass, and each slides a
-distance proportional to the square of its speed. A trial counts every such contact and every strike
-whose tool would have touched another object.
+Objects slide in straight lines, as tapped objects do (see ``docs/mechanics.md``, section Sliding).
+If an object hits another object, the impact is inelastic: along the normal, both continue with the
+velocity of their common centre of mass, and each slides a distance proportional to the square of
+its speed. A trial counts every such contact and every strike whose tool would have touched another
+object.
 """
 
 from __future__ import annotations
@@ -184,7 +184,8 @@ def arrange(
     gains: Array,
     rng: np.random.Generator,
 ) -> ArrangementTrial:
-    """Run a trial from these start poses; ``gains``: true gains of the objects, (n, 4)."""
+    """Run a trial from these start poses; ``gains``: true gains of the objects (see
+    ``_draw_gains``)."""
     maps = AmongOthers()
     limit = task.most_taps * len(bodies)
     session = ArrangementSession(

@@ -12,7 +12,8 @@ from tapping_cell.planning.interface import Array, Planner
 def fan_of_runs(
     planner: Planner, goal: tuple[float, float], count: int, seed: int, most_taps: int = 20
 ) -> list[Array]:
-    """Simulate runs from (0, 0) to ``goal`` = (distance in m, rotation in rad), each (taps + 1, 2).
+    """Simulate runs from (0, 0) to ``goal`` = (distance in m, rotation in rad); return the states
+    of each run, (taps + 1, 2).
 
     The camera has no noise, and taps have the scatter that the planner assumes. The first
     coordinate is the object's position along the line from the start to the goal; sideways drift is

@@ -28,8 +28,8 @@ MISSED = 0.1
 """A tap has missed if it moved the object by less than this share of the expected distance."""
 
 ASIDE = math.radians(30.0)
-"""Maximum random change of the next tap's direction after a miss, because the same tap would miss
-again."""
+"""After a miss, the direction of the next tap is changed by a random angle of up to this value,
+because the same tap would miss again."""
 
 
 def run_open_trials(

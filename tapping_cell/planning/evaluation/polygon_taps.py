@@ -1,4 +1,4 @@
-"""Vectorised choice of taps on polygons. A tap that is impossible with every contact is replaced by
+"""Vectorised choice of taps on polygons. A tap that no contact of the polygon allows is replaced by
 an alternative."""
 
 from __future__ import annotations

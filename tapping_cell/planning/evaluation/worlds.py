@@ -30,8 +30,8 @@ class AbstractWorld:
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of commanded taps, for true poses (n, 3), measured poses
-        ``seen`` (n, 3) and true gains (n, 4)."""
+        """Return the true displacements (n, 3) of commanded taps, for true poses (n, 3), measured
+        poses ``seen`` (n, 3) and true gains (n, 4)."""
         return scattered(commanded, gains, poses, self.scatter, rng)
 
 
@@ -65,8 +65,8 @@ class PhysicsWorld:
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of taps that are planned for the measured poses ``seen``
-        (n, 3)."""
+        """Return the true displacements (n, 3) of taps that are planned for the measured poses
+        ``seen`` (n, 3)."""
         plan = self.model.plan(commanded, seen)
         tips = tips_at_rest(plan.strike_pose, self.standoff, self.round_position, self.round_angle)
         moved = self.truth.outcome(poses, tips, self.speed_factor * plan.striker_speed)
@@ -116,8 +116,8 @@ class World(Protocol):
         gains: Array,
         rng: np.random.Generator,
     ) -> Array:
-        """True displacements (n, 3) of commanded taps, for true poses (n, 3), measured poses
-        ``seen`` (n, 3) and true gains (n, 4)."""
+        """Return the true displacements (n, 3) of commanded taps, for true poses (n, 3), measured
+        poses ``seen`` (n, 3) and true gains (n, 4)."""
 
 
 START_REACH = 0.1
