@@ -218,7 +218,7 @@ def _section_tables(kind: type, prefix: str, title: str, written: dict[type, str
             f"| {shown} | {_escaped(meaning)} |\n"
         )
     for name, held in inner:
-        first = (inspect.getdoc(held) or "").splitlines()[0]
+        first = (inspect.getdoc(held) or "").split("\n\n")[0].replace("\n", " ")
         yield f"\n### `{name}` ({title.lower()})\n\n{first}\n"
         yield from _section_tables(held, f"{name}.", title, written)
 
