@@ -35,9 +35,10 @@ GOALS_A_WORLD = 10
 TASKS = (0.040, math.radians(20.0))
 CAMERA = CameraNoise(0.00005, math.radians(0.05))
 SPREADS = {"as the file": (1.0, 1.0), "within 2": (2.0, 2.0), "within 4 and 2.5": (4.0, 2.5)}
-"""For each group of random worlds, the largest ratios of true to configured friction and torque
-factor. The ratios are log-uniform between this value and its inverse. In the first group both
-ratios are 1, so it shows how many taps the other effects cost."""
+"""For each group of random worlds, the largest ratio of true to configured friction, and the
+largest ratio of true to configured torque factor. Each ratio is drawn log-uniformly between the
+inverse of its largest value and this value. In the first group both ratios are 1, so this group
+shows how many additional taps are due to the other effects."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:

@@ -121,8 +121,8 @@ def _figures(rows: list[tuple[float, float, float]]) -> dict[str, float]:
 def _methods(
     view: View, marker: ObjectMarker
 ) -> dict[str, Callable[[np.ndarray, np.ndarray], Pose]]:
-    """Return functions that measure a pose, given the image and the true pose. Some of them search
-    only near the true pose."""
+    """Return functions by name. Each one measures the pose in an image. Its second argument is the
+    true pose; functions that search only near a predicted pose derive the prediction from it."""
     pixel = float(view.pose.translation[2]) / view.camera.fx
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     template = make_template(marker, pixel, USUAL_BLUR * pixel)

@@ -71,8 +71,8 @@ def miscalibrated(
 ) -> tuple[CameraModel, ReferenceMap]:
     """Return camera and table files with random errors. The errors of the lens are ``lens`` times
     the standard deviations that OpenCV's calibration reports for twenty views. The reference
-    markers are displaced by ``misprint`` m and rotated so that their corners move by half of
-    that."""
+    markers have random displacements with a standard deviation of ``misprint`` m. They are also
+    rotated, and the rotation moves their corners by half of ``misprint``."""
     n = lens * random.standard_normal(8)
     known = cell.camera
     wrong = np.array([0.0015 * n[4], 0.004 * n[5], 1.2e-4 * n[6], 1.2e-4 * n[7], 0.0])
