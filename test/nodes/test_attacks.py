@@ -77,8 +77,8 @@ class Cell:
         self.commands = self.node.create_publisher(TapCommand, "tap_command", COMMAND)
         self.tap_id = int(time.time())
         self.last = TapCommand()
-        # A motion begins when its bytes reach the arm's controller. Polling would miss some motions
-        # and see others only after the state has changed.
+        # Observe the bytes that reach the arm's controller, because a motion begins with them.
+        # Polling would miss some motions and see others only after the state has changed.
         self._receive = self.mechanics.receive
         self.mechanics.receive = self._watch
 

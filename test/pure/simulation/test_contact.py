@@ -79,7 +79,7 @@ def test_a_free_striker_launches_a_round_body_as_in_the_closed_form(
         speed, incidence, (-body.bounding_radius, 0.0)
     )
     size = float(np.hypot(*closed.velocity))
-    # The contact point moves along the edge during the contact.
+    # The contact point moves along the edge during the contact, which the closed form neglects.
     way = speed * law.contact_time / body.bounding_radius
     off = (0.005 + 3 * way) * size
     assert math.hypot(motion.vx, motion.vy) == pytest.approx(size, abs=off)
