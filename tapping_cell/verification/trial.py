@@ -744,7 +744,8 @@ class Trial:
         )
 
     def _place_by_hand(self, pose: Pose) -> None:
-        """Put the object at a pose, or at the edge of the central area of the table."""
+        """Put the object at a pose. A position outside the central area of the table is moved to
+        the edge of this area."""
         x, y = float(np.clip(pose.x, -0.2, 0.2)), float(np.clip(pose.y, -0.13, 0.13))
         self.physical.world.place(Pose(x, y, pose.theta))
 

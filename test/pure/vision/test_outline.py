@@ -215,8 +215,8 @@ def test_the_normalised_error_matches_the_covariance(outline):
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
 def test_no_rim_is_fitted_where_none_is_possible(outline):
-    """The comparison of the grey levels accepts a pose a few pixels from the true one, but refuses a
-    pose on the empty table."""
+    """The comparison of the grey levels accepts a pose a few pixels from the true one, but refuses
+    a pose on the empty table."""
     shown = scene(outline, noise=4.0, light_falloff=0.67)
     random = np.random.default_rng(7)
     pixel = 0.7 / CAMERA.fx
