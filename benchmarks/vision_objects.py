@@ -47,7 +47,7 @@ ARM_SCENES, EACH_SCENE = 5, 5
 """Number of images of the arm in multiples of ``count``, and number of consecutive images with the
 same light."""
 AWAY = np.array([5.0, 5.0, 0.0])
-"""Pose of the scene's disk out of view."""
+"""Pose at which the scene's disk is out of view."""
 
 
 def measure(count: int) -> dict[str, Any]:

@@ -564,8 +564,9 @@ class Trial:
         self.network.publish("program", "tap_command", command, only="scara_arm")
 
     def _program_tap(self) -> TapCommand | None:
-        """Return a copy of the last tap command for the observed pose of the object; None if the
-        object is not seen at rest."""
+        """Return a tap command of another program: a copy of the last tap command, moved to the
+        observed pose of the object. Return None if no tap was commanded before, or if the object is
+        not seen at rest."""
         last = max(self.checker.commands, default=0)
         seen = self._last("object_state")
         if not last or seen is None or not (seen.visible and seen.at_rest):
