@@ -221,7 +221,7 @@ def _attack(port: int, hello: bytes, messages: list[bytes], sent: Any) -> None:
                 with sent.get_lock():
                     sent.value += BATCH
             except BlockingIOError:
-                continue  # the server defends itself by not reading
+                continue  # the server has stopped reading, which protects it
             except OSError:
                 if line is not None:
                     line.close()

@@ -131,8 +131,9 @@ class _Problem:
             self.p_r.append(self._after(r, size, direction))
 
     def _after(self, r: float, size: Array, direction: Array) -> tuple[Array, Array]:
-        """Return, for taps (n,) from distance ``r``, the probabilities of the resulting distances
-        and the probability of ending inside the stopping box."""
+        """Return two arrays with a row for each of the n taps from distance ``r``: the expected
+        interpolation weights of the grid's distances after the tap, and the part of these weights
+        that is due to distances inside the stopping box."""
         scatter, measurement = self.settings.scatter, 2.0 * self.settings.camera.position**2
         floor = MIN_DEVIATION * self.settings.stopping.distance
         along = np.sqrt((scatter.distance * size) ** 2 + measurement + floor**2)[:, None]

@@ -107,7 +107,7 @@ def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthF
 
 
 def run_world(truth: TruthFile, goals: int, seed: int, probe: bool = False) -> Results:
-    """Run goals in one world, each without earlier learning."""
+    """Run goals in one world. Before each goal, the planner forgets what it has learnt."""
     cell = load_cell()
     tap = make_tap(cell)
     settings = replace(PlannerSettings.for_tap(tap), camera=CAMERA)

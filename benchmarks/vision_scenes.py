@@ -43,9 +43,9 @@ class Cell:
 def random_scene(
     random: np.random.Generator, cell: Cell, seed: int, turn: float = 0.0
 ) -> SceneRenderer:
-    """Return a random scene: the camera is tilted by up to 5 degrees, the noise is 2 to 4 grey
-    levels, and the brightness decreases from one side of the table to the other by up to two
-    thirds. The camera is also turned by ``turn`` rad about its x axis."""
+    """Return a random scene. The camera is tilted by up to 5 degrees, and also turned by ``turn``
+    rad about its x axis. The noise is 2 to 4 grey levels. The brightness decreases from one side of
+    the table to the other by up to two thirds."""
     settings = SceneSettings(
         noise=random.uniform(2.0, 4.0),
         light_falloff=random.uniform(0.0, 0.67),

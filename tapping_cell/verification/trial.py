@@ -328,7 +328,8 @@ class Trial:
         return self.physical.arm_line, self.physical.tapper_line
 
     def _busy_lines(self) -> tuple[SerialLine, ...]:
-        """Return lines that another process uses and that cannot be opened, for ``_programs``."""
+        """Return the lines for ``_programs`` of a second instance of a node. They cannot be opened,
+        because the first instance uses them."""
         physical = self.physical
         return (
             BusyLine(self.scheduler, physical.arm_line.layer, "arm"),

@@ -29,7 +29,7 @@ class LinkFaults:
     silent: bool = False
     """Whether no joint states are received."""
     lost_trajectories: int = 0
-    """Number of future trajectories that will be lost."""
+    """Number of trajectories, beginning with the next one, that are lost."""
     late: float = 0.0
     """Delay of the joint states after their measurement, s."""
     ahead: float = 0.0

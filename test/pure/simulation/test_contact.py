@@ -108,7 +108,8 @@ def test_an_off_centre_contact_matches_the_impact_with_energetic_restitution(
     constraint: Literal["free", "linear_bearings"],
 ) -> None:
     """The reference integrates the same impact over small steps of the normal impulse (Stronge
-    1990), until the work of the normal force in restitution is e^2 of that in compression."""
+    1990). It ends when the normal force has done e^2 times as much work in restitution as in
+    compression."""
     striker = Striker(0.1, 0.0054, constraint)
     law = ContactLaw(restitution, friction, 5e-5)
     motion, _, _ = collided(SQUARE, striker, law, along, incidence, 0.3)

@@ -1,4 +1,5 @@
-"""The covariance compared with many random calibrations: corners by projection, without images."""
+"""The covariance is compared with the errors for many random calibrations. The corners are
+projected; no images are rendered."""
 
 from __future__ import annotations
 
