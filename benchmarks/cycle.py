@@ -72,8 +72,8 @@ class Tap:
     done: float = math.nan
 
     def activities(self) -> dict[str, float]:
-        """Return the durations in s of ``ACTIVITIES`` (consecutive) and ``BESIDES``
-        (simultaneous)."""
+        """Return durations in s, by name: those of the consecutive activities (``ACTIVITIES``) and
+        those of the activities that overlap with them (``BESIDES``)."""
         ready = max(self.in_position, self.charged)
         return {
             "travel": self.above - self.commanded,

@@ -188,7 +188,8 @@ def _against_solve_ivp(sliding: Sliding, forward_per_s: float) -> dict:
 
 
 def _solve(speed: float, spin: float, kappa: float, tolerance: float) -> tuple[float, float]:
-    """Integrate distance and rotation by ``solve_ivp``, with the textbook formulas in K and E.
+    """Integrate distance and rotation with ``solve_ivp`` and the textbook formulas, which contain
+    the complete elliptic integrals K and E.
 
     The integration variable is the logarithm of the speed, so that the solution is smooth at the
     end of the slide. The integration ends at 1e-7 of the initial speed; the omitted distance is

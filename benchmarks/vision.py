@@ -216,9 +216,9 @@ def _pupil(
         part, origin = _cut(image, region, true)
         for found in detector.detect(part):
             if found.tag_id == marker.id:
-                # The corners are counter-clockwise from the bottom left of the tag as printed by
-                # AprilRobotics, which is upside down compared with OpenCV's tag. In this library,
-                # integer coordinates are the corners of pixels, not their centres.
+                # The corners are in counter-clockwise order, from the bottom left of the tag as
+                # AprilRobotics prints it. OpenCV prints the tag upside down. In the AprilTag
+                # library, integer coordinates are the corners of pixels, not their centres.
                 corners = found.corners + origin - 0.5
                 poses = [
                     pose_of_corners(view, np.roll(corners[::-1], shift, axis=0), marker)
