@@ -2,9 +2,9 @@
 
 Each controller is connected and homed. Then it makes random moves, and the reported positions are
 compared with the true joint positions. Afterwards, stops, disconnected cables, alarms, restarts and
-the other faults of ``controller_trials`` are injected at random times. A trial passes if the
-reported reason and message and the arm's position are correct, and if the arm, homed again, moves
-exactly to its goal.
+the other faults of ``controller_trials`` are injected at random times. A trial passes if the driver
+reports the correct reason and message, if the arm's position is correct, and if the arm moves
+exactly to its goal after it was homed again.
 """
 
 from __future__ import annotations

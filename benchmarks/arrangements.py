@@ -5,8 +5,8 @@ a radius of 25 mm whose goals form a grid. The trials use the scatter from the p
 errors of 5 % in distance and 15 % in rotation, and a camera with 0.1 mm and 0.1 degrees of noise.
 The ground truth of every pose and every contact is recorded.
 
-Every scene is stored when it ends, so that an interrupted run can be resumed. Scenes that were run
-with another version of the planner are not used.
+Every scene is stored when it ends, so that an interrupted run can be resumed. Stored scenes of
+another version of the planner are not used; these scenes are run again.
 """
 
 from __future__ import annotations
@@ -46,12 +46,13 @@ DRAWN = ("history", "goals", "outlines", "table")
 """Fields of a trial that are only needed for drawings and are not stored."""
 
 Group = tuple[str, ArrangementTask, list[str], float]
-"""Name of a group of trials, its task, additional options for the shapes, and its share: the number
-of its scenes relative to the count of the benchmark."""
+"""A group of trials: its name, its task, additional options for the shapes, and its share. The
+number of scenes of the group is the share times the count of the benchmark."""
 
 
 def groups() -> list[Group]:
-    """Groups of trials: the built-in planner on all kinds of scenes, then the baselines."""
+    """Return the groups of trials: the built-in planner on all kinds of scenes, then the
+    baselines."""
     made: list[Group] = [
         ("2 swapped", ArrangementTask(2, "swap", gain_bias=GAIN_BIAS), [], 1.0),
         ("4 random", ArrangementTask(4, gain_bias=GAIN_BIAS), [], 1.0),

@@ -28,8 +28,8 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 
 DEFAULT_COUNT = 100
 _SHAPES = ("disk", "ring", "polygon")
-_OTHERS = 0.2  # number of experiments with rings, and with polygons, relative to that with disks
-_PREDICTING = 4  # one in this many experiments also predicts the results of new taps
+_OTHERS = 0.2  # rings and polygons each have this fraction of the number of experiments with disks
+_PREDICTING = 4  # every fourth experiment also predicts the results of new taps
 _LIMITS = {"torque_factor": 0.05, "friction": 0.03, "restitution": 0.04}
 _SCATTER = ScatterTruth(speed=0.05, spin=0.15, direction=math.radians(1.0))
 _STRIKER = StrikerSection(mass=0.1, tip_radius=0.0054, constraint="free")

@@ -4,11 +4,11 @@ Two cells are measured. In the first cell, every node is a process, with rendere
 emulated boards. In the second cell, the same state machines, drivers and boards run in virtual
 time. There, software takes no time and messages take a few milliseconds, so that a tap lasts hardly
 longer than its mechanics require. A tap lasts from its command to the next command, or to the end
-of its goal. The activities of a tap follow each other without gaps or overlaps. Activities that
-happen at the same time as these (the slide, charging while the arm moves) are listed separately, as
-is the planned duration of the arm's motion to the strike. The two cells make different taps with
-motions of different length. The planned duration of the motion to the strike is therefore
-subtracted from each cycle before the cycles are compared.
+of its goal. This time is divided into consecutive activities without gaps or overlaps. Two
+activities overlap with others and are listed separately: the slide, and charging while the arm
+moves. The planned duration of the arm's motion to the strike is also listed. The two cells make
+different taps, and the arm's motions differ in length. The planned duration of the motion to the
+strike is therefore subtracted from each cycle before the cycles are compared.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ class Tap:
     done: float = math.nan
 
     def activities(self) -> dict[str, float]:
-        """Return the durations in s of ``ACTIVITIES`` (consecutive) and ``BESIDES``
-        (simultaneous)."""
+        """Return durations in s, by name: those of the consecutive activities (``ACTIVITIES``) and
+        those of the activities that overlap with them (``BESIDES``)."""
         ready = max(self.in_position, self.charged)
         return {
             "travel": self.above - self.commanded,

@@ -139,7 +139,7 @@ def _position(
     arm: ArmTruth,
     random: np.random.Generator,
 ) -> bool:
-    """Tap until the goal is reached or the session refuses to go on; return whether it was
+    """Tap until the goal is reached or the session refuses another tap. Return whether the goal was
     reached."""
     covariance = np.diag(np.square(_MEASUREMENT_STD))
 

@@ -3,10 +3,10 @@ reconnect.
 
 The overhead is measured in the emulated devices' own time, so that it does not depend on the load
 of the computer. Replies take as long as on a real line at 115200 baud plus 2 ms for the adapter.
-Commands arrive immediately, as over a native USB port. On a slower line they would take additional
-time; therefore the bytes sent to the arm are counted. Stops and reconnections use pseudo-terminals
-in real time. For comparison, a plain ``os.write`` through the same terminal and a plain opening of
-the port are measured.
+Commands arrive immediately, as over a native USB port. The bytes sent to the arm are counted,
+because each of them would take additional time on a slower line. Stops and reconnections are
+measured in real time over pseudo-terminals. For comparison, the times of a plain ``os.write``
+through the same terminal and of a plain opening of the port are measured.
 """
 
 from __future__ import annotations

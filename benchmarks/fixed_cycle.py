@@ -58,8 +58,8 @@ def _run(count: int, angle: float, to_centre: bool = False) -> Stopwatch:
 
 def _summary(watch: Stopwatch, every: int = 1) -> dict[str, Any]:
     """Return the mean duration and the mean number of taps of the goals, and the mean times of the
-    taps. If ``every`` is 2, the figures of goals only include every second goal; those of taps
-    include all taps."""
+    taps. If ``every`` is 2, the values for goals are means over every second goal only; the values
+    for taps are always means over all taps."""
     goal = np.array([seconds for seconds, _ in watch.goals])
     taps = np.array([number for _, number in watch.goals])
     cycle = np.array([tap.done - tap.commanded for tap in watch.taps])

@@ -8,8 +8,8 @@ The observations have noise of 0.05 mm and 0.05 degrees. Three groups of trials 
   deviations), which are learnt while tapping, a tenth of ``count`` trials.
 
 Each part of 250 trials is stored in the cache folder when it is finished, so that the same command
-continues after an interruption. A change of the package mechanics or planning makes the stored
-parts obsolete.
+continues after an interruption. If the source code of the package mechanics or planning changes,
+the stored parts are no longer used.
 """
 
 from __future__ import annotations

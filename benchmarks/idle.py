@@ -1,9 +1,9 @@
 """Processor load of the idle cell, compared with minimal processes in the same run.
 
 The cell is the complete simulated graph with recorder and operator's page and a stationary object.
-The minimal processes show the cost of the messages alone: one process publishes images of the same
-size at the same rate, one subscribes, and six idle nodes publish and subscribe to two topics at 10
-Hz each.
+The minimal processes show the cost of the messages alone. One process publishes images of the size
+and at the rate of the cell's images, and another one subscribes to these images. Six idle nodes
+publish to and subscribe to two topics at 10 Hz each.
 
 The cell and the minimal processes run at the same time, in two ROS domains, and are measured in the
 same short periods. Simultaneous measurement is necessary because the load of a machine varies, and
@@ -38,7 +38,8 @@ DEFAULT_COUNT = 20
 """Duration of the measurement, s."""
 TURN_S = 2.0
 SETTLE_S = 5.0
-"""Delay after the object is stationary, and after the start of the minimal processes, s."""
+"""Waiting time before the measurement, s. It begins when the object is stationary and the minimal
+processes have been started."""
 RATE_HZ = 30.0
 SIZE = (1024, 1280)
 IDLE_NODES = 6

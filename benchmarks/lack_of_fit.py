@@ -1,8 +1,9 @@
 """Detection of model misfit by ``fit`` in simulated worlds that differ from its model.
 
-Each experiment fits 40 taps (4 runs at 20 and 45 degrees of incidence, 18 and 36 mm; scatter of 2.5
-% in speed, 5 or 15 % in spin, 1 degree in direction). 40 new taps at the same settings and 40 at
-eight other settings (10 to 50 degrees, 12 to 45 mm) are compared with the 95 % prediction interval.
+Each experiment fits 40 taps in 4 runs, with incidences of 20 and 45 degrees and distances of 18 and
+36 mm. The scatter is 2.5 % in speed, 5 or 15 % in spin, and 1 degree in direction. Then new taps
+are compared with their 95 % prediction intervals: 40 taps with the same settings, and 40 taps with
+eight other settings (10 to 50 degrees, 12 to 45 mm).
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ WORLDS = {
 
 
 def measure(count: int) -> dict[str, Any]:
-    """Return, for each world, the misfits detected in ``count`` experiments and the share of new
-    taps within the prediction interval."""
+    """Return the results of ``count`` experiments for each world: how often each misfit was
+    detected, and the share of new taps within the prediction interval."""
     return {name: _world(truth, count) for name, truth in WORLDS.items()}
 
 

@@ -5,10 +5,12 @@ of the boards. For example, a striker may be fired only while the arm has promis
 and nothing may move without a person's permission. Runs continue until each node was frozen
 ``count`` times, and killed, restarted or stopped half as many times. Every violation is printed.
 
-The tapper fires only with a permit: the arm's promise to stand still. The time that the permit
-costs is measured in goals without faults. It has two parts: the time from the tapper's request to
-the arm's answer, and the time for which the arm keeps standing still after the striker has
-completed its stroke and the tap has been withdrawn. The stroke itself is not counted.
+Before it fires, the tapper requests ``hold_still`` from the arm. If the arm grants the request, it
+promises to stand still for a given time. The grant is called the permit. The benchmark also
+measures how much longer a tap takes because of the permit, in goals without faults. This time has
+two parts. The first part is the time from the tapper's request to the arm's answer. The second part
+begins when the striker has completed its stroke and the tap has been withdrawn, and ends when the
+arm begins to move.
 """
 
 from __future__ import annotations
@@ -26,8 +28,8 @@ from tapping_cell.verification.faults import NODES, Mix
 from tapping_cell.verification.trial import Trial
 
 DEFAULT_COUNT = 1000
-"""Number of freezes of each node. The total number of kills, restarts and stops is half of that
-number."""
+"""Minimum number of freezes of each node. The minimum number of all kills, restarts and stops of a
+node together is half of that."""
 FREEZES = Mix(("freeze",), 8.0)
 """Freezes of 1 ms to 5 s (log-uniform), at random times during goals and during taps commanded by
 another program."""
@@ -37,8 +39,8 @@ STRUCK = (*NODES, "camera_pose")
 GOALS, SEED = 10, 41
 COST_SEEDS, COST_GOALS = range(1, 5), 5
 MIN_HOLD_S = 0.16
-"""Limit of the duration in a ``hold_still`` request: a longer one begins a promise to stand still,
-a shorter one ends it."""
+"""The duration in a ``hold_still`` request is longer than this limit if the tapper asks the arm to
+stand still, and shorter if the tapper ends the arm's promise early, s."""
 
 
 def measure(count: int) -> dict[str, Any]:
@@ -83,7 +85,8 @@ class _Waits:
     after_stroke: list[float] = field(default_factory=list)
     _asked: float = 0.0
     _free_at: float | None = None
-    """Time from which the arm could leave if it had not promised to stand still, s."""
+    """Time at which the arm could leave if it had not promised to stand still, s; None while no tap
+    has been withdrawn."""
     _moving: bool = False
 
     def begin(self) -> None:

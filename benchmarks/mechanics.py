@@ -28,7 +28,8 @@ _LAUNCHES = 12
 _MUJOCO_LAUNCHES = 4
 _MUJOCO_FEET = 61
 _TIGHT = 1e-12
-# At this tolerance, the largest error of solve_ivp is about that of the table (a few 1e-10).
+# Tolerance of solve_ivp for the comparison of speeds. With it, the largest errors of solve_ivp and
+# of the table are about equal (a few 1e-10).
 _EQUAL = 1e-10
 
 
@@ -187,7 +188,8 @@ def _against_solve_ivp(sliding: Sliding, forward_per_s: float) -> dict:
 
 
 def _solve(speed: float, spin: float, kappa: float, tolerance: float) -> tuple[float, float]:
-    """Integrate distance and rotation by ``solve_ivp``, with the textbook formulas in K and E.
+    """Integrate distance and rotation with ``solve_ivp`` and the textbook formulas, which contain
+    the complete elliptic integrals K and E.
 
     The integration variable is the logarithm of the speed, so that the solution is smooth at the
     end of the slide. The integration ends at 1e-7 of the initial speed; the omitted distance is

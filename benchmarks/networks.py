@@ -1,9 +1,9 @@
 """Simulated computers: network namespaces connected by a link with optional delay and packet loss.
 
-Needs root, ``unshare``, ``nsenter`` and ``ip``; :func:`why_not` returns what is missing. Without
-simulated delay and loss, a veth pair connects two computers at the kernel's speed. Otherwise every
-packet passes through this module's relay, a switch between TAP devices, with a capacity of about a
-thousand packets/s.
+The module needs root rights and the programs ``unshare``, ``nsenter`` and ``ip``; :func:`why_not`
+returns what is missing. Without simulated delay and loss, a veth pair connects two computers at the
+kernel's speed. Otherwise every packet passes through this module's relay, a switch between TAP
+devices, which forwards about a thousand packets per second.
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 The trials use the abstract model with the scatter from the paper (5 % in distance, 15 % in
 rotation, 1 degree in direction) and camera noise of 0.01 mm and 0.01 degrees. The benchmark also
-computes the probability that the smallest tap, aimed at a goal at exactly its own distance, ends
-inside the stopping box (the region for which plans are made). It also measures the processor time
-for computing the coarse plan, which is used first, and the fine plan.
+considers a goal whose distance is exactly the length of the smallest tap. It computes the
+probability that this tap ends inside the stopping box, the region around the goal for which plans
+are made. It also measures the processor time for computing the coarse plan, which is used first,
+and the fine plan.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ SMALLEST_TAPS_MM = (1.7, 1.0)
 
 
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
-    """Return one row per tolerance and smallest tap, over ``count`` trials."""
+    """Return one row of results for each pair of smallest tap and tolerance, with the means over
+    ``count`` trials."""
     rows = []
     for least in SMALLEST_TAPS_MM:
         for tolerance in TOLERANCES:

@@ -37,8 +37,9 @@ LARGEST_TAP = 0.040
 ALL_DIRECTIONS = np.linspace(0.0, math.pi, 9)
 LINE = np.array([0.0, math.pi])
 NEAR = 3.2
-"""Taps that do not follow the line to the goal are only considered if neither their length nor the
-distance to the goal exceeds this limit, in multiples of the length of the smallest tap."""
+"""Limit for taps in other directions than along the line to the goal, in multiples of the length of
+the smallest tap. Such taps are only considered if neither their length nor the distance to the goal
+exceeds the limit."""
 ITERATIONS, EVALUATIONS, SETTLED = 12, 25, 2e-3
 
 
@@ -81,8 +82,8 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def least_taps(settings: PlannerSettings, directions: Array) -> float:
-    """Return the minimum expected taps of the task if the taps may go in ``directions``, in rad
-    relative to the goal's direction."""
+    """Return the minimum expected number of taps for the task if taps are made only in
+    ``directions``, in rad relative to the direction of the goal."""
     problem = _Problem(settings, directions)
     guess = nominal_taps(problem.r[:, None], problem.theta[None, :], settings) + 1.0
     value = problem.solved(np.asarray(guess, dtype=np.float32))
@@ -130,8 +131,9 @@ class _Problem:
             self.p_r.append(self._after(r, size, direction))
 
     def _after(self, r: float, size: Array, direction: Array) -> tuple[Array, Array]:
-        """Return, for taps (n,) from distance ``r``, the probabilities of the resulting distances
-        and the probability of ending inside the stopping box."""
+        """Return two arrays with a row for each of the n taps from distance ``r``: the expected
+        interpolation weights of the grid's distances after the tap, and the part of these weights
+        that is due to distances inside the stopping box."""
         scatter, measurement = self.settings.scatter, 2.0 * self.settings.camera.position**2
         floor = MIN_DEVIATION * self.settings.stopping.distance
         along = np.sqrt((scatter.distance * size) ** 2 + measurement + floor**2)[:, None]

@@ -36,13 +36,13 @@ PLACES = {
     "desk": ("tap_planner", "run_recorder"),
 }
 CLOCKS_S = {"vision": 0.3, "drivers": 0.1, "desk": 0.0}
-"""Offsets of the computers' clocks that the cell accepts, s."""
+"""Offset of each computer's clock in the run in which the cell must accept goals, s."""
 REFUSED_S = {
     "vision": {"vision": 2.0, "drivers": 0.0, "desk": 0.0},
     "drivers": {"vision": 0.0, "drivers": 2.0, "desk": 0.0},
 }
-"""Offsets of the computers' clocks that are too large, s. A goal is refused before its first tap,
-and the refusal names the computer with the wrong clock."""
+"""Offsets of the computers' clocks, s. The name of each entry is the computer whose clock is too
+far ahead. A goal must be refused before its first tap, and the refusal must name this computer."""
 TIMEOUT_S = 120.0
 SETTLE_S = 3.0
 

@@ -5,7 +5,8 @@ torque factor 0.8 to 4, and random restitution, contact friction and density. Ea
 with the file that the verb `new-object` makes from its true shape and height. Nine goals are run,
 during which the planner learns from each tap, and `learn-object` makes a new file from these taps.
 Then further goals are run with the learnt file and with the true file, using the same random
-numbers. The camera is perfect.
+numbers. The planner's observations have noise of 0.05 mm and 0.05 degrees; `learn-object` receives
+the exact displacements.
 """
 
 from __future__ import annotations

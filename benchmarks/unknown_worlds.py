@@ -3,8 +3,9 @@
 The worlds are those of ``config/truth`` and random variations of ``everything.yaml``. A random
 world has all effects of ``everything.yaml`` at once, each with a random size up to the value in
 this file. Its friction and torque factor differ from the planner's values by up to a given ratio.
-At the start of each goal (up to 40 mm and 20 degrees, from anywhere on the cell's table), the
-planner only knows the object's file. A perfect camera measures after each tap.
+Each goal is up to 40 mm and 20 degrees away from the object, which starts anywhere on the cell's
+table. At this time, the planner only knows the object's file. Observations of the object have noise
+of 0.05 mm and 0.05 degrees.
 """
 
 from __future__ import annotations
@@ -35,9 +36,10 @@ GOALS_A_WORLD = 10
 TASKS = (0.040, math.radians(20.0))
 CAMERA = CameraNoise(0.00005, math.radians(0.05))
 SPREADS = {"as the file": (1.0, 1.0), "within 2": (2.0, 2.0), "within 4 and 2.5": (4.0, 2.5)}
-"""For each group of random worlds: the maximum ratio of the true to the configured friction, and
-the same for the torque factor. The ratios are log-uniform between the maximum and its inverse. In
-the first group both ratios are 1, so it shows how many taps the other effects cost."""
+"""For each group of random worlds, the largest ratio of true to configured friction, and the
+largest ratio of true to configured torque factor. Each ratio is drawn log-uniformly between the
+inverse of its largest value and this value. In the first group both ratios are 1, so this group
+shows how many additional taps are due to the other effects."""
 
 
 def shipped_worlds() -> dict[str, TruthFile]:
@@ -105,7 +107,7 @@ def drawn_world(spread: tuple[float, float], rng: np.random.Generator) -> TruthF
 
 
 def run_world(truth: TruthFile, goals: int, seed: int, probe: bool = False) -> Results:
-    """Run goals in one world, each without earlier learning."""
+    """Run goals in one world. Before each goal, the planner forgets what it has learnt."""
     cell = load_cell()
     tap = make_tap(cell)
     settings = replace(PlannerSettings.for_tap(tap), camera=CAMERA)

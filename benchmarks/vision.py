@@ -121,8 +121,8 @@ def _figures(rows: list[tuple[float, float, float]]) -> dict[str, float]:
 def _methods(
     view: View, marker: ObjectMarker
 ) -> dict[str, Callable[[np.ndarray, np.ndarray], Pose]]:
-    """Return functions that measure a pose, given the image and the true pose. Some of them search
-    only near the true pose."""
+    """Return functions by name. Each one measures the pose in an image. Its second argument is the
+    true pose; functions that search only near a predicted pose derive the prediction from it."""
     pixel = float(view.pose.translation[2]) / view.camera.fx
     modules = marker_pattern(marker.dictionary, marker.id).shape[0]
     template = make_template(marker, pixel, USUAL_BLUR * pixel)
@@ -216,9 +216,9 @@ def _pupil(
         part, origin = _cut(image, region, true)
         for found in detector.detect(part):
             if found.tag_id == marker.id:
-                # The corners are counter-clockwise from the bottom left of the tag as printed by
-                # AprilRobotics, which is upside down compared with OpenCV's tag. In this library,
-                # integer coordinates are the corners of pixels, not their centres.
+                # The corners are in counter-clockwise order, from the bottom left of the tag as
+                # AprilRobotics prints it. OpenCV prints the tag upside down. In the AprilTag
+                # library, integer coordinates are the corners of pixels, not their centres.
                 corners = found.corners + origin - 0.5
                 poses = [
                     pose_of_corners(view, np.roll(corners[::-1], shift, axis=0), marker)

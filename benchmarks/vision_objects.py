@@ -1,12 +1,13 @@
 """Processor time per image with 1, 5 and 20 objects on the table, each with a marker of its own.
 
 The noise and the positions of the objects change from image to image, so that the tracker measures
-every object again. The benchmark measures all objects in each image. The node measures the first
-object in each image, and the others in turn.
+every object again. The benchmark measures all objects in each image, whereas the node measures only
+the first object in each image, and the others in turn.
 
-The search for objects without a file is measured in the same images. Only the first object is known
-to the search. (The node searches at most every 0.15 s.) Then the arm, whose joints are known, is at
-random places over an empty table with random light, and the search must find nothing.
+The processor time of the search for objects without a file is measured in the same images. The
+search knows only the first object, so it has to find all others. (The node searches at most every
+0.15 s.) Then the search is run on images of the arm over an empty table, at random places and with
+random light. The arm's joint positions are known to the search, which must find nothing.
 """
 
 from __future__ import annotations
@@ -43,10 +44,10 @@ FIRST_ID = 20
 COLUMNS, PITCH = 5, 0.075
 WARM_UP = 5
 ARM_SCENES, EACH_SCENE = 5, 5
-"""Number of images with the arm as a multiple of ``count``, and number of consecutive images with
-the same light."""
+"""Number of images of the arm in multiples of ``count``, and number of consecutive images with the
+same light."""
 AWAY = np.array([5.0, 5.0, 0.0])
-"""Pose of the scene's disk out of view."""
+"""Pose at which the scene's disk is out of view."""
 
 
 def measure(count: int) -> dict[str, Any]:
@@ -58,7 +59,8 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def _false_objects(frames: int) -> dict[str, int]:
-    """Return in how many images of the arm over an empty table an object was found."""
+    """Return the number of images of the arm over an empty table, and in how many of them an object
+    was found."""
     cell, full = Cell.load(), load_cell()
     arm, geometry, table = full.arm, full.arm.geometry(), full.file.table
     false = 0

@@ -43,9 +43,9 @@ class Cell:
 def random_scene(
     random: np.random.Generator, cell: Cell, seed: int, turn: float = 0.0
 ) -> SceneRenderer:
-    """Return a random scene: the camera is tilted by up to 5 degrees, the noise is 2 to 4 grey
-    levels, and the brightness decreases from one side of the table to the other by up to two
-    thirds. The camera is also turned by ``turn`` rad about its x axis."""
+    """Return a random scene. The camera is tilted by up to 5 degrees, and also turned by ``turn``
+    rad about its x axis. The noise is 2 to 4 grey levels. The brightness decreases from one side of
+    the table to the other by up to two thirds."""
     settings = SceneSettings(
         noise=random.uniform(2.0, 4.0),
         light_falloff=random.uniform(0.0, 0.67),
@@ -71,8 +71,8 @@ def miscalibrated(
 ) -> tuple[CameraModel, ReferenceMap]:
     """Return camera and table files with random errors. The errors of the lens are ``lens`` times
     the standard deviations that OpenCV's calibration reports for twenty views. The reference
-    markers are displaced by ``misprint`` m and rotated so that their corners move by half of
-    that."""
+    markers have random displacements with a standard deviation of ``misprint`` m. They are also
+    rotated, and the rotation moves their corners by half of ``misprint``."""
     n = lens * random.standard_normal(8)
     known = cell.camera
     wrong = np.array([0.0015 * n[4], 0.004 * n[5], 1.2e-4 * n[6], 1.2e-4 * n[7], 0.0])

@@ -17,8 +17,8 @@ from tapping_cell.verification.invariants import Violation
 from tapping_cell.verification.trial import Report, Trial
 
 GOALS_A_RUN = 10
-"""Goals per run. Each run has its own cell and seed, so that the results do not depend on the
-number of processes."""
+"""Goals per run. A campaign is divided into runs of this length, each with its own cell and seed,
+so that the results do not depend on the number of processes."""
 
 
 @dataclass(slots=True)

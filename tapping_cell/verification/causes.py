@@ -13,11 +13,12 @@ from collections.abc import Iterable
 from tapping_cell.messages import ErrorCode
 
 BRIEFLY_OPEN = "guard open briefly"
-"""Fault "guard" that is so short that the tapper's node may not have read the open guard. The
-board may discharge because of it, and then reports no reason."""
+"""Kind of fault: the guard is opened so briefly that the tapper's node may not notice it. The board
+may discharge because of the open guard without reporting this reason."""
 AT_ONCE_S = 10.0
-"""Maximum time from the end of a fault to the end of a goal, if the fault ends the goal without any
-waiting time. This maximum allows for a planner that is frozen for 5 s and for a late message."""
+"""Maximum time from the end of a fault to the end of a goal, if the planner does not wait before it
+ends the goal (see ``WAITS_S``). This maximum allows for a planner that is frozen for 5 s and for a
+late message."""
 LASTING_S = {
     "freeze": 5.0,
     "freeze before a write": 8.0,
@@ -55,9 +56,9 @@ LASTING_S = {
     "guard": 4.0,
     BRIEFLY_OPEN: 0.3,
 }
-"""Maximum time for which the faults of a kind have an effect; 0 for all other kinds. The times
-include the restart of a process, the expiry of a foreign command, and the wait for the byte at
-which a line fails."""
+"""Maximum time for which a fault of each kind has an effect, s; 0 for kinds that are not listed.
+Depending on the kind, this time includes the restart of a process, the time until a foreign command
+expires, or the time until the line transmits the byte at which it fails."""
 
 FREEZES = frozenset(
     {
@@ -97,7 +98,7 @@ TAPPER_STOPS = frozenset({"emergency stop", "stop of tapper_trigger"})
 DELAYS = FREEZES | ENDS | LINKS | LINES | {"deactivate", "second node"}
 """Kinds of faults that delay or suppress messages."""
 COVERED = "the arm covers the object"
-"""Condition that is not a fault but can also explain an error code."""
+"""Condition that is not an injected fault but can also explain an error code of a goal."""
 SHORT_TIME_LIMIT = "the goal has a short time limit"
 CAMERA = frozenset({"camera", "object moved", "object turned", "object creeps"})
 
@@ -188,8 +189,8 @@ WAITS_S = {
     ErrorCode.TAP_LIMIT_REACHED: 60.0,
     ErrorCode.DEADLINE_EXCEEDED: 120.0,
 }
-"""Waiting times of the planner before a goal ends with these codes; ``READY_S`` for all other
-codes."""
+"""Time for which the planner waits before it ends a goal with each of these codes, s; ``READY_S``
+for codes that are not listed."""
 
 
 def longest_effect(kind: str, code: int) -> float:

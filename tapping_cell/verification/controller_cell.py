@@ -105,7 +105,7 @@ class ControllerCell:
         self.line.hang_up(self.clock.now, duration)
 
     def during_the_next_move(self, after: float, act: Callable[[], object]) -> None:
-        """Call ``act`` once, ``after`` s from now."""
+        """Call ``act`` once as soon as ``after`` s have passed from now."""
         at = self.clock.now + after
         step = self.clock.step
 

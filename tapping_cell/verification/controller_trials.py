@@ -25,11 +25,13 @@ from tapping_cell.verification.controller_cell import GRBL_NAMES, HOME, NAMES, C
 FAR = (1.5, 0.5, -0.1, 1.0)
 FAR_SPEED = 0.3
 LATEST = 0.7
-"""Maximum time from the start of the move to ``FAR`` to a fault, s. The move takes longer."""
+"""Faults occur during a move to ``FAR``, at most this long after it starts, s. The move takes
+longer."""
 CLOSE = 1e-3
 """Maximum difference between the true joints and their target, rad or m."""
 STILL = 0.02
-"""Maximum rotation of shoulder and elbow after the return of a call that stops the arm, rad."""
+"""Maximum rotation of shoulder and elbow after the driver has reported a fault, rad. The arm must
+then stand still."""
 LOW, HIGH = (-1.0, 0.4, -0.12, -1.5), (1.0, 2.0, 0.0, 1.5)
 """Range of the targets."""
 
@@ -104,8 +106,8 @@ def _check_truth(cell: ControllerCell, goal: Joints) -> None:
 
 
 def _expect(act: Callable[[], object], reason: FaultReason, words: str) -> None:
-    """Raise unless ``act`` fails with this ``reason`` and a message that matches the pattern
-    ``words``."""
+    """Raise WrongError unless ``act`` raises a fault with this ``reason`` and a message that
+    matches the pattern ``words``."""
     try:
         act()
     except HardwareFault as fault:

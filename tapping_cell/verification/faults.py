@@ -28,10 +28,10 @@ from tapping_cell.verification.fault_target import FaultTarget, Made, Maker
 from tapping_cell.verification.host import PlannedFreeze
 
 SPAN_S = 16.0
-"""Time span after a goal is sent in which its faults are injected."""
+"""The faults of a goal are injected within this time after the goal is sent, s."""
 SHARE_AT_A_MOMENT = 0.25
-"""Fraction of the goals whose faults all occur just after a node has published a certain state. The
-guards must handle such coinciding faults."""
+"""Fraction of the goals whose faults all occur just after a node has published a certain state. In
+these goals, several faults coincide."""
 SHARE_AT_THE_SHOT = 0.5
 """Fraction of the goals whose faults all occur just after a certain step of a shot."""
 CLOSE_S = 0.3
@@ -310,9 +310,9 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 
 def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node requests ``hold_still`` for a tap and ends this promise early. This node may
-    then report that the tap is over and withdraw the tap. The arm receives the withdrawal
-    immediately, the tapper late."""
+    """Another node requests ``hold_still`` for a tap, and ends the promise to stand still early. It
+    may then also report that the tap is over and withdraw the tap; the arm receives the withdrawal
+    immediately, but the tapper receives it late."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends = rng.random() < 0.7
@@ -359,8 +359,8 @@ def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
 
 
 def _foreign_flood(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another node publishes one state or command a hundred times per second. At the end this node
-    may withdraw the tap; the tapper receives this withdrawal late."""
+    """Another node repeats one state or command a hundred times per second. At the end it may also
+    withdraw the tap; the tapper then receives the withdrawal late."""
     name = _pick(rng, (*("tapper_state",) * 3, "arm_state", "plan_state", "tap_command"))
     outcome = int(rng.choice((TapperState.NONE, TapperState.NONE, TapperState.NOT_FIRED)))
     number, withdraws = 1 + round(FLOOD_HZ * draw_duration(rng, 0.02, 0.5)), rng.random() < 0.7
@@ -645,8 +645,8 @@ def _camera(rng: np.random.Generator, trial: FaultTarget) -> Made:
         elif which == "hidden":
             t.hide_object(lasting)
         else:
-            # Only one frame has a wrong pose, because the fusion of frames could not detect an
-            # error that lasts longer.
+            # Only one frame has a wrong pose. The fusion of frames gives a single outlier little
+            # weight, but it could not detect an error of several frames.
             faults.wrong_until, faults.wrong_by = t.scheduler.now + 1 / 15, off
 
     return strike, f"frames {which} for {lasting:.2f} s"
@@ -757,7 +757,8 @@ ONE_SIDED = (
     *("foreign withdrawal", "foreign outcome") * 3,
     *("foreign command", "cancel", "emergency stop", "replay"),
 )
-"""Kinds of faults with messages that one node may receive much earlier than the other nodes."""
+"""Kinds of faults that send messages. In the fault "received by one", a node receives such a
+message much earlier than all others."""
 AT_A_SHOT = (
     *("freeze at a shot", "freeze at a write", "freeze after the last check") * 2,
     "freeze at a shot",
@@ -782,5 +783,5 @@ AT_A_SHOT = (
     "object turned",
     *("foreign trajectory", "foreign hold", "foreign flood", "second arm") * 2,
 )
-"""Kinds of faults around a shot. Faults that make two nodes observe different states are listed
-several times, so that they are drawn more often."""
+"""Kinds of faults around a shot. Some kinds are listed several times, so that they are drawn more
+often: they make two nodes observe different states."""

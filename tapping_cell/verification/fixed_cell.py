@@ -43,8 +43,8 @@ class PhysicalFixedCell(PhysicalCell):
         self.boards: list[TapperEmulator] = []
         self.lines: list[SerialLine] = []
         self.out_since: dict[str, float] = {}
-        """For each tapper whose striker a person or a broken spring keeps off its mount: the time
-        at which the striker left."""
+        """Time at which a striker left its mount, by the name of its tapper. Only strikers that a
+        person or a broken spring keeps off their mounts are listed."""
         self._last = 0
         for number, board in enumerate(self.cell.boards):
             made = FixedTapperBoard(self.cell, board, self.mounts, self._struck, 1, now)
@@ -59,8 +59,8 @@ class PhysicalFixedCell(PhysicalCell):
 
     @property
     def active(self) -> int:
-        """Number of the charged board. If no board is charged, the number of the board that
-        released a striker last."""
+        """Number of the charged board, or of the board that released a striker last if no board is
+        charged."""
         charged = self.charged()
         return charged[0] if charged else self._last
 
@@ -94,8 +94,8 @@ class PhysicalFixedCell(PhysicalCell):
         return self.object_pose(time)
 
     def flight(self, speed: float) -> float:
-        """Return 0: a mount cannot move, so no promise to stand still has to cover the striker's
-        flight."""
+        """Return 0. Only an arm has to stand still during the striker's flight; a fixed mount
+        cannot move."""
         return 0.0
 
     def press_clear_button(self) -> None:

@@ -14,16 +14,16 @@ from tapping_cell.verification.invariants import CHECK_S, InvariantChecker
 from tapping_cell.verification.physical_cell import Release
 
 OTHERS_ASKED_S = 0.1
-"""Maximum age of the other boards' replies at the last check, s. These replies state that the
-strikers of these boards are at rest."""
+"""Before a shot, the other boards are asked whether their strikers are at rest. At the last check
+before FIRE, the replies may be at most this old, s."""
 UNNOTICED_S = 3.0
 """Maximum time from when a striker leaves its mount until the tapper's node reports it. This
 maximum covers a request with all its repetitions, and the time for which a board waits until a
 released striker has returned."""
 
 LINE_POSITION_M, LINE_ANGLE_RAD = 0.005, 0.1
-"""Maximum deviation of the commanded line from the line in the cell file. The commanded line
-includes learnt corrections."""
+"""Maximum deviation of the commanded line from the line in the cell file, m and rad. The two lines
+differ because the commanded line includes learnt corrections."""
 
 
 @dataclass(slots=True)
@@ -81,7 +81,7 @@ class FixedInvariantChecker(InvariantChecker):
             self.violate("object in motion", f"shot {shot} was fired while the object moved")
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Process a state machine's answer to a query of its running job."""
+        """Process the answer that a state machine gives to its running job."""
         super(FixedInvariantChecker, self).on_asked(process, job, answer)
         if process == "tapper_trigger" and job == "fire":
             self._motion_at_check = self.motion_seen_by_tapper
@@ -104,7 +104,7 @@ class FixedInvariantChecker(InvariantChecker):
             )
 
     def _check_permit(self, release: Release) -> None:
-        """Do nothing: a fixed mount makes no promise to stand still."""
+        """Do nothing: a fixed mount cannot move, so it need not promise to stand still."""
 
     def _check_charge(self) -> None:
         charged = self._cell.charged()

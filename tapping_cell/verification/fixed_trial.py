@@ -46,11 +46,11 @@ from tapping_cell.verification.trial import (
 )
 
 GOALS = ((0.0, 0.0), (0.020, -0.015), (-0.025, 0.010))
-"""Positions of all goals, m. There are only a few positions, because solving the policy of a goal
-takes a second."""
+"""Positions of all goals (x, y), m. There are only a few positions, because it takes a second to
+compute the policy for each goal position."""
 TURN_RAD = 1.0
-"""Maximum rotation to a goal, rad. Larger rotations are not used, because the solver may find no
-solution for half a turn with the coarsest grid alone."""
+"""Maximum rotation from the object's pose to a goal, rad. The solver of these runs uses only the
+coarsest grid, with which it may find no solution for half a turn."""
 NEAR_M = 0.045
 """Maximum distance from the middle of the working area at which a person puts the object, m."""
 

@@ -95,8 +95,8 @@ _PLAIN = frozenset(("int", "float", "str", "bool", "bytes"))
 
 @dataclass(slots=True)
 class HostClock:
-    """Clocks of one computer. After t s of a run, its ROS time is ``epoch`` + (1 + ``drift``) t +
-    ``offset``, in s."""
+    """Steady clock and ROS clock of one computer. At t s from the start of the run, its ROS time is
+    ``epoch`` + (1 + ``drift``) t + ``offset``, in s."""
 
     scheduler: Scheduler
     offset: float = 0.0
@@ -170,12 +170,13 @@ class Process:
         self.frozen_until = 0.0
         self.freeze_before_write: PlannedFreeze | None = None
         self.freeze_after_check: float = 0.0
-        """Duration of a freeze after the next query of a job to the state machine, s; 0: no
+        """Duration of a freeze after the running job has next asked the state machine, s; 0: no
         freeze."""
         self.on_handled: Callable[[str, str, Any], None] = lambda process, topic, message: None
         """Called for every message after the state machine has handled it."""
         self.on_asked: Callable[[str, str, Any], None] = lambda process, job, answer: None
-        """Called for every answer of the state machine to a query of its running job."""
+        """Called with process, job and answer whenever the state machine has answered its running
+        job."""
         self.on_log: Callable[[str, str], None] = lambda process, sentence: None
         self.freezes = 0
         self.defects: list[str] = []
@@ -379,7 +380,7 @@ class Process:
 
     def _queue(self, job: Job) -> None:
         if self._worker is None:
-            # A job without a device only computes and takes no simulated time.
+            # The node has no device, so the job only computes and takes no simulated time.
             life = self._life
             self._scheduler.after(0.0, lambda: self._compute(job, life))
             return

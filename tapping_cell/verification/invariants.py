@@ -33,12 +33,12 @@ _OUTCOMES = {
 }
 
 WINDOW_S = 0.1
-"""Maximum time from an event that forbids a release to this release, s. FIRE may already have been
-sent, so this maximum is the board's longest firing window."""
+"""Maximum time from an event that forbids a release to a release, s. The command FIRE may already
+have been sent at the event, so this maximum is the board's longest firing window."""
 STRIKE_POSITION_M = 0.0025
 STRIKE_ANGLE_RAD = 0.01
-"""Maximum deviations of the tip from its commanded pose at a release, m and rad. These maximum
-deviations include the errors of the arm."""
+"""Maximum deviations of the tip's true pose from its commanded pose at a release, m and rad. They
+allow for the errors of the arm."""
 ENERGY_SHARE = 0.03
 """Maximum relative deviation of the energy of a release from the requested one."""
 STRIKE_HEIGHT_M = 0.0005
@@ -48,15 +48,15 @@ BUMP_RAD = math.radians(6.0)
 CHARGED_LIMIT_S = 12.0
 """Maximum time that a striker may stay charged, regardless of any failure of the computers."""
 CHECK_S = 0.045
-"""Maximum time from the last check before FIRE to the release, s, as limited by the board's
-deadline."""
+"""Maximum time from the last check before FIRE to the release, s. The board's deadline for the shot
+limits this time."""
 PULSE_S = 0.02
 """Duration of the release pulse, s. The arm's promise to stand still covers the pulse and the
 striker's flight."""
 HEARTBEAT_S = 0.45
 """Maximum time from the camera's last message to a release, s. The same maximum applies to the
-planner's last message if the planner has reported that it waits for this tap. ``WINDOW_S`` is added
-to this maximum and to ``SILENCE_S``."""
+planner's last message if the planner has reported that it waits for this tap. The checks add
+``WINDOW_S`` to ``HEARTBEAT_S`` and to ``SILENCE_S``."""
 SILENCE_S = 1.5
 """Maximum time from the planner's last message to a release if the planner has not yet reported
 that it waits for its tap, s."""
@@ -65,8 +65,8 @@ ORPHAN_S = 1.5
 heartbeat has timed out."""
 HOMED_S = 3.0
 """Maximum time for which the arm may still be reported as homed after it has lost its reference, s.
-If the arm's process is frozen meanwhile, the time begins at the end of the freeze. Bytes on the
-line may be that late."""
+This maximum allows for bytes that arrive late on the line. If the arm's process is frozen
+meanwhile, the time begins at the end of the freeze."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner may exceed the time limit of a waiting state, s."""
 CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
@@ -75,8 +75,8 @@ the striker is charged, unless the striker has been charged for longer than ``CA
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 STOP_MOTION_S = 1.5
-"""Maximum time from a stop command until the arm is at rest, s. This maximum includes the delivery
-of the command and the braking."""
+"""Maximum time from a stop until the arm is at rest, s. This time includes the delivery of the stop
+to the controller and the braking."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +92,9 @@ class Violation:
 class InvariantChecker:
     """Checks all messages and the ground truth against the invariants. Times are in s from the
     start of the run.
+
+    By granting a ``hold_still`` request for a tap, the arm promises to stand still for the
+    requested duration.
 
     ``stopped_at``: for each process, the time of a stop that nobody has cleared yet.
     ``ended_taps``: for each tap, the time at which a message that ends it (withdrawal, stop,
@@ -118,41 +121,42 @@ class InvariantChecker:
     promises: dict[int, float] = field(default_factory=dict)
     """End of the arm's promise to stand still, by tap id."""
     promised_to: dict[int, int] = field(default_factory=dict)
-    """Key of the request that began this promise, by tap id. Only a request with the same key can
-    end the promise early."""
+    """Key of the ``hold_still`` request to which the arm gave its promise, by tap id. Only another
+    request with this key can end the promise early."""
     last_check: tuple[float, object | None] = (-math.inf, "no check was made")
-    """Time at which the tapper's state machine made its last check before FIRE, and the reason for
-    which it refused the shot (None: no refusal)."""
+    """Time of the last check that the tapper's state machine made before FIRE, and the reason for
+    which it refused the shot (None: it did not refuse)."""
     motor_weak_until: float = -math.inf
     """Time until which the tapper's motor may have lost steps due to missing power."""
     unseen_limit: float = 0.0
-    """Maximum time from a change of the scene to a release. This maximum is the sum of the time
-    limit for an unseen object, the timeout of camera messages, and the delay of messages."""
+    """Maximum time from a change of the scene (the object is moved or hidden) to a release, s. This
+    maximum is the sum of the time for which the object may be unseen and an allowance for delayed
+    messages and the board's firing window."""
     seen_by_tapper: deque[tuple[float, Pose]] = field(default_factory=lambda: deque(maxlen=100))
     """Poses of the object that the tapper's process received, each with the time of receipt."""
     motion_seen_by_tapper: bool = False
     """Whether the object moved in the last observation that the tapper's process received."""
     taken_by_tapper: dict[int, list[TapCommand]] = field(default_factory=dict)
-    """TAP commands that the tapper's process received, by id. If two commands have the same id, the
-    tapper may execute only one that it received."""
+    """TAP commands that the tapper's process received, by id. Another command with the same id may
+    have reached only other nodes; the tapper must not execute that one."""
     planners: set[int] = field(default_factory=set)
     """Ids of the taps that the planner has commanded."""
     planner_received: float = -math.inf
     """Time at which the tapper's process last received a message of the planner."""
     planner_waits: bool = False
-    """Whether the planner has reported that it waits for its tap, since the tapper's process
+    """Whether the planner has reported that it waits for its tap after the tapper's process had
     received the last TAP."""
     camera_received: float = math.inf
     """Time at which the tapper's process last received a usable observation."""
     seen_moving: bool = False
     """Whether the object moved in the last observation that the planner's process received."""
     deadlines: dict[int, float] = field(default_factory=dict)
-    """Time limit of each published state in which the planner waits for arm or tapper."""
+    """Time limit of each published state in which the planner waits for arm or tapper, s."""
     unhomed_since: float = math.inf
     """Time since which the arm has had no valid reference; inf while it has one."""
     unseen_by_tapper: float = 0.0
-    """The tapper itself refuses to fire if it last received a pose of the object longer ago than
-    this, s."""
+    """Maximum age of the last pose of the object that the tapper has received, s. If the pose is
+    older, the tapper itself must refuse to fire."""
     charge_received: float = -math.inf
     """Time at which the arm's process last received that the striker is charged."""
     _struck_until: float = -math.inf
@@ -181,8 +185,8 @@ class InvariantChecker:
                 self.commands[message.tap_id] = message
                 if node == "tap_planner":
                     self.planners.add(message.tap_id)
-                    # Checked after the current event, when the observation on which the tap is
-                    # based has been received.
+                    # Check after the current event: only then has the checker processed the
+                    # observation on which the tap is based.
                     self.scheduler.after(0.0, lambda: self._check_basis(message.tap_id))
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
@@ -354,8 +358,8 @@ class InvariantChecker:
             )
 
     def _check_knowledge(self, release: Release, planned: Pose) -> None:
-        """Check a release against the poses that the tapper received, regardless of the true
-        pose."""
+        """Check that the poses that the tapper had received allowed the release, regardless of the
+        object's true pose."""
         since, last = math.inf, self.seen_by_tapper[-1][0] if self.seen_by_tapper else math.inf
         if release.time > last + self.unseen_by_tapper + WINDOW_S:
             self.violate(
@@ -501,7 +505,7 @@ class InvariantChecker:
             self.promised_to[request.tap_id] = request.key
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
-        """Process a state machine's answer to a query of its running job."""
+        """Process the answer that a state machine gives to its running job."""
         if process == "tapper_trigger" and job == "fire":
             self.last_check = self.scheduler.now, answer
 

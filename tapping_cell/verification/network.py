@@ -79,8 +79,8 @@ class Network:
                 self._send(link, topic, message)
 
     def publish(self, node: str, topic: str, message: Any, only: str = "") -> None:
-        """Send a message to all subscribers of the topic. ``only``: the message is lost for all
-        other nodes, as can happen with best-effort delivery."""
+        """Send a message to all subscribers of the topic. ``only``: the one node that receives the
+        message; it is lost for all other nodes, as can happen with best-effort delivery."""
         self.on_publish(node, topic, message)
         self.history.setdefault(topic, deque(maxlen=20)).append(message)
         if self._quality(topic).latched:
@@ -94,7 +94,7 @@ class Network:
         self.faults.slow.pop((topic, towards), None)
 
     def latched(self, topic: str) -> dict[str, Any]:
-        """Return the last latched message of each present publisher."""
+        """Return the last latched message of each publisher that is still present, by name."""
         return dict(self._last.get(topic, {}))
 
     def serve(self, node: str, service: str, handle: Handle) -> None:

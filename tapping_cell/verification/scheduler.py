@@ -2,9 +2,9 @@
 at a time.
 
 Drivers make blocking calls, so each driver runs in its own thread, a *fiber*. When a fiber waits,
-its thread processes the following events itself until one of them resumes another fiber. Switching
-threads is slow while other processes use the core; here it happens only between two fibers. Because
-nothing runs concurrently, the order of events depends only on the seed.
+its thread processes the following events itself until one of them resumes another fiber. Threads
+are therefore switched only from one fiber to another, because a switch is slow while other
+processes use the core. Nothing runs concurrently, so the order of events depends only on the seed.
 """
 
 from __future__ import annotations

@@ -96,7 +96,8 @@ class SerialLine:
         """Return the available bytes; wait up to ``timeout`` s for the first one."""
         deadline = self._scheduler.now + timeout
         if timeout > 0:
-            # Time must advance in every wait, even if the timeout is lost in rounding.
+            # A timeout may be so short that adding it to the time changes nothing. Time must
+            # advance in every wait nevertheless.
             deadline = max(deadline, math.nextafter(self._scheduler.now, math.inf))
         while True:
             self._require()
@@ -115,7 +116,8 @@ class SerialLine:
         self._require()
         self.layer.receive(data, self._scheduler.now)
         self.schedule()
-        # If the port vanished during the write, it is unknown which bytes were sent.
+        # Raise a fault if the port vanished during the write, because it is then unknown which
+        # bytes were sent.
         self._require()
 
     def stop(self, data: bytes) -> bool:

@@ -116,11 +116,12 @@ SERVES = {
 CAMERA_SIGMA = (5e-6, 5e-6, 5e-5)
 """Standard deviation of the pose in one frame: m, m, rad."""
 COVERED_S, CLEAR_VIEW_S = 4.0, 0.45
-"""Maximum times for which the object may be unseen, s. The first time applies if the arm can cover
-the object (up to 3.4 s on its way to a strike pose), the second if the arm cannot cover it."""
+"""Maximum times for which the object may be unseen before a shot, s. The first one applies if the
+arm can cover the object, which takes up to 3.4 s on the way to a strike pose. The second one
+applies if the arm cannot cover the object."""
 NOTICED_S = 0.7
-"""Maximum time from the end of ``COVERED_S`` or ``CLEAR_VIEW_S`` to a release, s. This maximum
-allows for delayed messages and for the board's firing window."""
+"""Addition to ``COVERED_S`` and ``CLEAR_VIEW_S`` that allows for delayed messages and for the
+board's firing window, s."""
 GOAL_TIME_LIMIT_S = 120.0
 SHARE_OF_SHORT_LIMITS, SHORT_LIMIT_S = 0.2, (2.0, 25.0)
 """Fraction of the runs whose goals have a short time limit, and the range of that limit in s."""
@@ -129,8 +130,8 @@ SHARE_OF_ONE_FRAME = 0.25
 PROGRAM_TAPS = 1.0
 """Mean number of taps that a program commands after each goal."""
 SHARE_OF_CONFLICTS = 0.1
-"""Fraction of the taps by a program for which a second program commands another tap with the same
-id."""
+"""A program commands taps after each goal. For this fraction of them, a second program commands
+another tap with the same id."""
 PROGRAM_TIMEOUT_S, PROGRAM_EXPIRY_S = 12.0, 10.0
 """Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 GOAL_SLACK_S = 5.0
@@ -138,10 +139,10 @@ GOAL_SLACK_S = 5.0
 STOP_DELIVERY_S = 0.1
 """Maximum time from the delivery of a stop to the tapper's process until its board has stopped."""
 BAD_LINE_S = 15.0
-"""Time allowed after a fault of a serial line for detecting the fault and opening the line again,
+"""Time within which the driver must detect a fault of its serial line and open the line again,
 s."""
 HAND_STEP_S = 1 / 60
-"""Time between two steps in which a hand moves the object slowly, s."""
+"""A hand that moves the object slowly does so in small steps, one per this time, s."""
 RECOVERY_S = 90.0
 """Maximum time for a person to recover the cell before the next goal."""
 
@@ -285,15 +286,14 @@ class Trial:
         )
         self._hidden_until = -math.inf
         self.disturbed_until = -math.inf
-        """Time until which a fault of an earlier goal may last."""
+        """Time until which a fault, possibly of an earlier goal, may have an effect."""
         self.tapper_power_lost_at = -math.inf
         self._token = 0
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
         self._waiting_faults: list[Fault] = []
         self._taken: dict[int, Time] = {}
-        """Taps whose command the tapper's process has handled: the stamp of the last command by tap
-        id."""
+        """Stamp of the last TAP command with each tap id that the tapper's process has handled."""
         self._struck: list[tuple[float, str]] = []
         self._checked_tap = 0
         """Id of the last tap whose TAPPER_FAULT was checked."""
@@ -328,7 +328,8 @@ class Trial:
         return self.physical.arm_line, self.physical.tapper_line
 
     def _busy_lines(self) -> tuple[SerialLine, ...]:
-        """Return lines that another process uses and that cannot be opened, for ``_programs``."""
+        """Return the lines for ``_programs`` of a second instance of a node. They cannot be opened,
+        because the first instance uses them."""
         physical = self.physical
         return (
             BusyLine(self.scheduler, physical.arm_line.layer, "arm"),
@@ -564,8 +565,9 @@ class Trial:
         self.network.publish("program", "tap_command", command, only="scara_arm")
 
     def _program_tap(self) -> TapCommand | None:
-        """Return a copy of the last tap command for the observed pose of the object; None if the
-        object is not seen at rest."""
+        """Return a tap command of another program: a copy of the last tap command, moved to the
+        observed pose of the object. Return None if no tap was commanded before, or if the object is
+        not seen at rest."""
         last = max(self.checker.commands, default=0)
         seen = self._last("object_state")
         if not last or seen is None or not (seen.visible and seen.at_rest):
@@ -744,7 +746,8 @@ class Trial:
         )
 
     def _place_by_hand(self, pose: Pose) -> None:
-        """Put the object at a pose, or at the edge of the central area of the table."""
+        """Put the object at a pose. A position outside the central area of the table is moved to
+        the edge of this area."""
         x, y = float(np.clip(pose.x, -0.2, 0.2)), float(np.clip(pose.y, -0.13, 0.13))
         self.physical.world.place(Pose(x, y, pose.theta))
 
@@ -969,8 +972,8 @@ class Trial:
             and message.request == TapCommand.TAP
         ):
             if self._taken.get(message.tap_id) != message.header.stamp:
-                # The recorded end belongs to another, refused command with the same id; this tap
-                # has not ended.
+                # An end of a tap with this id may already be recorded. It belongs to another
+                # command, which was refused. The tap of this command has not ended.
                 self.checker.ended_taps.pop(message.tap_id, None)
             self._taken[message.tap_id] = message.header.stamp
             self.checker.planner_waits = False

@@ -2,9 +2,9 @@
 
     . ./env.sh; python test/graph/measure_operator_page.py
 
-Starts the simulated graph with the node operator_page. Measures the node's processor time with no
-browser connected and with the page open in headless Chromium, and the time from an image's stamp
-until the browser has drawn it.
+Starts the simulated graph with the node operator_page. Measures the processor time of this node,
+first with no browser connected, then with the page open in headless Chromium. The age of an image
+is the time from its stamp until the browser has drawn it.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 ``python -m tapping_cell faults --crashes`` kills every node at every phase of a tap; ``faults
 --goals`` kills and freezes nodes at random times, in virtual time.
 
-``TAPPING_CELL_FREEZES=100:7 pytest --timeout 0`` freezes planner and camera node 100 times each, at
-moments drawn from the seed 7 (``test/nodes/test_frozen_tapper.py`` does so with tapper and arm).
+``TAPPING_CELL_FREEZES=100:7 pytest --timeout 0`` freezes the planner and the camera node 100 times
+each, at random times with seed 7. With the same variable, ``test/nodes/test_frozen_tapper.py``
+freezes the tapper and the arm.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ def test_no_tap_is_fired_on_messages_of_a_frozen_planner_or_camera(
 def test_a_tap_fired_on_messages_of_a_frozen_node_is_detected(
     struck: float, frozen_until: float, unsafe: bool
 ) -> None:
-    """The check used by the tests above detects a strike that is based on old messages of a frozen
-    node."""
+    """Test the check that the other tests of this file use: it must detect a strike that is based
+    on old messages of a frozen node."""
     tap = TapCommand(request=TapCommand.TAP, striker_speed=0.3)
     tap.header.stamp = Time(sec=9)
     seen = Observed(commands=[tap], struck=[struck])

@@ -128,8 +128,9 @@ def check_bag(folder: Path, taps: int) -> None:
     assert counts["/tap_command"] >= taps and counts["/goal_report"] >= 1
     for topic in ("/object_state", "/arm_state", "/tapper_state", "/plan_state"):
         assert first[topic] < first["/tap_command"], topic
-    # The recorder subscribes to this topic only when the goal begins, and the first tap may be
-    # commanded at the same time.
+    # The recorder subscribes to /ground_truth only when the goal begins, and the first tap may be
+    # commanded at the same time. Therefore, the recording of this topic need only begin before the
+    # striker is charged.
     assert first["/ground_truth"] < charged
     assert {"/joint_states", "/markers", "/diagnostics", "/camera/camera_info"} <= set(counts)
     assert counts["/camera/image_annotated/compressed"] >= taps

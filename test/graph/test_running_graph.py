@@ -166,17 +166,17 @@ def test_every_image_arrives_at_the_pose_node(cell: Cell) -> None:
     def since_start(node: str) -> int:
         return counts[node][-1][1] - counts[node][0][1] if counts[node] else 0
 
-    # On a slow machine the simulated world sends fewer images per second. Waiting longer costs no
-    # processor time.
+    # On a slow machine the simulated world sends fewer images per second, so wait until enough
+    # images have been sent.
     deadline = time.monotonic() + 120.0
     time.sleep(8.0)
     while since_start("/sim_world") <= 150 or len(counts["/camera_pose"]) < 6:
         assert time.monotonic() < deadline, counts
         time.sleep(1.0)
     cell.client.node.destroy_subscription(subscription)
-    # The two nodes publish their counts at different times. On a busy machine an image can wait in
-    # a queue, which increases the difference of the counts for a while. A lost image increases the
-    # difference permanently.
+    # Compare the counts of sent and of received images, which the two nodes publish at different
+    # times. On a busy machine an image can wait in a queue, which increases the difference of the
+    # counts for a while. A lost image increases the difference permanently.
     times, sent = np.array(counts["/sim_world"]).T
     ahead = [np.interp(at, times, sent) - taken for at, taken in counts["/camera_pose"]]
     assert min(ahead[len(ahead) // 2 :]) - min(ahead) <= 4, counts

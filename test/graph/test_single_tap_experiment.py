@@ -72,8 +72,8 @@ def test_an_experiment_is_stopped_resumed_and_read_back(tmp_path: Path) -> None:
         assert isinstance(found_slide, Slide), found_slide
         assert found_slide.moving >= 4
         assert found_slide.displacement == pytest.approx(trial.displacement, abs=2e-4)
-        # With friction 0.17 and restitution 0.86 the object starts with 0.54 times the striker's
-        # speed.
+        # Expected speed: with friction 0.17 and restitution 0.86 the object starts with 0.54 times
+        # the striker's speed of 0.6 m/s.
         moving = (found_slide.along > 0.05 * trial.displacement) & (
             found_slide.along < 0.7 * trial.displacement
         )

@@ -77,8 +77,8 @@ class Cell:
         self.commands = self.node.create_publisher(TapCommand, "tap_command", COMMAND)
         self.tap_id = int(time.time())
         self.last = TapCommand()
-        # A motion begins when its bytes reach the arm's controller. Polling would miss some motions
-        # and see others only after the state has changed.
+        # Observe the bytes that reach the arm's controller, because a motion begins with them.
+        # Polling would miss some motions and see others only after the state has changed.
         self._receive = self.mechanics.receive
         self.mechanics.receive = self._watch
 
@@ -284,8 +284,8 @@ def test_an_answer_of_another_cells_arm_does_not_permit_firing(cell: Cell) -> No
 
 
 def test_no_line_injected_on_the_arm_port_causes_firing_while_the_arm_moves(cell: Cell) -> None:
-    """Inject a forged line before each output of the arm's controller. One forged line is a copy of
-    a real report from an earlier tap: the arm is at its strike pose."""
+    """Inject a forged line before each output of the arm's controller. One of the forged lines is a
+    copy of a report from an earlier tap, in which the arm was at its strike pose."""
     said, forged, honest = list[bytes](), [b""], cell.mechanics.take_output
 
     def take_output(now: float) -> bytes:

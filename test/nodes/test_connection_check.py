@@ -85,7 +85,8 @@ CASES: list[tuple[Callable[[Node], Any], str]] = [
         "nothing on /markers reaches the node /probe: the publisher has the type "
         "visualization_msgs/msg/MarkerArray, but the subscription has std_msgs/msg/String",
     ),
-    # The planner has two subscriptions on each of these topics, and one of them is compatible.
+    # No message is expected in the following cases. The planner has two subscriptions on each of
+    # the topics goal_pose and emergency_stop, and one of them is compatible.
     (lambda probe: probe.create_publisher(PoseStamped, "goal_pose", BEST_EFFORT), ""),
     (lambda probe: probe.create_publisher(PoseStamped, "goal_pose", RELIABLE), ""),
     (lambda probe: probe.create_publisher(Bool, "emergency_stop", RELIABLE), ""),

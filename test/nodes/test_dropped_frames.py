@@ -11,8 +11,8 @@ from tapping_cell.nodes.camera.dropped_frames import LONGEST_WAIT_S, Backlog
 def film(
     period: float, each: float, pictures: int, jam: float = 0.0
 ) -> tuple[Backlog, list[float]]:
-    """Simulate images every ``period`` s and a node that needs ``each`` s per image and is blocked
-    once for ``jam`` s. Return the backlog and the ages of the results."""
+    """Simulate a node that needs ``each`` s per image and is blocked once for ``jam`` s, while an
+    image arrives every ``period`` s. Return the backlog and the ages of the results, s."""
     backlog, queue, ages = Backlog(), [period * k for k in range(pictures)], []
     now, jammed = 0.0, False
     while queue:

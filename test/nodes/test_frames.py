@@ -126,8 +126,8 @@ def goal(frame: str, pose: Pose, stamp: Stamp | None = None) -> PoseStamped:
 
 
 def send_until(actors: Actors, message: PoseStamped, done: Any) -> None:
-    """Transforms and goals use different topics, so the goal is repeated until its frame is
-    known."""
+    """Publish the goal repeatedly until ``done()`` is true. Transforms and goals use different
+    topics, so the frame of the goal may not be known when the first goal arrives."""
     actors.bench.wait(lambda: actors.goals.get_subscription_count() == 2, "the planner is up")
 
     def sent() -> bool:

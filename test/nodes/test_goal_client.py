@@ -98,7 +98,7 @@ def test_a_planner_killed_during_a_goal_ends_the_wait() -> None:
             planner.kill()
     assert finished.error_code == ErrorCode.NOT_READY, finished.error_msg
     assert "sent no message" in finished.error_msg
-    # The bound does not check speed. The bound shows that the client does not wait for 120 s, the
-    # time for which a goal may wait for the cell.
+    # This long bound only shows that the client does not wait for 120 s, the time for which a goal
+    # may wait for the cell.
     assert took < RETURN_S + SILENCE_S + 30.0
     assert "waiting for it to return" in words.getvalue()

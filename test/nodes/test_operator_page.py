@@ -564,8 +564,8 @@ def test_a_stop_is_held_for_late_joiners_and_by_the_next_process(cell: Cell) -> 
     assert link._process is not None
     link._process.kill()
     cell.bench.wait(lambda: [m.data for m in late] == [True, True], "the next process holds it")
-    # The process publishes the stop before it accepts requests. Until it accepts them, the release
-    # is refused and repeated.
+    # The restarted process publishes the stop before it accepts requests. Until it accepts them, a
+    # request to release the stop fails and is repeated.
     cell.bench.wait(link.release, "the next process takes the release")
     cell.bench.wait(lambda: [m.data for m in late] == [True, True, False], "it is released")
     assert not link.held

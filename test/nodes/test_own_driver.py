@@ -149,8 +149,8 @@ def test_a_tap_and_back_with_the_arms_own_driver(cell: Cell) -> None:
     tip, height = cell.true_tip()
     assert tip.distance_to(STRIKE) < 5e-4 and height == pytest.approx(0.006, abs=2e-4)
     assert not cell.moving()
-    # The promise begins after this line, so a motion that is seen before ``until`` breaks the
-    # promise.
+    # By granting the request, the arm promises to stand still for 0.2 s. The promise begins after
+    # this line, so a motion that is seen before ``until`` breaks it.
     until = time.monotonic() + 0.2
     held = cell.call("hold_still", HoldStill.Request(tap_id=100, duration=0.2))
     assert held.granted

@@ -50,7 +50,8 @@ class HeldMarker:
     blind: bool = False
     refuses: bool = False
     unseen: int = 0
-    """Number of the next postures at which the camera does not see the marker."""
+    """Number of postures, beginning with the next one, at which the camera does not see the
+    marker."""
     joints: Joints = field(default_factory=lambda: Joints(0.4, 0.8, -0.02, 0.0))
     other_file: float = 0.0
     """Error of the tip in the cell file that the running cell uses, in m."""

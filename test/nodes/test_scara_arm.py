@@ -193,8 +193,8 @@ def test_an_emergency_stop_during_a_move_stops_the_arm_and_requires_homing(cell:
     )
     assert cell.last.state == ArmState.STOPPED
     cell.stop.publish(Bool(data=False))
-    # Messages and service requests are not ordered: the request to clear the stop may be processed
-    # before the release of the stop, and is then refused.
+    # The stop is released by a message and cleared by a service request, and ROS does not order the
+    # two. A request that is processed before the message is refused, so repeat it.
     cell.bench.wait(lambda: cell.call("clear_fault").success, "the stop is cleared")
     cell.wait_state(ArmState.NOT_HOMED)
     assert not cell.moves(0.3)

@@ -168,8 +168,8 @@ def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     assert cell.shots() == []
     cell.publish_until(lambda: cell.outcome(100) == TapperState.FIRED, "fired", tap_id=100)
     assert cell.shots() == [100]
-    # The same command arrives again while the arm is still in position: it is answered, but nothing
-    # is fired.
+    # The command arrives a second time while the arm is still in position. The node answers it, but
+    # fires nothing.
     cell.command(100)
     keep_publishing(cell, 0.5, tap_id=100)
     assert cell.shots() == [100]

@@ -116,7 +116,7 @@ def test_unplugged_while_waiting(terminal: RawTerminal) -> None:
 def test_a_full_line_is_written_in_pieces(terminal: RawTerminal) -> None:
     transport = SerialTransport(str(terminal.link))
     transport.open(1)
-    data = bytes(range(256)) * 400  # 100 kB, far more than a terminal buffers
+    data = bytes(range(256)) * 400  # 100 kB, which is far more than a terminal buffers
     received = bytearray()
 
     def drain() -> None:

@@ -14,7 +14,8 @@ VIEWS = ROOT / "config" / "views"
 PAGE = (ROOT / "docs" / "nodes.md").read_text(encoding="utf-8")
 ROWS = dict(re.findall(r"^\| `/?([\w/]+)` \| (.+)$", PAGE, re.MULTILINE))
 OF_OTHERS = {"robot_description", "clicked_point", "initialpose"}
-"""The topic of robot_state_publisher, and the topics of Foxglove's other publishing tools."""
+"""Topics that docs/nodes.md does not list: the one of robot_state_publisher, and those of two
+publishing tools of Foxglove that the cell does not use."""
 
 
 def values(tree: object) -> Iterator[tuple[str, object]]:

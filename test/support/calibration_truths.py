@@ -47,9 +47,9 @@ def camera(random: Random) -> CameraModel:
 
 
 def view_pose(random: Random, model: CameraModel, size: tuple[float, float]) -> CameraPose:
-    """Return a random pose of the camera above a target of ``size`` m, as a person would take it:
-    tilted by 5 to 40 degrees, with the target anywhere in the image and a third to two thirds of
-    its width."""
+    """Return a random pose of the camera above a target of ``size`` m, as a person would choose it
+    for a photograph. The camera is tilted by 5 to 40 degrees. The target is anywhere in the image,
+    and a third to two thirds as wide as the image."""
     share = random.uniform(0.35, 0.65)
     distance = size[0] / (share * model.width / model.fx)
     tilt, side = np.radians(random.uniform(5.0, 40.0)), random.uniform(0.0, 2.0 * math.pi)
@@ -185,8 +185,9 @@ def arm_record(
 
 
 def tapper(random: Random, mass: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the speed as a function of the energy, with a random efficiency, a threshold, an
-    exponent up to 10 % off 1 / 2, and a loss that increases with the speed."""
+    """Return a function that computes the striker's speed from the energy. It has a random
+    efficiency, a random threshold, a random exponent that differs from 1 / 2 by up to 10 %, and a
+    random loss that increases with the speed."""
     efficiency, power = random.uniform(0.4, 1.0), random.uniform(-0.05, 0.05)
     threshold, loss = random.uniform(0.0, 1e-4), random.uniform(0.0, 0.15)
 

@@ -18,8 +18,8 @@ TIMEOUT_S = 60.0
 
 
 class Bench:
-    """A context with the nodes under test and a node that communicates with them, spun in a
-    thread."""
+    """A context with the nodes under test and a node that communicates with them. An executor in a
+    thread spins all these nodes."""
 
     def __init__(self) -> None:
         self.probe: Node | None = None

@@ -28,8 +28,9 @@ class Design:
     """The runs of an experiment, and the noise of the measurement.
 
     ``runs`` contains a pair for each run: the distance (m) of the slide if the object did not
-    rotate, and the incidence (rad). The noise is one standard deviation: of a sample of a track (m,
-    rad), of a pose at rest (m, rad), and of a measured striker speed (relative).
+    rotate, and the incidence (rad). The other fields are standard deviations of the noise: of a
+    sample of a track (m, rad), of a pose at rest (m, rad), and of a measured striker speed
+    (relative).
     """
 
     runs: tuple[tuple[float, float], ...] = tuple(

@@ -1,8 +1,9 @@
 """Independent references for the sliding tests: the textbook formulas and an accurate integration.
 
-Nothing is imported from the package. The friction factors are the published ones in K and E
-(scipy's functions take k^2), with series where the formulas cancel. The motion is integrated by
-DOP853 with a variable on which the velocities depend about exponentially.
+Nothing is imported from the package. The friction factors are computed with the published formulas,
+which contain the complete elliptic integrals K and E (the argument of SciPy's functions is k^2).
+Where terms of these formulas cancel, a series is used. The motion is integrated with DOP853. The
+integration variable is chosen so that the velocities decrease about exponentially with it.
 """
 
 from __future__ import annotations
@@ -92,9 +93,9 @@ def integrate(support: str, torque_ratio: float, speed: float, rim_speed: float)
     )
     assert solution.status == 1
     _, _, travel, rim_travel, time = solution.y[:, -1]
-    # The integration ends at 1e-9 of the initial velocity. Distance and rotation of the rest of the
-    # slide are negligible. Its duration is added, computed with the friction at the final ratio of
-    # the velocities.
+    # The integration ends at 1e-9 of the initial velocity. The remaining distance and rotation are
+    # negligible. The remaining duration is added; it is computed with the friction at the final
+    # ratio of the velocities.
     log_v, log_s = solution.y[:2, -1]
     v, s = math.exp(log_v), math.exp(log_s)
     force, torque = friction(v / s)

@@ -21,9 +21,10 @@ class OutputFaults:
     present: bool = True
     """Whether the robot's driver is available."""
     silent_inputs: bool = False
-    """Whether guard and read-back have stopped."""
+    """Whether the guard input and the read-back are no longer published."""
     lost_on: int = 0
-    """Number of future requests to switch on that will be lost, with their answers."""
+    """Number of requests to switch on, beginning with the next one, that are lost with their
+    answers."""
     lost_off: int = 0
     refuses: bool = False
     """Whether the robot answers that it did not switch on."""

@@ -29,13 +29,13 @@ class LinkFaults:
     silent: bool = False
     """Whether no joint states are received."""
     lost_trajectories: int = 0
-    """Number of future trajectories that will be lost."""
+    """Number of trajectories, beginning with the next one, that are lost."""
     late: float = 0.0
     """Delay of the joint states after their measurement, s."""
     ahead: float = 0.0
     """Time by which the arm's clock is ahead, s."""
     foreign_names: bool = False
-    """Whether the joint states contain other joint names."""
+    """Whether the joint states contain other joint names than those of the arm."""
     no_velocities: bool = False
 
 

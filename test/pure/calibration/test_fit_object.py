@@ -45,7 +45,7 @@ def test_the_simulated_parameters_are_recovered(records, fit):
     friction = fit.estimate("contact_friction")
     assert friction.fitted
     assert friction.value == pytest.approx(true["contact_friction"], rel=0.15)
-    # 32 taps determine the scatter to within a quarter of its value (two standard deviations).
+    # From 32 taps, the scatter is known to within a quarter of its value (two standard deviations).
     assert 0.03 < fit.estimate("scatter_speed").value < 0.075
     assert 0.09 < fit.estimate("scatter_spin").value < 0.23
 

@@ -51,8 +51,8 @@ def test_states_match_the_mechanics_model(body, speed, ratio, factor, share):
     assert state.distance[0] == pytest.approx(float(exact.distance[0]), abs=1e-3 * size)
     turned = body.support_radius * (state.rotation[0] - float(exact.rotation[0]))
     assert abs(turned) < 1e-3 * size
-    # The slides of the two tables stop at slightly different times. Between these times, the
-    # interpolated speed is inaccurate.
+    # The slides with these two torque factors stop at slightly different times. Between these
+    # times, the interpolated speed is inaccurate.
     if abs(share - 1.0) > 0.02:
         assert state.speed[0] == pytest.approx(float(exact.speed[0]), abs=2e-3 * speed)
 
@@ -111,8 +111,8 @@ def test_noise_of_the_velocities_does_not_bias_the_torque_factor():
 
 
 def test_intervals_have_their_stated_coverage():
-    """The estimate is the mean of 4 x 10 samples from a skewed distribution. Sample x contributes
-    the score mean - x."""
+    """The estimate is the mean of 40 samples from a skewed distribution, in 4 runs of 10. The score
+    of a sample x is the mean minus x."""
     random = np.random.default_rng(0)
     runs = np.repeat([1, 2, 3, 4], 10)
     trials, covered = 300, 0

@@ -98,7 +98,8 @@ def test_too_few_taps_are_refused() -> None:
 
 
 def test_a_floor_of_the_scatter_is_learnt() -> None:
-    """Taps of 2 to 30 mm whose end positions scatter by 0.3 mm regardless of the length."""
+    """Learn from taps of 2 to 30 mm. Their end positions scatter by 0.3 mm regardless of the
+    length, in addition to the scatter that is proportional to the length."""
     content, *_ = drawn(0)
     body = content.body()
     rng = np.random.default_rng(5)

@@ -73,7 +73,8 @@ def test_twelve_taps_determine_a_line_to_a_third_of_a_millimetre() -> None:
         claimed.append(fit.line_deviation)
         assert fit.speed_factor == pytest.approx(factor, rel=0.05)
         expected = line_error(fit.mount, true) - line_error(nominal, true)
-        # The fit refers to the mean place of the objects, which may be up to 3 cm from the middle.
+        # The fit gives the offset of the line at the mean position of the objects, which may be up
+        # to 3 cm from the middle of the table.
         assert fit.line_offset == pytest.approx(expected, abs=0.03 * abs(fit.angle) + 1e-4)
         assert abs(wrap_angle(fit.mount.theta - true.theta)) < 5.0 * fit.angle_deviation
     assert np.sqrt(np.mean(np.square(errors))) < MAX_DEVIATION

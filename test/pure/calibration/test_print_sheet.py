@@ -44,8 +44,8 @@ def rasterised(one: pypdf.PageObject) -> np.ndarray:
     """Rasterise the page's filled paths at DPI like a printer. By PDF's rules, a unit is 1/72 inch,
     the origin is at the lower left, and a path is filled by the winding rule."""
     assert "/UserUnit" not in one and not one.get("/Rotate")
-    # OpenCV also fills the pixels on the edge, half a dot too many. Therefore, draw at four times
-    # the resolution.
+    # OpenCV also fills the pixels on the edge of a path, which makes it half a pixel too large on
+    # each side. Draw at four times the resolution to reduce this error.
     scale = 4 * DPI / 72.0
     width, height = (float(side) for side in one.mediabox[2:])
     image = np.full((round(height * scale), round(width * scale)), 255, dtype=np.uint8)

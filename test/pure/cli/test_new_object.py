@@ -44,7 +44,7 @@ def test_an_image_is_converted_to_an_object_file(
     corners = np.array(content.shape.vertices)
     apart = np.linalg.norm(corners[:, None] - SQUARE[None], axis=2).min(axis=0)
     assert apart.max() < 5e-4
-    # 60 x 60 x 12 mm with the assumed density.
+    # Expected mass: a square of 60 x 60 x 12 mm with the assumed density.
     assert content.mass == pytest.approx(0.0648, rel=0.03)
     # An existing file is not overwritten, and values that contradict the image are refused.
     assert main([*words, "--output", str(made)]) == 2

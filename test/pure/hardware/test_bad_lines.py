@@ -51,8 +51,8 @@ def test_seeds_that_once_gave_a_false_report_or_an_unreset_board(
 @pytest.mark.parametrize("dialect", THOROUGH)
 @pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.HANG_UP])
 def test_a_reset_or_an_unplugged_cable_during_a_tap(dialect: Dialect, kind: FaultKind) -> None:
-    """About 12 bytes of each line and direction are tested here; `faults --every-byte` tests all of
-    them."""
+    """A fault occurs at one byte of a tap. About 12 bytes of each line and direction are tested
+    here; `faults --every-byte` tests all bytes."""
     for (line, direction), count in bytes_of_a_tap(dialect).items():
         step = max(41, count // 12)
         tally = run_sweep(dialect, kind, line, direction, range(0, count, step))

@@ -226,8 +226,8 @@ def test_an_axis_without_a_switch_must_be_named() -> None:
 
 @pytest.mark.parametrize("lost", [b"[FIRMWARE:grblHAL]", b"[AXS:4:XYZA]"])
 def test_one_corrupt_line_does_not_change_the_detected_controller(lost: bytes) -> None:
-    """Without the line [FIRMWARE:grblHAL], grblHAL would be mistaken for grbl-Mega-5X. Without this
-    line and the line [AXS:4:XYZA], it would be mistaken for Grbl."""
+    """A grblHAL whose line [FIRMWARE:grblHAL] is lost could be mistaken for grbl-Mega-5X. If the
+    line [AXS:4:XYZA] is lost as well, it could be mistaken for Grbl."""
     cell = ControllerCell("grblhal", {22: 9.0})
     original = cell.emulator.take_output
     spoilt: list[bytes] = []

@@ -115,8 +115,8 @@ def test_out_of_reach_is_refused_with_a_message() -> None:
 def test_the_duration_is_that_of_the_slowest_joint(
     start: Joints, goal: Joints, speed: float
 ) -> None:
-    """Reference: the emulator's trapezoidal speed profile for each joint alone. No joint needs
-    longer than the move."""
+    """Compare the move with the emulator's trapezoidal speed profile for each joint alone. The move
+    must take at least as long as the slowest joint, and at most twice as long."""
     duration = move_duration(GEOMETRY, start, goal, speed)
     single = 0.0
     for axis in range(4):

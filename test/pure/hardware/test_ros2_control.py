@@ -90,8 +90,8 @@ speeds = st.floats(0.05, 1.0)
 def test_a_move_respects_the_limits_and_takes_the_least_time(
     start: tuple[float, ...], goal: tuple[float, ...], speed: float
 ) -> None:
-    """Check samples of the motion that the controller interpolates. The samples do not depend on
-    the formulas with which the driver computes the points."""
+    """Check samples of the motion that the emulated controller interpolates between the points of
+    the driver. The samples are computed independently of the driver's formulas."""
     duration = move_duration(GEOMETRY, start, goal, speed)
     if duration < 0.05:
         return

@@ -107,7 +107,8 @@ def test_every_link_that_moves_has_a_solid_with_mass() -> None:
         assert 500 < mass / (math.pi * radius**2 * length) < 8000, "kg/m^3 of a machine"
         given = links[name].find("inertial/inertia").attrib
         xx, yy, zz = (float(given[key]) for key in ("ixx", "iyy", "izz"))
-        # Inequality for the moments of inertia of any solid, and the moments of a cylinder.
+        # The moments of inertia of any solid satisfy the triangle inequality. These solids are
+        # cylinders.
         assert min(xx + yy - zz, yy + zz - xx, zz + xx - yy) > 0
         assert zz == pytest.approx(mass * radius**2 / 2)
         assert xx == yy == pytest.approx(mass * (3 * radius**2 + length**2) / 12)

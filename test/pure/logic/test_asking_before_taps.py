@@ -121,8 +121,8 @@ def test_a_moved_object_is_replanned(asked: Asked) -> None:
 
 
 def test_an_answer_that_comes_with_the_motion_does_not_fire(asked: Asked) -> None:
-    """The object moves and the person confirms before the planner has received two observations of
-    the motion."""
+    """The object moves, and the person confirms the tap before the planner has received two
+    observations of the motion."""
     asked.send()
     first = asked.proposal()
     asked.pose = Pose(-0.06, 0.05, 0.1)

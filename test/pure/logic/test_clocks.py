@@ -29,7 +29,8 @@ def at(steady: float) -> Now:
 def stamp_of(
     message: ArmState | ObjectState | PlanState | TapperState, taken: float, ahead: float
 ) -> None:
-    """Return the stamp at a true time from a clock that is ``ahead`` of this computer's."""
+    """Stamp a message at the true time ``taken`` with a clock that is ``ahead`` s ahead of this
+    computer's clock."""
     message.header.stamp = to_stamp(round((EPOCH + taken + ahead) * NANOSECONDS))
 
 
@@ -125,8 +126,8 @@ def test_observations_before_the_withdrawal_do_not_count_as_later_ones(
         received = max(received, taken + delay)
         least = min(least, received - taken)
         monitor.on_object(seen(taken, ahead), at(received))
-        # The guarantee requires that the fastest image needs at most QUICKEST_IMAGE_S longer than
-        # the arm's message.
+        # Images taken before the withdrawal are certain to be refused only if the delay of the
+        # fastest image is at most QUICKEST_IMAGE_S longer than that of the arm's message.
         bounded = least <= arm_delay + QUICKEST_IMAGE_S
         if bounded and monitor.usable(reported, 10, at(received)):
             assert taken > withdrawn - 1e-6

@@ -1,5 +1,5 @@
-"""A planner that has crashed resumes its stored goal once, soon after the crash, and only if it can
-be read."""
+"""A planner that has crashed resumes its goal once, soon after the crash, and only if the stored
+goal can be read."""
 
 from __future__ import annotations
 

@@ -41,8 +41,8 @@ def struck(x: float, y: float, heading: float, slide: float) -> tuple[Scene, Joi
 
 
 def hidden(joints: Joints, points: np.ndarray, room: float) -> np.ndarray:
-    """Return which discs (M, 3) of radius ``room`` are covered by the arm's silhouette in the
-    image."""
+    """Return for each disc whether the arm's silhouette covers any part of it in the image, (M,).
+    The discs have the centres ``points`` (M, 3) and the radius ``room``."""
     lens = np.array(LENS)
     found = np.zeros(len(points), dtype=bool)
     for solid in arm_solids(ARM, CELL.file.tapper, CELL.arm_base, joints):
@@ -80,8 +80,8 @@ def test_object_and_markers_are_unobstructed_after_every_withdrawal(
 
 
 def test_withdrawals_are_short() -> None:
-    """On average, a withdrawal takes less than half the time of parking. At most one of the taps
-    requires parking to free the view."""
+    """On average, a withdrawal takes less than half the time of parking. After at most one of the
+    random taps, the arm has to be parked so that the camera sees the object."""
     rng = np.random.default_rng(3)
     early, parked, parks = 0.0, 0.0, 0
     for _ in range(60):

@@ -99,7 +99,8 @@ def test_the_lateral_drift_is_significant():
 
 
 def test_a_square_slides_nearly_like_its_equivalent_disk():
-    """Accuracy of the axisymmetric approximation for initial motions with R omega up to v."""
+    """Check the accuracy of the axisymmetric approximation for initial motions with R omega up to
+    v."""
     generator = np.random.default_rng(0)
     speed = generator.uniform(0.05, 0.5, 200)
     spin = speed / SQUARE.support_radius * generator.uniform(0.05, 1.0, 200)
@@ -168,7 +169,8 @@ def test_a_slide_without_spin_is_straight(body, speed, direction):
 
 
 def test_friction_is_smooth_where_the_closed_form_is_replaced():
-    """Force and torque are continuous where the formula changes and down to zero spin."""
+    """Force and torque are continuous where another formula replaces the closed form, and when the
+    spin approaches zero."""
     model = Sliding(TRIANGLE, 0.17)._model
     # ratio of speed to spin at which the formula changes
     ratio = TRIANGLE.radius_of_gyration * 50.0

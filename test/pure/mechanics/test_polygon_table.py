@@ -60,8 +60,8 @@ def test_the_inverse_is_exact_and_nothing_moves_without_a_launch() -> None:
 
 
 def test_a_discontinuity_of_the_slide_does_not_stop_the_inverse() -> None:
-    """Outside the table, the number of integration steps is not continuous, so that the computed
-    slide may jump."""
+    """Slides outside the table are integrated. The number of integration steps changes with the
+    initial motion, and the computed slide may jump at each change."""
 
     def jumping(z: np.ndarray, _: np.ndarray) -> np.ndarray:
         return z * (1.0 + 1e-4 * (z > 0.5))

@@ -192,7 +192,7 @@ def test_the_launch_velocity_slides_to_the_outcome():
 
 
 def test_the_cone_of_the_paper_is_reproduced():
-    """Section 4 of the paper: 10 degrees over 10 mm are three times the rotation that one tap can
+    """Section 4 of the paper: 10 degrees are three times the rotation that a tap over 10 mm can
     cause."""
     slope = math.degrees(PAPER.cone_slope) / 1e3
     assert slope == pytest.approx(0.333, rel=0.02)
@@ -267,7 +267,8 @@ def test_the_jacobian_predicts_small_errors(rotation):
 
 def test_the_jacobian_of_the_paper_is_reproduced():
     """The x and theta rows of the Jacobian agree with section 5.1 of the paper within 10 % rms. The
-    product of the Jacobian and the paper's striker error agrees within 20 %."""
+    product of the Jacobian and the paper's striker error agrees with that in the paper within
+    20 %."""
     both = sensitivity(paper_tap(), (0.010, 0.0, math.radians(3)))
     error = (both.printed - PAPER_JACOBIAN)[[0, 2]] / [[0.135], [0.0251]]
     assert np.sqrt((error**2).mean(axis=1)).max() < 0.10

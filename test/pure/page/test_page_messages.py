@@ -295,7 +295,8 @@ def test_the_arrow_keys_follow_the_image_axes(turns: int, right: int) -> None:
 def test_the_ellipse_holds_95_of_100_results(
     predicted: Pose, along: float, across: float, turn: float, seed: int
 ) -> None:
-    """Random samples of the result, each projected into the camera's image, are the reference."""
+    """Compare the drawn ellipse with random samples of the result, each of which is projected into
+    the camera's image."""
     made = ghost()
     axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     covariance = axes @ np.diag([along**2, across**2]) @ axes.T

@@ -53,8 +53,8 @@ def free(space):
 
 
 def known_gains(**values):
-    """Return the gains of an object tapped many times before: those of its file, except for
-    ``values``."""
+    """Return gains (learnt corrections of the model) that are known exactly, as after many taps.
+    They are those of an object that behaves as its file says, except for ``values``."""
     numbers = {"distance": 1.0, "rotation": 1.0, **values}
     kept = {name: numbers.get(name, 0.0) for name in NAMES}
     gains = Gains.from_numbers({**kept, **{f"{name}_deviation": 1e-9 for name in NAMES}})

@@ -74,7 +74,8 @@ def test_the_map_among_objects_equals_that_of_equivalent_keep_outs(kind: Kind) -
     quick = kind.free.among(areas)
     slow = FreeSpace(kind.free.space.among(areas))
     # ``quick`` represents the bar of the tool by an exact capsule, ``slow`` by points along the
-    # bar. ``quick`` never allows more places than ``slow``, and at most 2 % fewer.
+    # bar. Each place that is tappable in ``quick`` must be tappable in ``slow``, and at most 2 % of
+    # the tappable places of ``slow`` may be missing in ``quick``.
     assert not np.any(quick.tappable & ~slow.tappable)
     assert np.sum(slow.tappable & ~quick.tappable) <= 0.02 * np.sum(slow.tappable)
     assert np.array_equal(kind.free.among([]).tappable, kind.free.tappable)
@@ -194,8 +195,8 @@ def test_a_shift_of_an_untapped_object_is_detected(kind: Kind) -> None:
 
 
 def test_an_object_does_not_return_to_where_it_blocks_another(kind: Kind) -> None:
-    """Two objects form a wall with a gap, and the goal of o0 is in this gap. o0 stays next to it
-    until o1 has passed."""
+    """Two other objects form a wall with a gap, and the goal of o0 is in this gap. First, o1 has to
+    pass through the gap, so o0 stays beside the gap until then."""
     goals = [Pose(0.06, 0.0, 0.0), Pose(-0.2, 0.0, 0.0), None, None]
     poses = [Pose(0.12, 0.05, 0.0), Pose(0.22, -0.1, 0.0)]
     wall = [Pose(0.06, 0.124, 0.0), Pose(0.06, -0.124, 0.0)]
@@ -210,8 +211,8 @@ def test_a_confirmed_object_is_not_tapped_for_one_noisy_observation(
     kind: Kind, off: float, direction: float
 ) -> None:
     """An object that was confirmed at its goal stays confirmed as long as it is observed inside the
-    tolerance, even close to its edge. A first observation that close to the edge would not be
-    enough to confirm the object."""
+    tolerance, even close to the limit. An object that is not yet confirmed would not be confirmed
+    by an observation that close to the limit."""
     goals = [Pose(0.1, 0.0, 0.0), Pose(-0.1, 0.1, 0.0)]
     session = ArrangementSession(bodies_of(kind, goals))
     noise = np.diag([2e-4, 2e-4, 2e-3]) ** 2

@@ -19,7 +19,8 @@ from tapping_cell.planning.kept_gains import gains_file
 
 SCATTER, CAMERA = Scatter(), CameraNoise(1e-4, math.radians(0.1))
 FILE = (1.0, 1.0, 0.0, 0.0, 0.0, 0.0)
-"""Gains of an object that behaves as its file says, in the order of ``NAMES``."""
+"""Gains (corrections of the model) of an object that behaves as its file says, in the order of
+``NAMES``."""
 
 
 def answer(true, commanded, orientation, rng, scatter=SCATTER, camera=CAMERA):

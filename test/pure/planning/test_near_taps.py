@@ -128,7 +128,7 @@ def test_a_strike_has_the_expected_taps_and_seconds_of_the_policy(cell, goal):
     session.arm = times.parked
     strike = session.decide(np.zeros(3))
     taps = float(planner.taps_to_go(math.hypot(*goal[:2]), goal[2]))
-    if strike.detour:  # this is not the tap that the policy prefers
+    if strike.detour:  # an alternative to the tap that the policy prefers
         assert strike.expected.taps > taps - 0.03
     else:
         assert strike.expected.taps == pytest.approx(taps, abs=0.03)

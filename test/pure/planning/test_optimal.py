@@ -154,7 +154,8 @@ def test_other_cells_have_plans_too(settings):
 
 
 def test_a_rotation_beyond_half_a_turn_in_the_cones_units_still_costs_taps(settings):
-    """Beyond the grid, the remaining number of taps grows linearly with the remaining rotation."""
+    """Beyond the grid, the expected number of further taps grows linearly with the remaining
+    rotation."""
     policy = make_planner("optimal", settings)
     far = policy.taps_to_go(np.full(4, 0.09), np.array([3.0, 4.0, 5.0, 6.0]))
     largest = settings.cone_slope * settings.largest_distance

@@ -59,7 +59,8 @@ def test_every_tap_has_a_contact_and_single_and_batch_choices_agree():
 
 
 def test_the_choice_matches_that_of_a_session():
-    """At least 80 % of the choices are those of a session."""
+    """Taps are chosen for many states at once. At least 80 % of these taps must be those that a
+    session chooses for the same states."""
     pose, goal, first, gains = states(30, seed=8)
     chosen = contact_taps(pose, goal, first, gains.value, PLANNER, TAP)
     rough = replace(TAP, sliding=TAP.sliding.approximated())

@@ -79,7 +79,7 @@ def test_a_free_striker_launches_a_round_body_as_in_the_closed_form(
         speed, incidence, (-body.bounding_radius, 0.0)
     )
     size = float(np.hypot(*closed.velocity))
-    # The contact point moves along the edge during the contact.
+    # The contact point moves along the edge during the contact, which the closed form neglects.
     way = speed * law.contact_time / body.bounding_radius
     off = (0.005 + 3 * way) * size
     assert math.hypot(motion.vx, motion.vy) == pytest.approx(size, abs=off)
@@ -108,7 +108,8 @@ def test_an_off_centre_contact_matches_the_impact_with_energetic_restitution(
     constraint: Literal["free", "linear_bearings"],
 ) -> None:
     """The reference integrates the same impact over small steps of the normal impulse (Stronge
-    1990), until the work of the normal force in restitution is e^2 of that in compression."""
+    1990). It ends when the normal force has done e^2 times as much work in restitution as in
+    compression."""
     striker = Striker(0.1, 0.0054, constraint)
     law = ContactLaw(restitution, friction, 5e-5)
     motion, _, _ = collided(SQUARE, striker, law, along, incidence, 0.3)

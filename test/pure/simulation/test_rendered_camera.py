@@ -55,8 +55,8 @@ def brute_force(scene: SceneRenderer, pose: np.ndarray, window: tuple[int, int, 
     inside = (column >= 0) & (column < size) & (row >= 0) & (row < size)
     value = np.where(inside, pattern[row.clip(0, size - 1), column.clip(0, size - 1)], True)
     soft = gaussian_filter(value.astype(float), BLUR * fine)
-    # The renderer's blur includes the pixel's own area. Therefore, point values are compared
-    # instead of means over pixels.
+    # The renderer's blur includes the averaging over the area of a pixel. Therefore, return the
+    # values at the centres of the pixels, not the means over the pixels.
     return 0.5 * (
         soft[fine // 2 - 1 :: fine, fine // 2 - 1 :: fine]
         + soft[fine // 2 :: fine, fine // 2 :: fine]
@@ -115,8 +115,8 @@ def test_the_object_leaves_no_trace_and_may_leave_the_image(scene):
 
 
 def test_the_side_wall_is_visible_towards_the_camera(scene):
-    """The camera is above the middle. A disk on the right hides the table only beyond the outer
-    edge of its top."""
+    """The camera is above the middle of the table, and the disk is on the right. Its side wall is
+    visible on the side towards the middle."""
     pose = np.array([0.25, -0.02, 0.0])
     image = scene.render(pose).astype(float)
     inner_top, inner_base = (
@@ -157,8 +157,8 @@ def test_pixel_coverage_of_a_polygon_equals_its_area():
 
 def test_rendering_a_frame_takes_a_small_part_of_33_ms(scene):
     def least(frames: int, step: float) -> float:
-        """Return the shortest processor time of a frame, ms. It is hardly affected by other
-        programs."""
+        """Return the shortest processor time of a frame, ms. Unlike the mean, it is hardly affected
+        by other programs."""
         spent = []
         for k in range(frames):
             begin = time.process_time()

@@ -1,4 +1,4 @@
-"""Extreme numbers in all numeric fields of all messages, during a tap.
+"""Send messages with extreme numbers during a tap: all message types, and all numeric fields.
 
 Other publishers may send any values. No state machine may raise an exception, nothing unsafe may
 happen, and the cell must work afterwards.

@@ -72,7 +72,8 @@ def tap_by_a_program(cell: ScenarioCell) -> None:
 
 
 def send_goal(cell: ScenarioCell) -> None:
-    """Send the goal and discard the end of the previous one, which is published until then."""
+    """Send the goal and discard the messages that report the end of the previous goal. The planner
+    publishes them until it has received the new goal."""
     cell.trial.send_goal(GOAL)
     assert cell.run(5.0, lambda: cell.plans[-1].state not in FINAL)
     cell.plans.clear()

@@ -77,7 +77,8 @@ def test_rays_of_a_wide_lens_project_to_their_pixels(half_angle):
 def test_a_lens_that_folds_back_inside_the_image_is_refused():
     with pytest.raises(CameraError, match="pixel \\(0, 0\\).*fold back"):
         CameraModel(1280, 1024, 500.0, 500.0, 639.5, 511.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
-    # Such a lens can be used in the middle of the image. Beyond the fold, pixels have no rays.
+    # A smaller image is inside the circle at which this lens folds back, so the lens is accepted.
+    # Pixels beyond this circle have no rays.
     small = CameraModel(640, 512, 500.0, 500.0, 319.5, 255.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
     assert np.isfinite(small.rays([0.0, 0.0])).all()
     assert np.isnan(small.rays([-320.0, -256.0])).all()

@@ -1,4 +1,5 @@
-"""The covariance compared with many random calibrations: corners by projection, without images."""
+"""The covariance is compared with the errors for many random calibrations. The corners are
+projected; no images are rendered."""
 
 from __future__ import annotations
 
@@ -72,7 +73,8 @@ def noisy_edges(view: View, random: np.random.Generator) -> MarkerEdges:
 
 @pytest.mark.parametrize(("lens", "misprint"), [(0.0, 0.0), (0.3, 0.0), (0.0, 3e-5), (1.0, 1e-4)])
 def test_the_normalised_error_follows_chi_square(lens, misprint):
-    """The error of an object's pose, with exact and inexact camera and table files."""
+    """Compare the normalised errors of an object's pose with the chi-square distribution, for exact
+    and for inexact camera and table files."""
     normalised = []
     for trial in range(TRIALS):
         random = np.random.default_rng([trial, 5])
@@ -82,8 +84,8 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
         state = tracker.update(noisy_edges(view, random), np.arange(len(REFERENCES.markers)))
         assert state is TableState.STEADY and tracker.pose is not None
         true = random.uniform([-0.25, -0.17, -np.pi], [0.25, 0.17, np.pi])
-        # An object's marker is represented by four points. Compute where the files place these
-        # points.
+        # Represent the marker of an object by four points, and compute where these points are
+        # measured if the inexact files are used.
         arms = 0.02 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
         points = transform_points(true, arms)
         erroneous = View(tracker.camera, tracker.pose)
@@ -100,8 +102,9 @@ def test_the_normalised_error_follows_chi_square(lens, misprint):
 
 
 def test_a_measured_map_may_be_scaled_and_rotated_as_a_whole():
-    """The covariance includes a deformation that all markers have in common. The covariance is
-    compared with the errors of many randomly deformed maps."""
+    """If the map was measured with a given deviation, the covariance of a pose must include the
+    effect of a linear deformation of the whole map. The expected covariance is that of the errors
+    of many randomly deformed maps."""
     deviation, place = 3e-5, np.array([0.2, -0.1, 0.7])
     judged = []
     for references in (REFERENCES, dataclasses.replace(REFERENCES, deviation=deviation)):

@@ -90,8 +90,8 @@ def test_the_exif_rotation_of_a_photograph_is_not_applied(folder, capsys):
 
 
 def test_images_in_other_formats_are_read(folder, capsys):
-    """Images with 12 bits stored in 16, rotated portrait photographs, colour images and other
-    formats give the same result."""
+    """The result is the same for 12-bit images stored with 16 bits, rotated portrait photographs,
+    colour images and other formats."""
     grey = cv2.imread(str(folder / "shot0.png"), cv2.IMREAD_GRAYSCALE)
     cv2.imwrite(str(folder / "deep.png"), grey.astype(np.uint16) * 16)
     cv2.imwrite(str(folder / "grey.tiff"), grey)

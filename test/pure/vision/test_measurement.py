@@ -177,8 +177,8 @@ def test_rays_of_a_window_match_the_camera():
 
 
 def test_camera_pose_of_a_tilted_view_is_not_square():
-    """The edges are fitted in the plane of the marker, so a tilt of 5 degrees causes no error of
-    the size."""
+    """The edges are fitted in the plane of the marker, so a tilt of 5 degrees causes no error in
+    the measured size."""
     view = View(CAMERA, CameraPose.above((0.06, 0.0, 0.7)))
     pose = np.array([-0.2, 0.1, 0.3])
     image = area_sampled_marker(view, MARKER, pose)

@@ -159,8 +159,8 @@ def test_a_stationary_object_is_measured_as_by_a_full_fit(outline):
         whole = fit_outline(image, shown.view, outline, HOME)
         again = fit_again(image, known.linearisation, HOME)
         deviation = np.sqrt(np.diag(whole.covariance))
-        # The two fits use slightly different pixels at the edge of the band, and slightly different
-        # sectors.
+        # The fit with the stored linearisation uses slightly different pixels and sectors than the
+        # full fit.
         assert np.all(np.abs(again.pose - whole.pose) < 0.7 * deviation)
         assert np.sqrt(np.diag(again.covariance)) == pytest.approx(deviation, rel=0.3)
     moved = HOME + np.array([3e-4, 0.0, 0.0])
@@ -215,7 +215,8 @@ def test_the_normalised_error_matches_the_covariance(outline):
 
 @pytest.mark.parametrize("outline", [DISK, FOUR, SQUARE])
 def test_no_rim_is_fitted_where_none_is_possible(outline):
-    """The outline is accepted a few pixels from the true pose, but not on the empty table."""
+    """The comparison of the grey levels accepts a pose a few pixels from the true one, but refuses
+    a pose on the empty table."""
     shown = scene(outline, noise=4.0, light_falloff=0.67)
     random = np.random.default_rng(7)
     pixel = 0.7 / CAMERA.fx

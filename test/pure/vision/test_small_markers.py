@@ -61,8 +61,8 @@ def test_markers_with_1_5_pixels_per_module_reach_their_stated_accuracy(name):
         assert right.all()
         shift = edges.corners[0].mean(axis=0) - corners.mean(axis=0)
         errors.append(np.linalg.norm(shift))
-        # If each side has this noise, the centre of the four sides has half the variance of a side
-        # in x and in y.
+        # The positions of the four sides have independent noise. In x and in y, the centre of the
+        # marker therefore has half the variance of a side.
         normalised.append(shift @ shift / (0.5 * side_noise(edges, 1.0)[0] ** 2))
     assert np.max(errors) < 0.1
     assert np.mean(normalised) < 3.5
@@ -126,8 +126,8 @@ def test_no_pattern_is_accepted_because_it_fits_when_blurred():
 
 
 def test_a_corner_that_the_search_found_elsewhere():
-    """One corner is wrong by four pixels, as if glare had interrupted the outline. The marker is
-    found after a search, but not from its last pose."""
+    """One corner of a searched quadrilateral is wrong by four pixels, as if glare had interrupted
+    the outline. This corner must be corrected."""
     pattern = marker_pattern("ARUCO_ORIGINAL", 11)
     corners = square(34.0, 0.1)
     image = picture(pattern, corners)
@@ -165,8 +165,8 @@ def test_sides_of_a_fitted_pattern_claim_no_more_accuracy_than_the_fit():
 
 
 def test_searches_of_one_image_are_combined():
-    """The next search of the same image keeps the detections of the first. If an id is found at two
-    places, these are two markers with the same id."""
+    """A second search of the same image adds to the detections of the first search. If an id is
+    then found at two places, these are two markers with the same id."""
     here, beside = square(20.0, 0.0), square(20.0, 0.0) + 0.4
     elsewhere = square(20.0, 0.0, (40.0, 40.0))
     first = Detections({1: here, 2: here, 3: here}, (7,))

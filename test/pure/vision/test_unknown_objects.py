@@ -205,7 +205,7 @@ def test_printed_lines_are_not_objects_but_a_wide_print_is() -> None:
 
 
 def table_places(view: View, image: np.ndarray) -> np.ndarray:
-    """Points (H, W, 2) of the table's plane in m that the pixels of an image show."""
+    """Return the points (H, W, 2) of the table's plane, in m, that the pixels of an image show."""
     rows, columns = image.shape
     few = np.meshgrid(np.linspace(0, columns - 1, 80), np.linspace(0, rows - 1, 60))
     corners = view.on_plane(np.stack(few, axis=-1)).astype(np.float32)
@@ -216,7 +216,8 @@ def table_places(view: View, image: np.ndarray) -> np.ndarray:
 
 
 def grain(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Reflectance of wood, relative to its mean: planks of 90 mm with grain along them."""
+    """Return the reflectance of wood, relative to its mean, for planks of 90 mm with lengthwise
+    grain."""
     streaks = cv2.GaussianBlur(random.standard_normal((900, 900)).astype(np.float32), (0, 0), 40, 3)
     x, y = np.moveaxis(places.astype(np.float32) / 0.001 + 450.0, -1, 0)
     planks = 1.0 + 0.1 * random.standard_normal(20)
@@ -227,13 +228,15 @@ def grain(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 
 def tiles(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Reflectance of a chequered table with squares of 40 mm, relative to the brighter ones."""
+    """Return the reflectance of a chequered table with squares of 40 mm, relative to its brighter
+    squares."""
     squares = np.floor(places / 0.04).sum(axis=-1)
     return np.where(squares % 2 > 0, 0.8, 1.0)
 
 
 def breadboard(places: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Reflectance of an optical breadboard with holes of 6 mm every 25 mm, relative to its top."""
+    """Return the reflectance of an optical breadboard with holes of 6 mm every 25 mm, relative to
+    its top."""
     return np.where(np.linalg.norm((places + 0.0125) % 0.025 - 0.0125, axis=-1) < 0.003, 0.3, 1.0)
 
 
