@@ -16,6 +16,7 @@ from tapping_cell.simulation.marlin_emulator import MarlinEmulator, MarlinMachin
 from tapping_cell.simulation.motor_axes import TO_UNITS
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.rendered_camera import Occluder
+from tapping_cell.simulation.striker_speed import striker_speed
 from tapping_cell.simulation.tapper_emulator import TapperEmulator
 from tapping_cell.simulation.truth import ArmTruth
 
@@ -76,11 +77,7 @@ class SimulatedDevices:
     def _fire(self, shot: int, energy: float, now: float) -> float | None:
         """Handle a release: the striker starts at the true pose of the tip."""
         tip, height = self.tip(now)
-        # The carriage stops at whole motor steps, so the energy may lie slightly outside the range
-        # of the energy curve. It is then set to the nearest value in this range.
-        least, most = self._curve.table[0][0], self._curve.table[-1][0]
-        speed = self._curve.speed_for(min(max(energy, least), most))
-        return self._on_strike(tip, height, speed, now)
+        return self._on_strike(tip, height, striker_speed(self._curve, energy), now)
 
     def solids(self, now: float) -> tuple[Occluder, ...]:
         """Return the silhouettes of the arm at its true position for the camera."""

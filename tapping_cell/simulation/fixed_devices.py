@@ -16,6 +16,7 @@ from tapping_cell.simulation.arm_picture import striker_solids
 from tapping_cell.simulation.devices import LARGEST_BOOT
 from tapping_cell.simulation.pseudo_terminal import PseudoTerminal
 from tapping_cell.simulation.rendered_camera import Occluder
+from tapping_cell.simulation.striker_speed import striker_speed
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.simulation.truth import MountsTruth
 
@@ -95,9 +96,7 @@ class FixedTapperBoard:
         if entry is None:
             return None  # a channel without a striker
         tapper = self._tappers[entry.channel]
-        curve = tapper.curve()
-        least, most = curve.table[0][0], curve.table[-1][0]
-        speed = curve.speed_for(min(max(energy, least), most))
+        speed = striker_speed(tapper.curve(), energy)
         measured, travel = self._on_strike(
             self._mounts[entry.name], self._height, speed, tapper, now
         )

@@ -15,6 +15,7 @@ from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.devices import arm_emulator
 from tapping_cell.simulation.fault_layer import FaultLayer
 from tapping_cell.simulation.spring_drive import SpringMechanism
+from tapping_cell.simulation.striker_speed import striker_speed
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.simulation.world import World
@@ -149,6 +150,6 @@ class PhysicalCell:
             )
         )
         self.on_release()
-        speed = self._curve.speed_for(energy)
+        speed = striker_speed(self._curve, energy)
         self.world.strike(tip, height, speed, now)
         return self.world.gate_speed(speed)
