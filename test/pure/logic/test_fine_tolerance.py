@@ -62,7 +62,7 @@ def test_tolerances_achievable_with_the_smallest_tap_are_accepted(
 def test_unachievable_tolerances_are_refused_with_the_scatter(arranged: bool) -> None:
     refused = answer(0.02, 0.2, arranged=arranged)
     assert isinstance(refused, Refused) and refused.code == ErrorCode.GOAL_BAD_TOLERANCE
-    assert "its 20 mm scatter by 1 mm" in refused.sentence
+    assert "a tap of 20 mm scatters by 1 mm" in refused.sentence
 
 
 @pytest.mark.parametrize("arranged", [False, True])

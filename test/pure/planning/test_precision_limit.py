@@ -38,7 +38,7 @@ def test_fine_tolerances_are_accepted_down_to_the_limit_of_the_smallest_tap() ->
     assert precision_limit(at(0.1)) == precision_limit(at(0.05)) == ""
     coarse = at(0.05, smallest_distance=0.006)
     refused = precision_limit(coarse)
-    assert "0.05 mm" in refused and "its 6 mm scatter by 0.3 mm" in refused
+    assert "0.05 mm" in refused and "a tap of 6 mm scatters by 0.3 mm" in refused
     assert precision_limit(replace(coarse, scatter=Scatter(0.005, 0.05, 0.002))) == ""
     # Another check refuses a tolerance below the camera's accuracy.
     assert precision_limit(replace(coarse, camera=CameraNoise(1e-4, 1e-3))) == ""
@@ -48,6 +48,6 @@ def test_a_floor_of_the_scatter_limits_the_tolerance() -> None:
     coarse = replace(at(0.1), scatter=Scatter(0.01, 0.05, 0.005))
     assert precision_limit(coarse) == ""
     rough = replace(coarse, scatter=Scatter(0.01, 0.05, 0.005, position_floor=5e-4))
-    assert "scatter by 0.5 mm in distance and 0.5 mm across" in precision_limit(rough)
+    assert "scatters by 0.5 mm along and 0.5 mm across" in precision_limit(rough)
     turned = replace(coarse, scatter=Scatter(0.01, 0.05, 0.005, angle_floor=math.radians(2.0)))
     assert "by 2 degrees in rotation" in precision_limit(turned)
