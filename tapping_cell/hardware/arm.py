@@ -293,7 +293,7 @@ class ArmDriver:
         self._stopped.clear()
         try:
             if not self.connected:
-                self.connect(timeout)
+                self._connect_to_locked(timeout)
             if must_unlock or self._dialect.read(self._reply_deadline()).alarm:
                 self._homed = False
                 self._confirmed = None
@@ -311,6 +311,20 @@ class ArmDriver:
                 self._fault = first or noted
             raise noted from fault.__cause__
         self._fault = None
+
+    def _connect_to_locked(self, timeout: float) -> None:
+        """Connect, and reset a controller that answers no queries because it sleeps or holds."""
+        try:
+            self.connect(timeout)
+        except HardwareFault as fault:
+            if fault.reason is not FaultReason.REJECTED:
+                raise
+        else:
+            return
+        self._transport.open(timeout)
+        self._dialect.clear(self._transport.now() + timeout)
+        self._fault = None
+        self.connect(timeout)
 
     def _move(
         self, legs: tuple[Joints, ...], speeds: tuple[float, ...], deadline: float | None

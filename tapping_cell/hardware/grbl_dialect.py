@@ -482,8 +482,8 @@ class GrblDialect:
             raise HardwareFault(
                 FaultReason.REJECTED,
                 f"the arm's controller is {LOCKED[status.state]} and reports no settings: make"
-                " the cell safe, end this state or press the controller's reset button, then"
-                " connect again",
+                " the cell safe, then clear (Clear on the page, or python -m tapping_cell clear),"
+                " which resets the controller",
             )
 
     def _await_banner(self, until: float) -> bool:

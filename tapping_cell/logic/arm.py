@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any
 
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.arm_settings import HomingStrategy
 from tapping_cell.hardware.faults import LINE_LOST, FaultReason, HardwareFault
 from tapping_cell.hardware.motion import MotionSettings, Waypoint, check_limits
@@ -221,6 +222,11 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._outcome_received = 0
         self._charged_until = self._leaving_since = -math.inf
         self._enabling = EnablingDevice()
+        self._locked = False
+        """Whether the last attempt to connect found the controller in a state, such as sleep, in
+        which it refuses queries."""
+        self._clears = False
+        """Whether a person has requested the end of this state."""
 
     # Messages and requests
 
@@ -629,6 +635,19 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is not S.STOPPED:
             self._machine.move(Event.CLOSED, S.DISCONNECTED)
             self._error = (ErrorCode.ARM_NOT_CONNECTED, "the arm is not connected")
+
+    def before_connect(self, driver: ArmDriver) -> None:
+        """Reset the controller if a person has cleared the state in which it refuses queries."""
+        if self._clears:
+            self._clears = False
+            driver.clear_fault(self.patience)
+
+    def _unreachable(self, fault: HardwareFault) -> None:
+        self._locked = fault.reason is FaultReason.REJECTED
+
+    def _clears_at_next_attempt(self) -> bool:
+        self._clears = self._locked
+        return self._locked
 
     def _connected(self, answer: Any, now: Now) -> None:
         self._reading_kept = answer if isinstance(answer, Reading) else None

@@ -187,6 +187,17 @@ class DeviceLogic(ABC, Generic[State, Event]):
     def _report(self, now: Now) -> Publish:
         """Return the effect that publishes the state."""
 
+    def before_connect(self, driver: Any) -> None:
+        """Prepare the device for the next attempt to configure the node. Called in the thread that
+        connects; raises HardwareFault."""
+
+    def _unreachable(self, fault: HardwareFault) -> None:
+        """Take in why an attempt to configure the node failed."""
+
+    def _clears_at_next_attempt(self) -> bool:
+        """Handle a request to clear before the node is configured; return whether it is granted."""
+        return False
+
     # Handlers of the protocol ``Logic``
 
     def on_lifecycle(self, event: LifecycleEvent, now: Now) -> Sequence[Effect]:
@@ -203,6 +214,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
             self._publish_stops(now)
         elif isinstance(event, Unreachable):
             self.patience = patience_after(self.patience, event.fault)
+            self._unreachable(event.fault)
             if not self._stops.stopped:
                 self._error = (self._code_of(event.fault), event.fault.sentence)
         elif isinstance(event, Activated):
@@ -378,7 +390,9 @@ class DeviceLogic(ABC, Generic[State, Event]):
         self._effects.append(Publish("~/stop_state", message))
 
     def _clear(self, token: Token, now: Now) -> None:
-        if not self._configured:
+        if not self._configured and self._clears_at_next_attempt():
+            self._answer(token, True, "clearing; the node's state reports the result")
+        elif not self._configured:
             self._answer(token, False, self._error[1])
         elif self._stops.stopped:
             self._stops.begin_reset()

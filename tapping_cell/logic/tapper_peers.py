@@ -231,16 +231,16 @@ class TapperPeers:
         if age > limit:
             return (
                 code,
-                f"the arm's last position read-back is {age:.2f} s old (limit {limit:.2f} s); ",
+                f"the arm's last position read-back is {age:.2f} s old (limit {limit:.2f} s); "
+                "check scara_arm and the network",
             )
-            "check scara_arm and the network"
         if not _above(arm, strike):
             # If two planners were started by mistake, two taps may have the same id.
             return (
                 code,
-                f"the arm is in position for another tap with the same id {tap_id}; make sure ",
+                f"the arm is in position for another tap with the same id {tap_id}; make sure "
+                "that only one planner runs",
             )
-            "that only one planner runs"
         return None
 
     def clocks_differ(self, now: Now) -> CodedError | None:

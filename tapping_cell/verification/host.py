@@ -481,6 +481,7 @@ class Process:
         while True:
             try:
                 patience = self.logic.patience
+                self.logic.before_connect(self._driver)
                 connected = self._program.connect(self._driver, patience, self._clock.now())
                 break
             except HardwareFault as fault:

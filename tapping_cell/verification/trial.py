@@ -860,7 +860,8 @@ class Trial:
                 self.physical.press_clear_button()
                 self._clear_stop("tapper_trigger")
                 self.call_service("tapper_trigger", "~/clear_fault")
-            if arm.state in (arm_states.STOPPED, arm_states.FAULT):
+            locked = arm.state == arm_states.DISCONNECTED and arm.error_code == ErrorCode.ARM_ALARM
+            if arm.state in (arm_states.STOPPED, arm_states.FAULT) or locked:
                 self._clear_stop("scara_arm")
                 self.call_service("scara_arm", "~/clear_fault")
             elif arm.state == arm_states.NOT_HOMED:

@@ -84,6 +84,7 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
                 " its folder writable and free some space on its disk"
             ) from error
         try:
+            self.logic.before_connect(driver)
             answer = driver.connect(timeout=self.logic.patience)
             connected = read(answer)
         except HardwareFault as fault:

@@ -291,7 +291,7 @@ def test_a_controller_moving_after_an_unplug_is_connected_once_it_is_at_rest(
 
 
 @pytest.mark.parametrize("state", ["Sleep", "Hold"])
-def test_a_controller_in_hold_is_refused_with_its_state(state: str) -> None:
+def test_a_controller_that_connects_in_a_locked_state_can_be_cleared(state: str) -> None:
     cell = ControllerCell("grbl")
     driver = cell.ready()
     cell.during_the_next_move(0.4, lambda: cell.unplug(0.3))
@@ -302,10 +302,16 @@ def test_a_controller_in_hold_is_refused_with_its_state(state: str) -> None:
         assert isinstance(cell.emulator, GrblEmulator)
         cell.emulator.enter_sleep(cell.clock.now)
     cell.wait(1.0)
-    words = "is (in a feed hold|asleep).*reset"
+    words = "is (in a feed hold|asleep).*then clear"
     with pytest.raises(HardwareFault, match=words) as caught:
         driver.connect(2.0)
     assert caught.value.reason is FaultReason.REJECTED
+    # A person who clears resets the controller, which ends the state.
+    driver.clear_fault()
+    assert driver.connected and not driver.homed
+    driver.home(HomingStrategy.FIRMWARE)
+    driver.move_to(FAR)
+    assert np.allclose(cell.truth(), FAR, atol=1e-3)
 
 
 def test_a_report_without_an_axis_is_invalid_even_after_a_fault_was_cleared() -> None:

@@ -35,6 +35,7 @@ from tapping_cell.messages import (
 from tapping_cell.messages import Pose as PoseMessage
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import arm_emulator
+from tapping_cell.simulation.grbl_emulator import GrblEmulator
 from tapping_cell.simulation.truth import ArmTruth
 from tapping_cell.verification.serial_line import SerialLine
 
@@ -451,3 +452,16 @@ def test_a_stop_published_before_the_node_started_prevents_homing() -> None:
     assert cell.call("~/clear_fault").success
     cell.wait_state(ArmState.NOT_HOMED)
     assert not cell.moves(0.3)
+
+
+def test_a_controller_asleep_when_the_node_starts_can_be_cleared() -> None:
+    cell = Cell(home=False, started=False)
+    assert isinstance(cell.device, GrblEmulator)
+    cell.device.enter_sleep(0.0)
+    cell.process.start()
+    cell.wait(lambda: cell.states and cell.last.error_code == ErrorCode.ARM_ALARM, "the refusal")
+    assert "asleep" in cell.last.error_msg and "then clear" in cell.last.error_msg
+    assert cell.call("~/clear_fault").success
+    cell.wait_state(ArmState.NOT_HOMED)
+    assert cell.call("~/home").success
+    cell.wait_state(ArmState.IDLE)
