@@ -217,7 +217,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promised_to = NO_REQUESTER
         self._promised_for = 0.0
         self._promise_end = -math.inf
-        self._released_tap = 0
+        self._ended_tap = self._released_tap = 0
         self._longest_hold = 0.0
         self._outcome_received = 0
         self._charged_until = self._leaving_since = -math.inf
@@ -431,9 +431,11 @@ class ArmLogic(DeviceLogic[State, Event]):
         requester = request.tap_id, request.key
         is_shorter = 0 <= request.duration < self._promised_for
         if request.key and requester == self._promised_to and is_shorter:
-            # Only the tapper knows the key. It ends the promise to stand still only after its
-            # striker was fired or discharged.
-            self._released_tap, self._charged_until = request.tap_id, -math.inf
+            # The tapper ends its own request only after its striker was fired or discharged. Another
+            # client can make the first request for a tap and end it, while the tapper is frozen.
+            # Therefore the outcome must also have been reported.
+            self._ended_tap = request.tap_id
+            self._release()
             stands = end <= self._promise_end
             self._promise_end = min(self._promise_end, end)
             self._leave_when_free(now)
@@ -497,7 +499,14 @@ class ArmLogic(DeviceLogic[State, Event]):
         ):
             return
         self._outcome_received = message.tap_id
+        self._release()
         self._leave_when_free(now)
+
+    def _release(self) -> None:
+        """Stop waiting for the striker if the tapper has ended its request and reported the
+        outcome."""
+        if self._outcome_received == self._ended_tap:
+            self._released_tap, self._charged_until = self._ended_tap, -math.inf
 
     def _give_up(self, now: Now) -> None:
         """End the tap and leave the strike pose as soon as the arm no longer has to stand still."""

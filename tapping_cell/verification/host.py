@@ -197,7 +197,7 @@ class Process:
         self._answers: dict[Any, Callable[[Any], None]] = {}
         self._tick: Timer | None = None
         self._life = 0
-        self._connected = False
+        self._connected = self._configured = False
         self._stop_publishers: set[str] = set()
         for line in program.lines:
             line.before_write = self._before_write
@@ -214,7 +214,7 @@ class Process:
         self._life += 1
         life = self._life
         self.alive, self.active, self.frozen_until = True, False, 0.0
-        self._connected = False
+        self._connected = self._configured = False
         self.logic, self._driver = self._program.make()
         self._jobs.clear()
         self._abandoned.clear()
@@ -264,12 +264,13 @@ class Process:
         self._scheduler.at(self.frozen_until, self._thaw)
 
     def lifecycle(self, event: LifecycleEvent) -> None:
-        """Activate or deactivate the node, as an external life cycle request does."""
+        """Activate or deactivate the node, as an external life cycle request does. A node that is
+        not configured refuses both."""
         if not self.alive:
             return
 
         def handle() -> None:
-            if isinstance(event, Activated) == self.active:
+            if not self._configured or isinstance(event, Activated) == self.active:
                 return
             self.active = isinstance(event, Activated)
             self._carry_out(self.logic.on_lifecycle(event, self._clock.now()))
@@ -453,12 +454,13 @@ class Process:
             return
         self._connected = self._driver is not None
         age = self._scheduler.now - self.disk.goal_touched
-        self._when_awake(
-            lambda: self._handle(
-                self.logic.on_lifecycle,
-                Configured(self._program.cell, connected, self.disk.stop, self.disk.goal, age),
-            )
-        )
+        event = Configured(self._program.cell, connected, self.disk.stop, self.disk.goal, age)
+
+        def handle() -> None:
+            self._handle(self.logic.on_lifecycle, event)
+            self._configured = True
+
+        self._when_awake(handle)
         self.lifecycle(Activated())
         self._tick = self._scheduler.after(0.0, lambda: self._on_tick(life))
 

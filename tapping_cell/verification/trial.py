@@ -291,6 +291,9 @@ class Trial:
         self._token = 0
         self._result: PositionObject.Result | None = None
         self._pressed_until = -math.inf
+        self._handled_late: set[str] = set()
+        """Frozen processes that were asked to clear while the emergency stop was held. They handle
+        this request when they continue; it is valid if the stop has been released by then."""
         self._waiting_faults: list[Fault] = []
         self._taken: dict[int, Time] = {}
         """Stamp of the last TAP command with each tap id that the tapper's process has handled."""
@@ -769,6 +772,8 @@ class Trial:
         have no effect."""
         for node in self.devices:
             self.call_service(node, "~/clear_fault")
+            if self.scheduler.now < self.processes[node].frozen_until:
+                self._handled_late.add(node)
         self.scheduler.after(1.0, self._home_too_early)
 
     def _home_too_early(self) -> None:
@@ -893,6 +898,10 @@ class Trial:
                 self._last_reports[node, topic] = text
                 self._note(text)
         self.checker.on_publish(node, topic, message)
+        if topic == "~/stop_state" and not message.stopped and node in self._handled_late:
+            self._handled_late.discard(node)
+            if math.isinf(self.checker.held_since):
+                self._clear_stop(node)
         if topic == "tapper_state" and node == "tapper_trigger":
             self._check_fault_report(message)
         states = ("arm_state", "tapper_state", "plan_state")
