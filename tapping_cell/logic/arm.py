@@ -431,9 +431,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         requester = request.tap_id, request.key
         is_shorter = 0 <= request.duration < self._promised_for
         if request.key and requester == self._promised_to and is_shorter:
-            # The tapper ends its own request only after its striker was fired or discharged. Another
-            # client can make the first request for a tap and end it, while the tapper is frozen.
-            # Therefore the outcome must also have been reported.
+            # The tapper ends its own request only after its striker was fired or discharged.
+            # Another client can make the first request for a tap and end it, while the tapper is
+            # frozen. Therefore the outcome must also have been reported.
             self._ended_tap = request.tap_id
             self._release()
             stands = end <= self._promise_end
