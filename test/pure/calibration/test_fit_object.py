@@ -131,7 +131,7 @@ def test_small_incidences_do_not_determine_the_contact_friction(tmp_path):
     assert friction.value == DISK.contact_friction
     output = " ".join(fit.sentences)
     assert "contact friction" in output
-    advised = [s for s in fit.sentences if "would determine the contact friction" in s]
+    advised = [s for s in fit.sentences if "the uncertainty of the contact friction" in s]
     assert len(advised) == 1
     # Contacts of this disk slide at incidences above atan(0.24 / 0.36) = 33 degrees.
     assert float(advised[0].split("incidence of ")[1].split()[0]) >= 30

@@ -63,7 +63,7 @@ def test_the_cell_is_accepted_but_not_simulated(tmp_path: Path) -> None:
         ({"dialect": "board", "output": None}, "'tapper.port' is missing"),
         ({"output": SECTION | {"pulses": [0.01, 0.02]}}, "2 values, tapper.energies has 3"),
         ({"output": SECTION | {"pulses": [0.01, 0.01, 0.02]}}, "must increase"),
-        ({"output": SECTION | {"pulses": [0.01, 0.05, 0.08]}}, "stands still for at most"),
+        ({"output": SECTION | {"pulses": [0.01, 0.05, 0.08]}}, "limit 0.1 s"),
         ({"output": SECTION | {"name": "set_output"}}, "must be a full name"),
         ({"output": SECTION | {"guard": ""}}, "must be a full name"),
         ({"output": SECTION | {"interface": "gpio"}}, "service, topic, commands, pulse"),

@@ -262,7 +262,7 @@ def test_a_goal_with_more_taps_than_the_cell_allows_is_refused(ready_cell: Repor
 
 def test_a_goal_that_needs_more_taps_than_allowed_ends(ready_cell: ReportedCell) -> None:
     ready_cell.goal(Pose(0.12, 0.05, 2.5), max_taps=1)
-    ready_cell.read(ErrorCode.TAP_LIMIT_REACHED, "after 1 of at most 1 taps")
+    ready_cell.read(ErrorCode.TAP_LIMIT_REACHED, "after 1 taps (limit 1)")
 
 
 def test_more_frames_than_the_camera_delivers_are_too_few(cell: ReportedCell) -> None:

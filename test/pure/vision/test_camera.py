@@ -114,7 +114,7 @@ def test_a_point_on_a_higher_plane_projects_further_out():
     ("change", "words"),
     [
         ({"distortion_model": "equidistant"}, "equidistant"),
-        ({"d": [0.1, 0.2, 0.3]}, "3 given"),
+        ({"d": [0.1, 0.2, 0.3]}, "but 3 are given"),
         ({"k": [0.0] * 9}, "uncalibrated"),
         ({"k": [1.0] * 4}, "4 numbers"),
         ({"d": [float("nan")] * 5}, "not finite"),
