@@ -35,7 +35,7 @@ _STICKS = 2.0  # contact friction at which every contact sticks
 # minimum decrease of the Bayesian information criterion that justifies another free parameter
 _SIGNIFICANT = 2.0
 _MIN_SLIDING = 3  # minimum number of trials with a sliding contact to fit its friction
-_FLOOR = (0.003, 0.01, 0.001)  # minimum scatter of speed, spin (relative) and direction (rad)
+_FLOOR = (0.003, 0.01, 0.001)  # minimum scatter: speed and spin (relative), direction (rad)
 _FIRST = (0.05, 0.15, 0.02)
 _STEP = 1e-4
 

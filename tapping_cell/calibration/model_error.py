@@ -121,9 +121,9 @@ def lack_of_fit(taps: Taps) -> tuple[Misfit, ...]:
         # Each fitted parameter removes one degree of freedom from the run means. The test ignores
         # this, so its p-value is slightly too large.
         found.append(_by_setting(quantity, off[known], runs[known]))
-        # A disturbance that rotates the object in one sense increases rotations in this sense and
-        # reduces rotations in the other, so relative deviations are multiplied by the sign of the
-        # rotation.
+        # A disturbance that turns the object counterclockwise makes counterclockwise rotations
+        # larger and clockwise ones smaller. Multiplying the relative deviations by the sign of the
+        # rotation gives both the same sign.
         sign = np.sign(taps.predicted.rotation) if quantity == "rotation" else 1.0
         for cause, angle, orders in (
             ("place", taps.contact, (1,)),

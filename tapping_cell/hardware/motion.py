@@ -82,8 +82,8 @@ def strike_path(
     fast = settings.travel_speed
     slow_from = goal._replace(quill=goal.quill + settings.near_height)
     brief = slow_from.quill >= above.quill - 1e-9
-    # The fast step ends at `slow_from`. If its command is lost, the whole descent is slow, which is
-    # harmless.
+    # The descent is fast down to `slow_from` and slow below it. If the command for the fast part is
+    # lost, the whole descent is slow, which is harmless.
     lower = Waypoint(goal, near, "lower", None if brief else slow_from, None if brief else fast)
     return _moves(
         Joints(*current),

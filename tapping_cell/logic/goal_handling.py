@@ -152,7 +152,7 @@ class GoalHandling:
             maps[name] = made[key]
         return maps
 
-    # Methods that other kinds of cells override
+    # Methods that the goal handling of a positioning cell overrides
 
     def _prepare(self, cell: Cell) -> None:
         """Create the maps and planners that are kept for the lifetime of the cell."""

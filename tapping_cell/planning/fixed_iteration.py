@@ -58,8 +58,8 @@ LENGTHS = (8, 12)
 and on the finer ones."""
 
 OUTER = 0.020
-"""States are solved up to this distance outside the working area, m, because an object may leave
-the area."""
+"""Distance, m, outside the working area up to which the policy is computed, because a tap may move
+the object out of the area."""
 
 POINTS = (4, 8)
 """Number of equally likely points that represent a tap's scatter while solving: on the coarse grid

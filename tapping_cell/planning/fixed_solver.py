@@ -199,8 +199,11 @@ def _solver_ended() -> PlanningError:
 
 
 def _work(line: Connection, niceness: int) -> None:
-    """Solve goals until the connection is closed: the last request first, and every goal on a
-    coarser grid before any goal on a finer one."""
+    """Solve the requested goals until the connection is closed.
+
+    Goals on a coarser grid come first; among goals on the same grid, the latest request comes
+    first.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.nice(niceness)
     jobs: list[Job] = []

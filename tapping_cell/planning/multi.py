@@ -67,8 +67,9 @@ class MultiPlanner:
         far = np.geomspace(4.0 * least, max(FARTHEST, 4.0 * most), 220)
         self.distances: Array = np.concatenate([near, far])
         self.cones: Array = self._chain()
-        """Half openings h_i (rad) of the cones at ``distances``, one row per cone from cone 1 on;
-        -1 where a cone is empty."""
+        """Half widths h_i (rad) of the rotation intervals -h_i to h_i of the cones: one row per
+        cone, starting with cone 1, and one column per entry of ``distances``; -1 where the cone
+        contains no state."""
 
     def planned_taps(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
         """Return the number of the state's cone, which is the number of planned taps; 0 inside the

@@ -66,8 +66,8 @@ cone, which lies between two grid points."""
 IMPROVEMENTS = 12
 EVALUATIONS = 25
 SETTLED, NEAR = 1e-3, 10.0
-"""Policy iteration ends when an improvement changes no value below ``NEAR`` taps by ``SETTLED``
-taps or more."""
+"""Policy iteration ends early when an improvement changes every value below ``NEAR`` by less than
+``SETTLED`` (both in taps)."""
 
 MIN_DEVIATION = 0.01
 """Minimum standard deviation, as a share of the box; it keeps the integrals finite if there is no
@@ -274,8 +274,8 @@ def _radial_weights(grid: Array, mean: Array, along: Array, aside: Array) -> tup
     """Return interpolation weights for the expectation over a distance hypot(u, v), with normal
     distributions u ~ N(mean, along) and v ~ N(0, aside).
 
-    Nodes of equal probability represent the lateral part v. The integral over each cell of the grid
-    is computed by Gaussian quadrature with three points.
+    Nodes of equal probability represent the lateral part v. The distribution function of the
+    distance is integrated over each cell of the grid by Gaussian quadrature with three points.
     """
     box = FINE_STEPS
     lateral = _normal_quantiles(LATERAL_NODES)

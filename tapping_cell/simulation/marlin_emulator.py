@@ -193,7 +193,7 @@ class MarlinEmulator:
         self._relative = False
         self._inches = False
         self._feed = 1500.0
-        # After a restart, the present motor position is zero. Logical position = native position +
+        # A restart takes the present motor position as zero. Logical position = native position +
         # shift.
         self._axes.reference = self._axes.motors(now)
         self._commanded = np.zeros(AXES)

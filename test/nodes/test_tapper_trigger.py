@@ -275,7 +275,8 @@ def test_a_stop_published_before_the_node_started_is_held(tmp_path: Path) -> Non
         cell = Cell(b, device, None, b.listen(TapperState, "tapper_state", LATCHED))  # type: ignore[arg-type]
         cell.stop.publish(Bool(data=True))
         b.wait(lambda: nodes[0].stopped, "the stop is received")
-        # Configuring fails while the board is still booting, and is repeated, as autostart does.
+        # Configuring fails while the board is still booting, so repeat it, as the node's autostart
+        # does.
         b.wait(lambda: (nodes[0].trigger_configure(), nodes[0].configured)[1], "configured")
         nodes[0].trigger_activate()
         b.wait(lambda: device.state == "STOPPED", "the board is stopped as well")

@@ -33,8 +33,8 @@ class Backlog:
     def answered(self, now: float) -> None:
         """Record that the last image has been processed."""
         last, arrived = self._answered, self._arrived
-        # The processing time is known only if this image already waited when the previous image
-        # was finished: its processing then began at once.
+        # The processing time is known only if this image was already queued when the previous
+        # image was finished, because its processing then began immediately.
         if last is not None and arrived is not None and arrived < last:
             self._each = _mean(self._each, now - last)
         self._answered = now

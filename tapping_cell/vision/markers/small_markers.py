@@ -32,8 +32,8 @@ _MAX_CORNER_SHIFT = 0.9
 """Maximum distance of a corner from its detected position, in modules."""
 _MIN_CONTRAST = 12.0
 _MAX_UNEXPLAINED = 0.18
-"""Maximum root mean square residual relative to the contrast (at most 0.16 on 530 markers in
-photographs)."""
+"""Upper limit of the root mean square residual of the fit, relative to the contrast. The largest
+value measured on 530 markers in photographs was 0.16."""
 _VAGUE, _MIN_MODULE = 0.15, 1.2
 """Maximum standard deviation of a side, in modules, and minimum width of a module, in pixels. On
 the photographs mentioned above, the standard deviation was at most 0.10 for correct patterns and at

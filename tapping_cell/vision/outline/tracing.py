@@ -196,7 +196,8 @@ class _Plane:
         camera = view.camera
         corners = np.array([[0, 0], [camera.width - 1, 0], [0, camera.height - 1]], dtype=float)
         seen = view.on_plane(corners, height)
-        # The step is slightly finer than the image's, to preserve its resolution.
+        # The step is 0.7 times the size of a camera pixel on this plane, so that no resolution is
+        # lost.
         step = 0.7 * float(np.linalg.norm(seen[1] - seen[0])) / (camera.width - 1)
         columns, rows = (int(n) for n in np.ceil((high - low) / step))
         return cls(view, height, low, step, (columns, rows))

@@ -103,7 +103,7 @@ def test_taps_scatter_as_given_by_the_simulation_parameters() -> None:
     ends = spread(replace(PLAIN, scatter=ScatterTruth(speed=0.05, spin=0.0, direction=0.02)))
     distance = np.hypot(ends[:, 0] - START.x, ends[:, 1] - START.y)
     # The distance is proportional to the square of the speed, so a scatter of 5 % in speed becomes
-    # 10 % in distance. From 40 samples, the scatter is known to within a quarter.
+    # 10 % in distance. With 40 samples, the standard error of the scatter is 11 %.
     assert 0.07 < distance.std() / distance.mean() < 0.14
     heading = np.arctan2(ends[:, 1] - START.y, ends[:, 0] - START.x)
     assert 0.014 < heading.std() < 0.028

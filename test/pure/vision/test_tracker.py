@@ -124,7 +124,7 @@ def test_exact_files_give_small_errors_and_a_matching_covariance():
             normalised.append(d @ np.linalg.solve(seen.covariance, d))
     assert np.all(np.quantile(np.abs(errors), 0.95, axis=0) < [8e-6, 8e-6, np.radians(0.01)])
     # The mean is that of 30 chi-square values with 3 degrees of freedom. The five values of a scene
-    # share the mean error of the table's markers.
+    # are correlated, because the error of the averaged reference markers is common to them.
     assert 1.8 < np.mean(normalised) < 4.2
     assert np.mean(np.array(normalised) < 7.815) > 0.85
 
