@@ -15,15 +15,7 @@ from tapping_cell.verification.physical_cell import PhysicalCell, Release
 from tapping_cell.verification.scheduler import Scheduler
 
 _ARM_STATES = {
-    ArmState.DISCONNECTED: "DISCONNECTED",
-    ArmState.NOT_HOMED: "NOT_HOMED",
-    ArmState.HOMING: "HOMING",
-    ArmState.IDLE: "IDLE",
-    ArmState.MOVING: "MOVING",
-    ArmState.IN_POSITION: "IN_POSITION",
-    ArmState.WITHDRAWING: "WITHDRAWING",
-    ArmState.FAULT: "FAULT",
-    ArmState.STOPPED: "STOPPED",
+    value: name for name, value in vars(ArmState).items() if name.isupper() and name != "ROS_TYPE"
 }
 _OUTCOMES = {
     TapperState.NONE: "NONE",
