@@ -50,7 +50,15 @@ setup(
     maintainer_email="maintainers@tapping-cell.invalid",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "**/*.yaml", "**/*.json", "nodes/page/static/*"]},
+    package_data={
+        NAME: [
+            "py.typed",
+            "**/*.yaml",
+            "**/*.json",
+            "nodes/page/static/*",
+            "report/templates/*",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE, ["package.xml"]),

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +16,15 @@ from tapping_cell.report.arrangement_run import (
     ArrangementRun,
     moves_of,
 )
-from tapping_cell.report.page_style import (
-    cards_section,
-    document,
-    failure_section,
-    scrolling_table,
-)
 from tapping_cell.report.palette import INK, LINE, SERIES, TABLE
 from tapping_cell.report.photograph import photograph
-from tapping_cell.report.run import Picture
+from tapping_cell.report.rendering import render
+from tapping_cell.report.run import REACHED, Picture
 from tapping_cell.report.run_folder import PAGE
 from tapping_cell.report.svg import Plan
 from tapping_cell.report.words import counted
 from tapping_cell.se2 import Array, Pose
 
-REACHED = "reached"
 _MARGIN_MM = 12.0
 
 
@@ -49,40 +42,32 @@ def page(run: ArrangementRun, pictures: Sequence[Picture] = ()) -> str:
     half-way through and after the moves.
     """
     moves = moves_of(run)
-    parts = [
-        _head(run),
-        failure_section(run.error_code, run.error_msg),
-        _cards(run, moves),
-        _scenes(run, moves, pictures),
-        _objects(run),
-        _order(run, moves),
-        _taps(run),
-    ]
-    return document(f"{headline(run)} - {run.name}", "".join(parts))
+    return render(
+        "arrangement.html",
+        run=run,
+        headline=headline(run),
+        began=datetime.fromtimestamp(run.began).strftime("%d %B %Y, %H:%M:%S"),
+        results=_results(run, moves),
+        scenes=_scenes(run, moves, pictures),
+        legend=[(f"{n + 1} {one.name}", _colour(n)) for n, one in enumerate(run.objects)],
+        objects=_objects(run),
+        moves=[_move(run, number, move) for number, move in enumerate(moves, start=1)],
+        taps=_taps(run),
+    )
 
 
 def headline(run: ArrangementRun) -> str:
     """Summarise the outcome of an arrangement in a few words."""
     goals = [one for one in run.objects if one.goal is not None]
     reached = sum(one.outcome == REACHED for one in goals)
+    objects, taps = counted(len(goals), "object"), counted(len(run.taps), "tap")
     if not run.error_code:
-        return f"Arrangement reached: {counted(reached, 'object')}, {counted(len(run.taps), 'tap')}"
-    return (
-        f"Arrangement failed: {reached} of {counted(len(goals), 'object')} at the goal after "
-        f"{counted(len(run.taps), 'tap')}"
-    )
+        return f"Arrangement reached: {counted(reached, 'object')}, {taps}"
+    return f"Arrangement failed: {reached} of {objects} at the goal after {taps}"
 
 
-def _head(run: ArrangementRun) -> str:
-    when = datetime.fromtimestamp(run.began).strftime("%d %B %Y, %H:%M:%S")
-    kind, badge = ("bad", "failed") if run.error_code else ("good", REACHED)
-    return (
-        f'<header class="{kind}"><p class="badge">{badge}</p><h1>{escape(headline(run))}</h1>'
-        f"<p>{escape(when)} &middot; {escape(run.name)}</p></header>"
-    )
-
-
-def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
+def _results(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> list[tuple[str, str, str]]:
+    """Return name, value and note of every main result."""
     limits = {_tolerance(one) for one in run.objects if one.goal is not None}
     limit = f"tolerance {limits.pop()}" if len(limits) == 1 else "tolerances: see the objects"
     cards = []
@@ -105,41 +90,29 @@ def _cards(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
     if run.contacts is not None:
         touched = ", ".join(f"'{one}' and '{other}'" for one, other in run.contacts)
         cards.append(("contacts between objects", str(len(run.contacts)), touched or "none"))
-    return cards_section(cards)
+    return cards
 
 
-def _scenes(run: ArrangementRun, moves: Sequence[ArrangedMove], pictures: Sequence[Picture]) -> str:
+def _scenes(
+    run: ArrangementRun, moves: Sequence[ArrangedMove], pictures: Sequence[Picture]
+) -> list[dict[str, object]]:
     """Show the table before the first move, half-way and at the end."""
     start = {one.name: one.start for one in run.objects if one.start is not None}
     end = {one.name: one.end for one in run.objects if one.end is not None}
-    scenes: list[tuple[str, Plan, float | None]] = [("before", _plan(run, start), 0.0)]
+    scenes: list[tuple[str, Mapping[str, Pose], float | None]] = [("before", start, 0.0)]
     if len(moves) > 1:
         middle = moves[(len(moves) - 1) // 2]
         done = middle.taps[-1]
-        words = f"after {counted(done.number, 'tap')}"
-        scenes.append((words, _plan(run, middle.after), done.at_rest_at))
-    words = f"at the end, after {counted(len(run.taps), 'tap')}"
-    scenes.append((words, _plan(run, end), math.inf))
-    figures = "".join(
-        f"<figure>{plan.drawing(f'the table {words}')}<figcaption>{words}</figcaption></figure>"
-        for words, plan, _ in scenes
-    )
-    photographs = "".join(
-        photograph(_nearest(pictures, at), f"camera image {words}")
-        for words, _, at in scenes
-        if pictures and at is not None
-    )
-    if photographs:
-        photographs = f'<div class="three">{photographs}</div>'
-    legend = " ".join(
-        f'<span class="key"><i style="background:{_colour(number)}"></i>{number + 1} '
-        f"{escape(one.name)}</span>"
-        for number, one in enumerate(run.objects)
-    )
-    return (
-        f'<section><h2>Start, middle and end of the run</h2><div class="three">{figures}</div>'
-        f"<p>{legend} Dashed: goals.</p>{photographs}</section>"
-    )
+        scenes.append((f"after {counted(done.number, 'tap')}", middle.after, done.at_rest_at))
+    scenes.append((f"at the end, after {counted(len(run.taps), 'tap')}", end, math.inf))
+    return [
+        {
+            "words": words,
+            "drawing": _plan(run, poses).drawing(f"the table {words}"),
+            "image": photograph(_nearest(pictures, at)) if pictures and at is not None else None,
+        }
+        for words, poses, at in scenes
+    ]
 
 
 def _nearest(pictures: Sequence[Picture], at: float) -> Picture:
@@ -179,12 +152,8 @@ def _colour(number: int) -> str:
     return SERIES[number % len(SERIES)]
 
 
-def _objects(run: ArrangementRun) -> str:
-    head = (
-        *("object", "start", "goal", "tolerance", "measured residual", "true residual"),
-        *("taps", "outcome"),
-    )
-    rows = [
+def _objects(run: ArrangementRun) -> list[tuple[str, ...]]:
+    return [
         (
             f"{number + 1} {one.name}",
             _place(one.start),
@@ -197,7 +166,6 @@ def _objects(run: ArrangementRun) -> str:
         )
         for number, one in enumerate(run.objects)
     ]
-    return f"<section><h2>Objects</h2>{_table('Objects', head, rows)}</section>"
 
 
 def _tolerance(one: ArrangedObject) -> str:
@@ -207,53 +175,29 @@ def _tolerance(one: ArrangedObject) -> str:
     return f"{1000 * one.tolerance[0]:g} mm, {math.degrees(one.tolerance[1]):g} deg"
 
 
-def _order(run: ArrangementRun, moves: Sequence[ArrangedMove]) -> str:
-    """Describe every move with its reason and a drawing."""
-    if not moves:
-        return ""
-    entries = "".join(
-        f"<figure>{_drawing(run, number, move)}<figcaption><b>{number}. "
-        f"{escape(_sentence(move))}</b> {escape(_how(run, move))}</figcaption></figure>"
-        for number, move in enumerate(moves, start=1)
-    )
-    return (
-        '<section><h2>Order of the moves, with the reasons</h2><div class="three">'
-        f"{entries}</div></section>"
-    )
-
-
-def _drawing(run: ArrangementRun, number: int, move: ArrangedMove) -> str:
+def _move(run: ArrangementRun, number: int, move: ArrangedMove) -> dict[str, str]:
+    """Return the reason of a move, its taps, travel and remaining error, and a drawing."""
+    index, one = next((n, one) for n, one in enumerate(run.objects) if one.name == move.name)
+    before, after, colour = move.before[move.name], move.after[move.name], _colour(index)
     plan = _plan(run, move.after, move.name)
-    index = next(n for n, one in enumerate(run.objects) if one.name == move.name)
-    before, colour = move.before[move.name], _colour(index)
-    plan.outline(_outline(run.objects[index]), before, colour)
+    plan.outline(_outline(one), before, colour)
     way = [before, *(tap.measured for tap in move.taps if tap.measured is not None)]
-    for one, other in itertools.pairwise(way):
-        plan.arrow((1000 * one.x, 1000 * one.y), (1000 * other.x, 1000 * other.y), colour, 0.6)
-    return plan.drawing(f"move {number}: {move.name}")
-
-
-def _sentence(move: ArrangedMove) -> str:
-    return f"{move.purpose}." if move.purpose else f"'{move.name}' is tapped."
-
-
-def _how(run: ArrangementRun, move: ArrangedMove) -> str:
-    """Describe taps, travel and remaining error of a move."""
+    for here, there in itertools.pairwise(way):
+        plan.arrow((1000 * here.x, 1000 * here.y), (1000 * there.x, 1000 * there.y), colour, 0.6)
     first, last = move.taps[0].number, move.taps[-1].number
-    taps = f"Tap {first}" if first == last else f"Taps {first} to {last}"
-    before, after = move.before[move.name], move.after[move.name]
-    parts = [f"{taps}: {1000 * before.distance_to(after):.0f} mm"]
-    one = next(each for each in run.objects if each.name == move.name)
+    result = f"Tap {first}" if first == last else f"Taps {first} to {last}"
+    result += f": {1000 * before.distance_to(after):.0f} mm"
     if one.goal is not None:
-        parts.append(f"then {_residual(after, one.goal)} from its goal")
-    return ", ".join(parts) + "."
+        result += f", then {_residual(after, one.goal)} from its goal"
+    return {
+        "reason": f"{move.purpose}." if move.purpose else f"'{move.name}' is tapped.",
+        "result": f"{result}.",
+        "drawing": plan.drawing(f"move {number}: {move.name}"),
+    }
 
 
-def _taps(run: ArrangementRun) -> str:
-    if not run.taps:
-        return ""
-    head = ("tap", "object", "predicted", "measured", "striker", "outcome", "note")
-    rows = [
+def _taps(run: ArrangementRun) -> list[tuple[str, ...]]:
+    return [
         (
             str(tap.number),
             tap.name,
@@ -265,20 +209,6 @@ def _taps(run: ArrangementRun) -> str:
         )
         for tap in run.taps
     ]
-    return f"<section><h2>Taps</h2>{_table('Taps', head, rows)}</section>"
-
-
-def _table(name: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    titles = "".join(f"<th>{escape(title)}</th>" for title in head)
-    lines = "".join(
-        "<tr>" + "".join(f"<td>{_unbroken(text)}</td>" for text in row) + "</tr>" for row in rows
-    )
-    return scrolling_table(name, f"<tr>{titles}</tr>{lines}")
-
-
-def _unbroken(text: str) -> str:
-    """Escape a text and keep numbers and their units on one line."""
-    return escape(text).replace(" mm", "&nbsp;mm").replace(" deg", "&nbsp;deg")
 
 
 def _place(pose: Pose | None) -> str:

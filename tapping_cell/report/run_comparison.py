@@ -6,13 +6,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from statistics import fmean
 
-from tapping_cell.report.page_style import document, scrolling_table
 from tapping_cell.report.palette import SERIES
+from tapping_cell.report.rendering import render
+from tapping_cell.report.residual_charts import residual_charts
 from tapping_cell.report.run import Run
-from tapping_cell.report.svg import chart
 from tapping_cell.se2 import Pose
 
 
@@ -105,120 +104,39 @@ def _mean(values: Sequence[float]) -> float:
 def comparison_page(runs: Sequence[Run], links: Sequence[str]) -> str:
     """Return a page that compares runs; ``links`` are the addresses of their pages."""
     rows = [row_of(run) for run in runs]
-    reached = sum(row.outcome == "reached" for row in rows)
-    body = (
-        f'<header class="{"good" if reached == len(rows) else "so"}">'
-        f'<p class="badge">comparison</p><h1>{len(rows)} runs, {reached} reached their goal</h1>'
-        "</header>"
-        f"<section><h2>By planner and object</h2>{_groups(groups_of(rows))}</section>"
-        f"{_charts(runs)}"
-        f"<section><h2>Runs</h2>{_table(rows, links)}</section>"
-    )
-    return document(f"{len(rows)} runs compared", body)
-
-
-_COLUMNS = (
-    "run",
-    "outcome",
-    "planner",
-    "object",
-    "taps",
-    "distance at the start",
-    "measured residual",
-    "true residual",
-    "time",
-)
-# Numbers sort by the `data-key` of their cell, words by their text. Unknown values stay last in
-# both directions. A screen reader announces `aria-sort`.
-_SORTING = """
-for (const table of document.querySelectorAll("table.sorts")) {
-  const heads = [...table.tHead.rows[0].cells];
-  heads.forEach((head, column) => head.firstChild.addEventListener("click", () => {
-    const sign = head.getAttribute("aria-sort") === "ascending" ? -1 : 1;
-    const key = ({cells}) => cells[column].dataset.key ?? cells[column].textContent;
-    const order = (a, b) => a - b || a.localeCompare(b, "en", {numeric: true});
-    const compare = (a, b) =>
-      key(a) && key(b) ? sign * order(key(a), key(b)) : !key(a) - !key(b);
-    table.tBodies[0].append(...[...table.tBodies[0].rows].sort(compare));
-    heads.forEach((each) => each.removeAttribute("aria-sort"));
-    head.setAttribute("aria-sort", sign < 0 ? "descending" : "ascending");
-  }));
-}
-"""
-
-
-def _table(rows: Sequence[Row], links: Sequence[str]) -> str:
-    """Return the table of the runs; a click on a column's heading sorts it."""
-    head = "".join(f'<th><button type="button">{name}</button></th>' for name in _COLUMNS)
-    lines = []
-    for row, link in zip(rows, links, strict=True):
-        kind = "good-word" if row.outcome == "reached" else "bad-word"
-        cells = (
-            f'<td><a href="{escape(link)}">{escape(row.name)}</a></td>',
-            f'<td><span class="{kind}">{escape(row.outcome)}</span></td>',
-            f"<td>{escape(row.planner)}</td>",
-            f"<td>{escape(row.object_name)}</td>",
-            _cell(row.taps, str(row.taps)),
-            _cell(row.start_distance, _pair(row.start_distance, row.start_rotation)),
-            _cell(row.distance, _pair(row.distance, row.rotation)),
-            _cell(row.true_distance, _pair(row.true_distance, row.true_rotation)),
-            _cell(row.time, f"{row.time:.1f} s"),
-        )
-        lines.append(f"<tr>{''.join(cells)}</tr>")
-    content = f"<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody>"
-    return f"{scrolling_table('Runs', content, 'wide sorts')}<script>{_SORTING}</script>"
-
-
-def _cell(value: float, text: str) -> str:
-    """Return a table cell that shows ``text`` and is sorted by ``value``."""
-    key = repr(value) if math.isfinite(value) else ""
-    return f'<td data-key="{key}">{text}</td>'
-
-
-def _groups(groups: Sequence[Group]) -> str:
-    head = (
-        "<tr><th>planner</th><th>object</th><th>reached</th><th>taps, mean</th><th>taps, "
-        "maximum</th>"
-        "<th>measured residual, mean</th><th>time, mean</th></tr>"
-    )
-    lines = [
-        f"<tr><td>{escape(group.planner or '-')}</td><td>{escape(group.object_name or '-')}</td>"
-        f"<td>{group.reached} of {group.runs}</td><td>{_number(group.taps, 2)}</td>"
-        f"<td>{group.most_taps}</td><td>{_pair(group.distance, group.rotation)}</td>"
-        f"<td>{_number(group.time, 1, ' s')}</td></tr>"
-        for group in groups
-    ]
-    return scrolling_table("Groups of runs", head + "".join(lines))
-
-
-def _charts(runs: Sequence[Run]) -> str:
-    """Plot the residual of each run after each tap, coloured by planner."""
     planners = sorted({run.planner for run in runs})
     colours = {name: SERIES[index % len(SERIES)] for index, name in enumerate(planners)}
-    distances, rotations = [], []
-    for run in runs:
-        goal = run.goal
-        if goal is None or run.start is None or not run.taps:
-            # A run without taps has no curve. It is left out, because a large distance at its start
-            # would only compress the scale.
-            continue
-        poses = [run.start, *(tap.measured for tap in run.taps)]
-        colour = colours[run.planner]
-        distances.append((run.name, [1000 * pose.distance_to(goal) for pose in poses], colour))
-        turns = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses]
-        rotations.append((run.name, turns, colour))
-    if not distances:
-        return ""
-    limits = [run.tolerance for run in runs]
-    distance_limit = 1000 * max(limit[0] for limit in limits)
-    angle_limit = math.degrees(max(limit[1] for limit in limits))
-    legend = " ".join(
-        f'<span class="key"><i style="background:{colours[name]}"></i>{escape(name or "-")}</span>'
-        for name in planners
+    return render(
+        "comparison.html",
+        rows=[(row, link, _numbers(row)) for row, link in zip(rows, links, strict=True)],
+        reached=sum(row.outcome == "reached" for row in rows),
+        groups=[_group(group) for group in groups_of(rows)],
+        charts=residual_charts(runs, [colours[run.planner] for run in runs]),
+        legend=colours,
     )
+
+
+def _numbers(row: Row) -> list[tuple[str, str]]:
+    """Return the sort key and the text of each number of a run."""
+    numbers = (
+        (row.taps, str(row.taps)),
+        (row.start_distance, _pair(row.start_distance, row.start_rotation)),
+        (row.distance, _pair(row.distance, row.rotation)),
+        (row.true_distance, _pair(row.true_distance, row.true_rotation)),
+        (row.time, f"{row.time:.1f} s"),
+    )
+    return [(repr(value) if math.isfinite(value) else "", text) for value, text in numbers]
+
+
+def _group(group: Group) -> tuple[str, ...]:
     return (
-        f'<section class="two">{chart(distances, distance_limit, "remaining distance (mm)")}'
-        f"{chart(rotations, angle_limit, 'remaining rotation (deg)')}<p>{legend}</p></section>"
+        group.planner or "-",
+        group.object_name or "-",
+        f"{group.reached} of {group.runs}",
+        _number(group.taps, 2),
+        str(group.most_taps),
+        _pair(group.distance, group.rotation),
+        _number(group.time, 1, " s"),
     )
 
 

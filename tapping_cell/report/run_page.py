@@ -4,46 +4,15 @@ from __future__ import annotations
 
 import math
 from datetime import datetime
-from html import escape
-from pathlib import Path
 
 import numpy as np
 
-from tapping_cell.report import error_codes
-from tapping_cell.report.activities import (
-    ASKS,
-    CHARGES,
-    FLIES,
-    LOWERS,
-    MEASURES,
-    PLANS,
-    SLIDES,
-    TRAVELS,
-    WITHDRAWS,
-)
+from tapping_cell.report import activities, palette
 from tapping_cell.report.animation import TAP_S, animation
-from tapping_cell.report.page_style import (
-    cards_section,
-    document,
-    failure_section,
-    scrolling_table,
-)
-from tapping_cell.report.palette import (
-    CONFIRMING,
-    GOAL,
-    LINE,
-    LOWERING,
-    PLANNING,
-    PREDICTED,
-    REST,
-    SLIDING,
-    START,
-    STRIKE,
-    TABLE,
-    WAITING,
-    WITHDRAWING,
-)
+from tapping_cell.report.palette import GOAL, LINE, PREDICTED, REST, START, STRIKE, TABLE
 from tapping_cell.report.photograph import photograph
+from tapping_cell.report.rendering import render, unbroken
+from tapping_cell.report.residual_charts import residual_charts
 from tapping_cell.report.run import (
     CANCELED,
     FAILED,
@@ -55,7 +24,7 @@ from tapping_cell.report.run import (
     TapRow,
 )
 from tapping_cell.report.run_reader import IllustratedRun
-from tapping_cell.report.svg import Plan, chart, window
+from tapping_cell.report.svg import Plan, window
 from tapping_cell.report.tap_words import tap_sentence
 from tapping_cell.report.words import counted
 from tapping_cell.se2 import Array, Pose
@@ -67,47 +36,47 @@ _HEADLINES = {
     CANCELED: "Goal canceled",
     REFUSED: "Goal refused",
 }
-_ACTIVITY_COLOURS = {
-    TRAVELS: PREDICTED,
-    LOWERS: LOWERING,
-    CHARGES: STRIKE,
-    SLIDES: SLIDING,
-    WITHDRAWS: WITHDRAWING,
-    FLIES: PREDICTED,
-    MEASURES: REST,
-    PLANS: WAITING,
-    ASKS: CONFIRMING,
-}
-_PHASE_COLOURS = {
-    "waiting for the cell": WAITING,
-    "looking": REST,
-    "planning": PLANNING,
-    "placing the striker": PREDICTED,
-    "firing": STRIKE,
-    "waiting for rest": SLIDING,
-    "waiting for confirmation": CONFIRMING,
+_COLOURS = {
+    # of the devices' activities
+    activities.TRAVELS: palette.PREDICTED,
+    activities.LOWERS: palette.LOWERING,
+    activities.CHARGES: palette.STRIKE,
+    activities.SLIDES: palette.SLIDING,
+    activities.WITHDRAWS: palette.WITHDRAWING,
+    activities.FLIES: palette.PREDICTED,
+    activities.MEASURES: palette.REST,
+    activities.PLANS: palette.WAITING,
+    activities.ASKS: palette.CONFIRMING,
+    # of the planner's states
+    "waiting for the cell": palette.WAITING,
+    "looking": palette.REST,
+    "planning": palette.PLANNING,
+    "placing the striker": palette.PREDICTED,
+    "firing": palette.STRIKE,
+    "waiting for rest": palette.SLIDING,
 }
 
 
 def page(illustrated: IllustratedRun) -> str:
     """Return the page of a run, which loads no other files."""
-    run = illustrated.run
-    parts = [
-        _head(run),
-        failure_section(run.error_code, run.error_msg),
-        _figures(run),
-        '<section class="two">',
-        f"<figure>{overview(run)}<figcaption>{_legend(run)}</figcaption></figure>",
-        photograph(illustrated.pictures[-1], "the last image") if illustrated.pictures else "",
-        "</section>",
-        _film(run),
-        _charts(run),
-        _timeline(run),
-        *(_tap(run, tap, illustrated.pictures) for tap in run.taps),
-        _errors(run),
-        _configuration(run),
-    ]
-    return document(f"{headline(run)} - {run.name}", "".join(parts))
+    run, pictures = illustrated.run, illustrated.pictures
+    return render(
+        "run.html",
+        run=run,
+        headline=headline(run),
+        failed=run.outcome in (FAILED, NOT_TRULY_REACHED),
+        task=_task(run),
+        details=_details(run),
+        results=_results(run),
+        overview=overview(run),
+        last_image=photograph(pictures[-1]) if pictures else None,
+        film=animation(run, _table_plan(run)),
+        film_tap_s=TAP_S,
+        charts=residual_charts([run], [REST]),
+        timeline=_timeline(run),
+        taps=[_tap(run, tap, pictures) for tap in run.taps],
+        versions=[f"{name} {version}" for name, version in run.versions.items()],
+    )
 
 
 def headline(run: Run) -> str:
@@ -119,65 +88,41 @@ def headline(run: Run) -> str:
     return f"{headline_text} after {taps}" if run.taps else headline_text
 
 
-def _head(run: Run) -> str:
-    when = (
-        datetime.fromtimestamp(run.began).strftime("%d %B %Y, %H:%M:%S")
-        if math.isfinite(run.began)
-        else "time unknown"
-    )
-    kind = (
-        "good" if run.reached else ("bad" if run.outcome in (FAILED, NOT_TRULY_REACHED) else "so")
-    )
-    task = ""
-    if run.start is not None and run.goal is not None:
-        turn = math.degrees(run.start.rotation_to(run.goal))
-        away = 1000 * run.start.distance_to(run.goal)
-        task = f"{away:.1f}&nbsp;mm and {turn:+.1f}&nbsp;deg from the goal. "
-    details = " &middot; ".join(
-        escape(word)
-        for word in (when, run.object_name, run.planner and f"planner {run.planner}")
-        if word
-    )
-    return (
-        f'<header class="{kind}"><p class="badge">{escape(run.outcome)}</p>'
-        f"<h1>{escape(headline(run))}</h1><p>{task}{details}</p></header>"
-    )
+def _task(run: Run) -> str:
+    if run.start is None or run.goal is None:
+        return ""
+    turn = math.degrees(run.start.rotation_to(run.goal))
+    away = 1000 * run.start.distance_to(run.goal)
+    return unbroken(f"{away:.1f} mm and {turn:+.1f} deg from the goal.")
 
 
-def _figures(run: Run) -> str:
+def _details(run: Run) -> list[str]:
+    when = "time unknown"
+    if math.isfinite(run.began):
+        when = datetime.fromtimestamp(run.began).strftime("%d %B %Y, %H:%M:%S")
+    words = (when, run.object_name, run.planner and f"planner {run.planner}")
+    return [word for word in words if word]
+
+
+def _results(run: Run) -> list[tuple[str, str, str]]:
+    """Return name, value and note of every main result."""
     limit, turn = 1000 * run.tolerance[0], math.degrees(run.tolerance[1])
-    cards = []
+    results = []
     for name, pose in (("measured", run.final_measured), ("true", run.final_true)):
-        if pose is None or run.goal is None:
-            continue
-        off, angle = (
-            1000 * pose.distance_to(run.goal),
-            math.degrees(abs(pose.rotation_to(run.goal))),
-        )
-        cards.append((f"{name} distance", f"{off:.2f} mm", f"tolerance {limit:g} mm"))
-        cards.append((f"{name} rotation", f"{angle:.2f} deg", f"tolerance {turn:g} deg"))
-    cards.append(("taps", str(len(run.taps)), _each(run)))
-    cards.append(("time", f"{run.wall_time:.1f} s", "from goal to end"))
-    return cards_section(cards)
-
-
-def _each(run: Run) -> str:
-    return f"{run.wall_time / len(run.taps):.1f} s per tap" if run.taps else "no tap was made"
+        if pose is not None and run.goal is not None:
+            off = 1000 * pose.distance_to(run.goal)
+            angle = math.degrees(abs(pose.rotation_to(run.goal)))
+            results.append((f"{name} distance", f"{off:.2f} mm", f"tolerance {limit:g} mm"))
+            results.append((f"{name} rotation", f"{angle:.2f} deg", f"tolerance {turn:g} deg"))
+    taps = len(run.taps)
+    each = f"{run.wall_time / taps:.1f} s per tap" if taps else "no tap was made"
+    results.append(("taps", str(taps), each))
+    results.append(("time", f"{run.wall_time:.1f} s", "from goal to end"))
+    return results
 
 
 def _outline(run: Run) -> Array:
     return np.asarray(run.outline, dtype=float).reshape(-1, 2)
-
-
-def _film(run: Run) -> str:
-    drawing = animation(run, _table_plan(run))
-    if not drawing:
-        return ""
-    return (
-        f'<section><h2>Animation of the run</h2><figure class="film">{drawing}<figcaption>'
-        f"Every tap takes {TAP_S:g} s here; the run took {run.wall_time:.1f} s.</figcaption>"
-        "</figure></section>"
-    )
 
 
 def _table_plan(run: Run) -> Plan:
@@ -215,15 +160,6 @@ def overview(run: Run) -> str:
     return plan.drawing("the table from above")
 
 
-def _legend(run: Run) -> str:
-    entries = [(START, "start"), (REST, "at rest after a tap"), (GOAL, "goal")]
-    entries += [(STRIKE, "strike, with the tap's number")] if run.taps else []
-    return " ".join(
-        f'<span class="key"><i style="background:{colour}"></i>{label}</span>'
-        for colour, label in entries
-    )
-
-
 def _strike(plan: Plan, tap: TapRow, length: float) -> None:
     along = np.array([math.cos(tap.strike.theta), math.sin(tap.strike.theta)])
     tip = 1000 * np.array([tap.strike.x, tap.strike.y])
@@ -233,95 +169,62 @@ def _strike(plan: Plan, tap: TapRow, length: float) -> None:
     plan.text(float(x), float(y), str(tap.number), STRIKE, 3.6)
 
 
-def _charts(run: Run) -> str:
-    goal = run.goal
-    if goal is None or run.start is None or not run.taps:
-        return ""
-    poses = [run.start, *(tap.measured for tap in run.taps)]
-    distance = [1000 * pose.distance_to(goal) for pose in poses]
-    rotation = [abs(math.degrees(pose.rotation_to(goal))) for pose in poses]
-    return (
-        '<section class="two">'
-        + chart([("distance", distance, REST)], 1000 * run.tolerance[0], "remaining distance (mm)")
-        + chart(
-            [("rotation", rotation, REST)],
-            math.degrees(run.tolerance[1]),
-            "remaining rotation (deg)",
-        )
-        + "</section>"
-    )
+def _timeline(run: Run) -> dict[str, object] | None:
+    """Return the activities of the cell over time, or the planner's states if none were recorded.
 
-
-def _timeline(run: Run) -> str:
-    """Draw the activities of the cell over time, or the planner's states if none were recorded."""
+    The drawing of the run is 1000 units wide. ``bars``: name, duration in s, position, width and
+    colour of each activity; ``shots``: number and position of each tap; ``legend``: total duration
+    and colour of each activity.
+    """
     steps = run.activities or run.phases
-    colours = _ACTIVITY_COLOURS if run.activities else _PHASE_COLOURS
     if len(steps) < 2 or run.wall_time <= 0:
-        return ""
-    ends = [step.began for step in steps[1:]] + [run.wall_time]
+        return None
+    unit = 1000 / run.wall_time
     total: dict[str, float] = {}
-    pieces = []
-    for phase, end in zip(steps, ends, strict=True):
-        span = max(0.0, end - phase.began)
-        if phase.name not in colours or span <= 0:
+    bars = []
+    for step, end in zip(steps, [*(s.began for s in steps[1:]), run.wall_time], strict=True):
+        seconds = end - step.began
+        if step.name not in _COLOURS or seconds <= 0:
             continue
-        if span > SHORTEST_SHOWN_S:
-            total[phase.name] = total.get(phase.name, 0.0) + span
-        pieces.append(
-            f'<rect x="{1000 * phase.began / run.wall_time:.1f}" y="0" height="46" '
-            f'width="{max(1.0, 1000 * span / run.wall_time):.1f}" '
-            f'fill="{colours[phase.name]}">'
-            f"<title>{escape(phase.name)}: {span:.2f} s</title></rect>"
-        )
-    marks = "".join(
-        f'<text x="{1000 * tap.fired_at / run.wall_time:.0f}" y="64" text-anchor="middle" '
-        f'font-size="15" fill="{STRIKE}">{tap.number}</text>'
-        for tap in run.taps
-        if math.isfinite(tap.fired_at)
-    )
-    legend = " ".join(
-        f'<span class="key"><i style="background:{colours[name]}"></i>'
-        f"{escape(name)} {seconds:.1f}&nbsp;s</span>"
-        for name, seconds in total.items()
-    )
-    return (
-        f"<section><h2>Time</h2><svg class='band' viewBox='0 0 1000 70' role='img' "
-        f"aria-label='activities of the cell over time'>{''.join(pieces)}{marks}</svg>"
-        f"<p>{legend}</p></section>"
-    )
+        if seconds > SHORTEST_SHOWN_S:
+            total[step.name] = total.get(step.name, 0.0) + seconds
+        width = max(1.0, unit * seconds)
+        bars.append((step.name, seconds, unit * step.began, width, _COLOURS[step.name]))
+    return {
+        "bars": bars,
+        "shots": [(t.number, unit * t.fired_at) for t in run.taps if math.isfinite(t.fired_at)],
+        "legend": [(f"{name} {span:.1f}\u00a0s", _COLOURS[name]) for name, span in total.items()],
+    }
 
 
-def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> str:
+def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> dict[str, object]:
     before = [picture for picture in pictures if picture.at <= tap.commanded_at]
-    photo = photograph(before[-1], f"the image before tap {tap.number}") if before else ""
-    missed = 1000 * tap.predicted.distance_to(tap.measured)
-    turned = math.degrees(tap.predicted.rotation_to(tap.measured))
     gate = (
         f", measured {1000 * tap.measured_speed:.0f} mm/s"
         if math.isfinite(tap.measured_speed)
         else ""
     )
     rows = [
-        ("commanded", _move(tap.commanded)),
+        ("commanded", _between(Pose(0.0, 0.0, 0.0), tap.commanded)),
         ("predicted", _between(tap.before, tap.predicted)),
         ("measured", _between(tap.before, tap.measured)),
-        ("measured - predicted", f"{missed:.2f} mm, {turned:+.2f} deg"),
+        ("measured - predicted", _between(tap.predicted, tap.measured)),
         ("striker", f"{1000 * tap.striker_speed:.0f} mm/s{gate}; {tap.outcome}"),
     ]
     if run.goal is not None:
-        rows.append(("remaining", _to_go(tap.measured, run.goal)))
+        rows.append(("remaining", _between(tap.measured, run.goal)))
     if math.isfinite(tap.fired_at):
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
     if math.isfinite(tap.learnt.distance):
         rows += [("learnt", _gains(tap.learnt)), ("learnt aiming error", _aim(tap.learnt))]
-    table = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows)
-    return (
-        f'<section class="tap"><h2>Tap {tap.number} <small>{escape(tap.method)}</small></h2>'
-        f"<p>{escape(tap_sentence(tap, run.goal))}</p>"
-        f'<div class="three">{photo}<figure>{_close_up(run, tap)}<figcaption>'
-        f"{_close_up_legend(run)}</figcaption></figure><table>{table}</table></div></section>"
-    )
+    return {
+        "row": tap,
+        "sentence": tap_sentence(tap, run.goal),
+        "image": photograph(before[-1]) if before else None,
+        "drawing": _close_up(run, tap),
+        "values": rows,
+    }
 
 
 def _close_up(run: Run, tap: TapRow) -> str:
@@ -355,25 +258,6 @@ def _close_up(run: Run, tap: TapRow) -> str:
     return plan.drawing(f"tap {tap.number} from above")
 
 
-def _close_up_legend(run: Run) -> str:
-    entries = [
-        (START, "before"),
-        (PREDICTED, "predicted, with the 95 % ellipse of the centre"),
-        (REST, "measured"),
-        (STRIKE, "strike"),
-    ]
-    entries += [(GOAL, "goal")] if run.goal is not None else []
-    return " ".join(
-        f'<span class="key"><i style="background:{colour}"></i>{label}</span>'
-        for colour, label in entries
-    )
-
-
-def _move(move: Pose) -> str:
-    length = 1000 * math.hypot(move.x, move.y)
-    return f"{length:.2f} mm, {math.degrees(move.theta):+.2f} deg"
-
-
 def _gains(learnt: Learnt) -> str:
     return (
         f"relative to the model: distance {learnt.distance:.2f} \u00b1 "
@@ -395,41 +279,3 @@ def _aim(learnt: Learnt) -> str:
 def _between(one: Pose, other: Pose) -> str:
     turn = math.degrees(one.rotation_to(other))
     return f"{1000 * one.distance_to(other):.2f} mm, {turn:+.2f} deg"
-
-
-def _to_go(pose: Pose, goal: Pose) -> str:
-    turn = math.degrees(pose.rotation_to(goal))
-    return f"{1000 * pose.distance_to(goal):.2f} mm, {turn:+.2f} deg"
-
-
-def _errors(run: Run) -> str:
-    if not run.errors:
-        return ""
-    rows = "".join(
-        f"<tr><td>{event.at:.1f} s</td><td>{escape(event.source)}</td>"
-        f"<td>{escape(error_codes.name(event.code))} <small>{event.code}</small></td>"
-        f"<td>{escape(event.sentence)}<br><small>{escape(error_codes.hint(event.code))}</small></td></tr>"
-        for event in run.errors
-    )
-    head = "<tr><th>when</th><th>topic</th><th>code</th><th>problem and remedy</th></tr>"
-    return (
-        "<section><h2>Warnings and errors</h2>"
-        f"{scrolling_table('Warnings and errors', head + rows)}</section>"
-    )
-
-
-def _configuration(run: Run) -> str:
-    files = "".join(
-        f"<details><summary>{escape(Path(name).name)} <small>{escape(name)}</small></summary>"
-        f"<pre>{escape(text)}</pre></details>"
-        for name, text in run.files.items()
-    )
-    versions = ", ".join(f"{name} {version}" for name, version in run.versions.items())
-    seed = f"Seed of the simulated world: {run.seed}. " if run.seed is not None else ""
-    return (
-        f"<section><h2>Configuration</h2>{files}<p>{seed}Versions: {escape(versions)}.</p>"
-        f'<p class="quiet">The bag in the folder of this page contains every topic of this '
-        "run: open the <code>.mcap</code> file in Foxglove, or run <code>ros2 bag play bag</code>."
-        " To write this page again, run <code>python -m tapping_cell report</code> with the "
-        "folder.</p></section>"
-    )

@@ -161,7 +161,7 @@ def chart(
     label: str,
     x_label: str = "taps",
 ) -> str:
-    """Draw lines over the number of taps.
+    """Draw lines over the number of taps; return the SVG element.
 
     ``values``: for each line its name, its values (the first is that before the first tap) and its
     colour.
@@ -216,9 +216,8 @@ def chart(
         f"{escape(x_label)}</text>"
     )
     return (
-        f'<figure class="chart"><figcaption>{escape(label)}</figcaption>'
         f'<svg viewBox="0 0 {wide:.0f} {high:.0f}" role="img" aria-label="{escape(label)}">'
-        f"{''.join(parts)}</svg></figure>"
+        f"{''.join(parts)}</svg>"
     )
 
 

@@ -79,6 +79,7 @@ ROS_SUBPACKAGES = {"nodes", "cli"}
 HOMES = {
     "serial": {"hardware"},
     "matplotlib": {"report"},
+    "jinja2": {"report"},
     "distributed": {"cli"},
     "rich": {"cli", "report"},
     "rosbags": {"report"},

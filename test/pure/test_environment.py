@@ -422,6 +422,22 @@ def test_a_build_without_the_messages_names_the_line_that_works(tmp_path):
         assert (line in done.stderr) == bool(expected)
 
 
+def test_every_file_of_the_package_is_installed(tmp_path):
+    """Data files, such as the operator's page and the templates of the reports, are included."""
+    (tmp_path / "prefix" / "share" / "tapping_cell_msgs").mkdir(parents=True)
+    command = ["egg_info", "--egg-base", str(tmp_path), "build_py", "--build-lib", str(tmp_path)]
+    subprocess.run(
+        [sys.executable, "setup.py", *command],
+        cwd=ROOT,
+        env={**os.environ, "AMENT_PREFIX_PATH": str(tmp_path / "prefix")},
+        capture_output=True,
+        check=True,
+    )
+    files = [file.relative_to(ROOT) for file in set_up.files_below(ROOT / "tapping_cell")]
+    assert Path("tapping_cell/report/templates/base.html") in files
+    assert [file for file in files if not (tmp_path / file).is_file()] == []
+
+
 def test_versions_and_licences_agree():
     manifests = [ROOT / "package.xml", ROOT / "msg_defs" / "package.xml"]
     roots = [ElementTree.parse(file).getroot() for file in manifests]

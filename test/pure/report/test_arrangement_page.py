@@ -91,9 +91,9 @@ def test_consecutive_taps_of_an_object_are_one_move(run: ArrangementRun) -> None
 def test_the_page_lists_each_object_and_each_reason(run: ArrangementRun) -> None:
     text = page(run)
     assert headline(run) == "Arrangement reached: 2 objects, 5 taps"
-    assert "1. &#x27;&lt;b&gt; 2&#x27; makes way: it is in the way of &#x27;disk&#x27;." in text
+    assert "1. &#39;&lt;b&gt; 2&#39; makes way: it is in the way of &#39;disk&#39;." in text
     assert "Taps 1 to 2: 156 mm, then 156.20 mm, 0.00 deg from its goal." in text
-    shown = text.replace("&nbsp;", " ")
+    shown = text.replace("\u00a0", " ")
     assert "-100.0 mm, 0.0 mm, 0.0 deg" in shown and "100.0 mm, 0.0 mm, 28.6 deg" in shown
     assert "<b> 2" not in text, "a name is text, not HTML"
     # views before, between and after the moves, and one per move
@@ -140,9 +140,9 @@ def test_a_damaged_file_is_refused_with_a_message(tmp_path: Path, content: str) 
 
 
 def test_every_object_is_shown_with_its_own_tolerance(run: ArrangementRun) -> None:
-    text = page(run).replace("&nbsp;", " ")
+    text = page(run).replace("\u00a0", " ")
     assert "1 mm, 1 deg" in text and "2 mm, 3 deg" in text
     assert "tolerances: see the objects" in text
     alike = replace(run, objects=tuple(replace(one, tolerance=FINE) for one in run.objects))
-    text = page(alike).replace("&nbsp;", " ")
+    text = page(alike).replace("\u00a0", " ")
     assert "tolerance 1 mm, 1 deg" in text and "2 mm, 3 deg" not in text
