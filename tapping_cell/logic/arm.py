@@ -184,6 +184,8 @@ class ArmOptions:
     """Set-up mode: the arm moves slowly, and only while an enabling device is held."""
     withdraw_until_seen: bool = True
     """If True, the arm withdraws only until the camera sees the object, not to the park pose."""
+    draw_key: Callable[[], int] = permit.random_key
+    """Returns a random number above 0, by which the tapper recognises this arm's answers."""
 
 
 class ArmLogic(DeviceLogic[State, Event]):
@@ -217,7 +219,10 @@ class ArmLogic(DeviceLogic[State, Event]):
         self._promised_to = NO_REQUESTER
         self._promised_for = 0.0
         self._promise_end = -math.inf
-        self._ended_tap = self._released_tap = 0
+        self._released_tap = 0
+        self._key = options.draw_key()
+        self._key_digests: set[int] = set()
+        """Digests of the keys that tappers have reported for the present tap."""
         self._longest_hold = 0.0
         self._outcome_received = 0
         self._charged_until = self._leaving_since = -math.inf
@@ -250,7 +255,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         if service == "~/home":
             self._home(token, now)
         elif service == "hold_still":
-            self._effects.append(Answer(token, self._hold_still(request, now)))
+            response = self._hold_still(request, now)
+            response.arm_key = self._key
+            self._effects.append(Answer(token, response))
 
     def _handle_answer(self, token: Token, response: Message | None, now: Now) -> None:
         raise AssertionError(f"the arm has no pending request {token!r}")
@@ -273,6 +280,7 @@ class ArmLogic(DeviceLogic[State, Event]):
             return
         self._machine.move(Event.TAP, S.PLACING)
         self._tap_id = self._last_tap_id = command.tap_id
+        self._key_digests.clear()
         self._expiry = to_nanoseconds(command.expiry)
         self._error = (ErrorCode.NONE, "")
         self._clear_of_camera = self._to_park = False
@@ -430,12 +438,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         end = now.steady + request.duration
         requester = request.tap_id, request.key
         is_shorter = 0 <= request.duration < self._promised_for
-        if request.key and requester == self._promised_to and is_shorter:
+        if requester == self._promised_to and is_shorter and self._is_of_tapper(request.key):
             # The tapper ends its own request only after its striker was fired or discharged.
-            # Another client can make the first request for a tap and end it, while the tapper is
-            # frozen. Therefore the outcome must also have been reported.
-            self._ended_tap = request.tap_id
-            self._release()
+            self._released_tap, self._charged_until = request.tap_id, -math.inf
             stands = end <= self._promise_end
             self._promise_end = min(self._promise_end, end)
             self._leave_when_free(now)
@@ -485,9 +490,20 @@ class ArmLogic(DeviceLogic[State, Event]):
             )
         return None
 
+    def _is_of_tapper(self, key: int) -> bool:
+        """Return whether a request with this key comes from the tapper, and not from another
+        client, for example one that makes the first request for a tap while the tapper is frozen.
+
+        If several tappers have reported a key for the present tap, this is not known.
+        """
+        return key > 0 and self._key_digests == {permit.key_digest(key)}
+
     def _on_tapper_state(self, message: TapperState, now: Now) -> None:
-        ours = message.tap_id == self._last_tap_id and message.tap_id != self._released_tap
-        if ours and message.state in CHARGED:
+        if message.tap_id == self._last_tap_id and message.key_digest:
+            self._key_digests.add(message.key_digest)
+        ours = message.tap_id == self._last_tap_id
+        released = message.tap_id == self._released_tap and len(self._key_digests) == 1
+        if ours and not released and message.state in CHARGED:
             # Only reports that the striker is charged are used, because they make the arm wait. Any
             # program could publish the opposite.
             self._charged_until = now.steady + DISCHARGED_S
@@ -499,14 +515,6 @@ class ArmLogic(DeviceLogic[State, Event]):
         ):
             return
         self._outcome_received = message.tap_id
-        self._release()
-        self._leave_when_free(now)
-
-    def _release(self) -> None:
-        """Stop waiting for the striker if the tapper has ended its request and reported the
-        outcome."""
-        if self._outcome_received == self._ended_tap:
-            self._released_tap, self._charged_until = self._ended_tap, -math.inf
 
     def _give_up(self, now: Now) -> None:
         """End the tap and leave the strike pose as soon as the arm no longer has to stand still."""
@@ -769,6 +777,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         message = ArmState(
             state=WIRE[self.state],
             tap_id=self._tap_id,
+            arm_key=self._key,
             homed=reading is not None,
             clear_of_camera=self._clear_of_camera,
             set_up=self._options.set_up,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import secrets
+
 from tapping_cell.configuration.cell import LONGEST_FLIGHT_S, Cell
 
 BEFORE_FLIGHT_S = 0.17
@@ -27,6 +30,21 @@ def flight(stroke: float, speed: float) -> float:
 def hold(time_of_flight: float) -> float:
     """Return the duration for which the arm must stand still for a shot."""
     return BEFORE_FLIGHT_S + time_of_flight
+
+
+def random_key() -> int:
+    """Return an unpredictable number above 0."""
+    return 1 + secrets.randbelow(2**63)
+
+
+def key_digest(key: int) -> int:
+    """Return the digest of a key of ``hold_still`` (both from 1 to 2**64 - 1).
+
+    The tapper publishes the digest before it charges. The arm then recognises the tapper's requests
+    by their key, which no other program can derive from the digest.
+    """
+    digest = hashlib.blake2b(key.to_bytes(8, "little"), digest_size=8).digest()
+    return int.from_bytes(digest, "little") or 1
 
 
 def longest_hold(cell: Cell) -> float:

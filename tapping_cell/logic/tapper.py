@@ -6,7 +6,6 @@ charged, and returns to rest when the board detects the striker back at its moun
 from __future__ import annotations
 
 import math
-import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -153,11 +152,6 @@ LATCHED = (
 )
 
 
-def random_key() -> int:
-    """Return an unpredictable number above 0."""
-    return 1 + secrets.randbelow(2**63)
-
-
 @dataclass(frozen=True, slots=True)
 class TapperOptions:
     """Parameters of the node that the machine needs.
@@ -171,7 +165,7 @@ class TapperOptions:
     limits: PeerLimits = field(default_factory=PeerLimits)
     set_up: bool = False
     """Set-up mode: charges and fires only while an enabling device is held."""
-    draw_key: Callable[[], int] = random_key
+    draw_key: Callable[[], int] = permit.random_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,9 +225,9 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._key = 0
         self._draw_key = options.draw_key
         self._last_tap_id = 0
-        self._used = 0
+        self._used: int | None = None
         """Greatest shot number for which the board has charged, including charges before this node
-        was started."""
+        was started; None until the board has been read."""
         self._fixed = False
         self._reported = TapperState(measured_speed=math.nan)
         self._fire_job: int | None = None
@@ -343,15 +337,18 @@ class TapperLogic(DeviceLogic[State, Event]):
             permit.flight(self._strokes[tapper], command.striker_speed),
         )
         self._given_up = self._permit = None
-        self._key = 0
+        self._attempts = 0
+        self._key = 0 if self._fixed else self._draw_key()
         self._peers.begin_tap(command.object_id)
         self._error = (ErrorCode.NONE, "")
         self._set_tap(command.tap_id, TapperState.NONE)
+        self._reported.key_digest = permit.key_digest(self._key) if self._key else 0
         if self._fixed:
             self._charge_when_ready(now)
 
     def _set_tap(self, tap_id: int, outcome: int) -> None:
         self._reported.tap_id, self._reported.outcome = tap_id, outcome
+        self._reported.key_digest = 0
         self._reported.measured_speed = math.nan
 
     def _refusal(self, command: TapCommand, now: Now) -> CodedError | None:
@@ -385,7 +382,7 @@ class TapperLogic(DeviceLogic[State, Event]):
                 f"a striker speed of {1000 * speed:.1f} mm/s is outside the tapper's "
                 f"{1000 * curve.slowest:.1f} to {1000 * curve.fastest:.1f} mm/s",
             )
-        return tap_commands.refusal(command, now, max(self._last_tap_id, self._used))
+        return tap_commands.refusal(command, now, max(self._last_tap_id, self._used or 0))
 
     def _refuse(self, command: TapCommand, refusal: CodedError, now: Now) -> None:
         code, sentence = refusal
@@ -396,7 +393,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
         if new and self.state not in SERVING:
             self._last_tap_id = command.tap_id
-            spent = command.tap_id <= self._used
+            # While the board has not been read, it may have fired this shot before a restart.
+            spent = self._used is None or command.tap_id <= self._used
             self._set_tap(command.tap_id, TapperState.UNKNOWN if spent else TapperState.NOT_FIRED)
             if self.state is S.SAFE:
                 self._error = refusal
@@ -488,7 +486,7 @@ class TapperLogic(DeviceLogic[State, Event]):
     def _release_arm(self, after: float) -> None:
         """Release the arm from its promise to stand still in ``after`` s. If this request is lost,
         the arm stands still for the full time that it promised."""
-        if self._key:
+        if self._key and self._attempts:
             request = HoldStill.Request(tap_id=self._reported.tap_id, duration=after, key=self._key)
             token = ("let go", self._reported.tap_id)
             self._effects.append(Call("hold_still", request, token, HOLD_TIMEOUT_S))
@@ -515,6 +513,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         late = response is None or now.steady > until - permit.RELEASE_S - tap.flight
         if response is not None and not response.granted:
             self._discharge((response.error_code, response.error_msg))
+        elif response is not None and (error := self._peers.other_arm(response.arm_key)):
+            self._discharge(error)
         elif not late:
             self._permit = Permit(tap.tap_id, until)
             self._machine.move(Event.HELD, S.FIRING)
@@ -571,8 +571,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             self._not_fired(self._given_up or end.refusal)
         else:
             self._machine.move(Event.CHARGED, S.CHARGED)
-            self._attempts, self._charged_at = 0, now.steady
-            self._key = 0 if self._fixed else self._draw_key()
+            self._charged_at = now.steady
             self._ask_when_in_position(now)
 
     def _not_fired(self, why: CodedError | None) -> None:
@@ -591,7 +590,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Handle the end of a shot: its outcome, then the state of the board."""
         struck, self._tap = self._tap, None
         self._reported.outcome = OUTCOMES[end.outcome]
-        if end.outcome is FireOutcome.NOT_FIRED:
+        if end.outcome is FireOutcome.NOT_FIRED and end.status is not None:
             self._release_arm(0.0)
         elif end.outcome is FireOutcome.FIRED and struck is not None:
             self._release_arm(permit.RELEASED_S + struck.flight)
@@ -850,6 +849,7 @@ class TapperLogic(DeviceLogic[State, Event]):
             mounts_proven=self._mounts_proven(),
             tap_id=reported.tap_id,
             outcome=reported.outcome,
+            key_digest=reported.key_digest,
             measured_speed=reported.measured_speed,
             shots_fired=reported.shots_fired,
             boot_number=reported.boot_number,

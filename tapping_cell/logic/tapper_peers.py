@@ -110,6 +110,8 @@ class TapperPeers:
         self._limits = limits
         self._arm: ArmState | None = None
         self._arm_received = -math.inf
+        self._arm_keys: set[int] = set()
+        """Keys of the arms that have reported that they serve a tap, since the tap began."""
         self._clocks = {"arm": PeerClock(), "planner": PeerClock(), "camera": PeerClock()}
         self._plan_received: float | None = None
         self._phase = PlanState.IDLE
@@ -129,12 +131,15 @@ class TapperPeers:
         The following messages of the planner show whether the planner commanded this tap.
         """
         self._planners_tap = False
+        self._arm_keys.clear()
         self._object = object_id
 
     def on_arm_state(self, message: ArmState, now: Now) -> None:
         """Process ``arm_state``."""
         self._clocks["arm"].receive(message.header.stamp, now)
         self._arm, self._arm_received = message, now.steady
+        if message.tap_id:
+            self._arm_keys.add(message.arm_key)
 
     def on_plan_state(self, message: PlanState, now: Now) -> None:
         """Process ``plan_state``."""
@@ -242,6 +247,19 @@ class TapperPeers:
                 "that only one planner runs",
             )
         return None
+
+    def other_arm(self, key: int) -> CodedError | None:
+        """Return an error if another arm than that of ``arm_state`` has answered ``hold_still``.
+
+        ``key``: the arm's key in the answer.
+        """
+        if self._arm_keys == {key}:
+            return None
+        return (
+            ErrorCode.CONFIGURATION_CONFLICT,
+            "not all of arm_state and the answer to hold_still come from the same arm; end the"
+            " other scara_arm, or give each cell a namespace or a ROS domain of its own",
+        )
 
     def clocks_differ(self, now: Now) -> CodedError | None:
         """Return why the clocks of the cell's computers differ too much for a tap, or None."""

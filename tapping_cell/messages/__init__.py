@@ -212,6 +212,7 @@ class ArmState:
     header: Header = field(default_factory=Header)
     state: int = 0
     tap_id: int = 0
+    arm_key: int = 0
     homed: bool = False
     clear_of_camera: bool = False
     set_up: bool = False
@@ -636,6 +637,7 @@ class TapperState:
     tapper: str = ""
     tap_id: int = 0
     outcome: int = 0
+    key_digest: int = 0
     measured_speed: float = 0.0
     shots_fired: int = 0
     boot_number: int = 0
@@ -699,6 +701,7 @@ class HoldStill:
         duration: float = 0.0
         error_code: int = 0
         error_msg: str = ""
+        arm_key: int = 0
 
 
 class ArrangeObjects:

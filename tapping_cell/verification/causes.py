@@ -110,7 +110,9 @@ EXPLAINED_BY: dict[int, frozenset[str]] = {
     ErrorCode.ARM_STOPPED: ARM_STOPS | ARM_LINE,
     ErrorCode.TAPPER_STOPPED: TAPPER_STOPS | TAPPER_LINE,
     ErrorCode.ARM_NOT_HOMED: ARM_STOPS | ARM_LINE | ARM_POWER | ARM_ENDS | FREEZES,
-    ErrorCode.CONFIGURATION_CONFLICT: frozenset({"second arm"}),
+    ErrorCode.CONFIGURATION_CONFLICT: frozenset(
+        {"second arm", "foreign state", "foreign flood", "replay"}
+    ),
     ErrorCode.ARM_NOT_CONNECTED: ARM_LINE | ARM_POWER | ARM_ENDS | {"second node"},
     ErrorCode.ARM_FIRMWARE_UNKNOWN: ARM_LINE | ARM_POWER | ARM_ENDS,
     ErrorCode.ARM_ALARM: ARM_LINE | ARM_POWER | FREEZES,

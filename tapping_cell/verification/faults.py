@@ -9,8 +9,10 @@ from functools import partial
 
 import numpy as np
 
+from tapping_cell.logic import permit
 from tapping_cell.logic.clock import to_stamp
 from tapping_cell.logic.host import Activated, Deactivated
+from tapping_cell.logic.peer_clock import WINDOW_S
 from tapping_cell.messages import (
     ArmState,
     HoldStill,
@@ -311,14 +313,17 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another node requests ``hold_still`` for a tap, and ends the promise to stand still early. It
-    may then also report that the tap is over and withdraw the tap; the arm receives the withdrawal
-    immediately, but the tapper receives it late."""
+    may claim before to be the tapper. It may then also report that the tap is over and withdraw the
+    tap; the arm receives the withdrawal immediately, but the tapper receives it late."""
     back, duration = int(rng.integers(0, 2)), float(rng.uniform(0.01, 0.3))
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
-    sends = rng.random() < 0.7
+    sends, claims = rng.random() < 0.7, bool(rng.random() < 0.3)
+    outcome = TapperState.FIRED if rng.random() < 0.5 else TapperState.NOT_FIRED
 
     def strike(t: FaultTarget) -> None:
         number = max(max(t.checker.commands, default=0) - back, 0)
+        if claims:
+            forge(t, number, TapperState.NONE)
         for after, asked in ((0.0, duration), (later, 0.0)):
             request = HoldStill.Request(tap_id=number, duration=asked, key=7)
             t.scheduler.after(after, partial(t.network.call, "hold_still", request, lambda _: None))
@@ -328,15 +333,19 @@ def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
             t.scheduler.after(late, partial(t.network.end_delay, *link))
             t.scheduler.after(1.5 * later, partial(leave, t, number))
 
-    def leave(t: FaultTarget, number: int) -> None:
-        forged = TapperState(state=TapperState.SAFE, tap_id=number)
-        forged.outcome = TapperState.NOT_FIRED
+    def forge(t: FaultTarget, number: int, outcome: int) -> None:
+        forged = TapperState(state=TapperState.SAFE, tap_id=number, outcome=outcome)
+        forged.key_digest = permit.key_digest(7) if claims else 0
         forged.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
         t.network.publish("somebody_else", "tapper_state", forged)
+
+    def leave(t: FaultTarget, number: int) -> None:
+        forge(t, number, outcome)
         _send_withdrawal(t, number)
 
     return strike, (
-        f"another node requests hold_still for {duration:.3f} s and ends it after {later:.3f} s"
+        f"another node{', which claims to be the tapper,' if claims else ''} requests hold_still"
+        f" for {duration:.3f} s and ends it after {later:.3f} s"
         + (" and withdraws the arm" if sends else "")
     )
 
@@ -512,17 +521,21 @@ def _foreign_state(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _second_arm(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The arm of another cell in the same ROS domain also offers ``hold_still`` and grants every
-    request."""
-    lasting = draw_duration(rng, 0.2, 6.0)
+    request. The process of the cell's own arm may end at the same time."""
+    lasting, alone = draw_duration(rng, 0.2, 6.0), bool(rng.random() < 0.3)
 
     def strike(t: FaultTarget) -> None:
+        if alone:
+            t.kill("scara_arm", lasting)
+
         def grant(request: HoldStill.Request, answer: Callable[[HoldStill.Response], None]) -> None:
             answer(HoldStill.Response(granted=True, duration=request.duration))
 
         t.network.serve("scara_arm of another cell", "hold_still", grant)
         t.scheduler.after(lasting, partial(t.network.leave, "scara_arm of another cell"))
 
-    return strike, f"the arm of another cell offers hold_still for {lasting:.1f} s"
+    killed = ", and the cell's own arm is killed" if alone else ""
+    return strike, f"the arm of another cell offers hold_still for {lasting:.1f} s{killed}"
 
 
 def _second_node(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -564,7 +577,8 @@ def _clock_step(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
     def strike(t: FaultTarget) -> None:
         t.clocks[node].offset += step
-        t.disturbed_until = max(t.disturbed_until, t.scheduler.now + lasting)
+        # The clock of another node is estimated from the messages of the last ``WINDOW_S``.
+        t.disturbed_until = max(t.disturbed_until, t.scheduler.now + lasting + WINDOW_S)
         t.scheduler.after(lasting, back(t))
 
     def back(t: FaultTarget) -> Callable[[], None]:

@@ -112,9 +112,9 @@ class InvariantChecker:
     """Time since which the planner's process has not existed."""
     promises: dict[int, float] = field(default_factory=dict)
     """End of the arm's promise to stand still, by tap id."""
-    promised_to: dict[int, int] = field(default_factory=dict)
-    """Key of the ``hold_still`` request to which the arm gave its promise, by tap id. Only another
-    request with this key can end the promise early."""
+    keys_of_tapper: set[int] = field(default_factory=set)
+    """Keys that the tapper has drawn. Only a request with one of them can end the arm's promise
+    early."""
     last_check: tuple[float, object | None] = (-math.inf, "no check was made")
     """Time of the last check that the tapper's state machine made before FIRE, and the reason for
     which it refused the shot (None: it did not refuse)."""
@@ -484,7 +484,7 @@ class InvariantChecker:
             end = self.scheduler.now + request.duration
             before = self.promises.get(request.tap_id, -math.inf)
             if end <= before or request.duration <= 0:
-                if request.key and request.key == self.promised_to.get(request.tap_id):
+                if request.key in self.keys_of_tapper:
                     self.promises[request.tap_id] = min(end, before)
                 return
             if self._arm != (ArmState.IN_POSITION, request.tap_id):
@@ -494,7 +494,6 @@ class InvariantChecker:
                     f" state {_ARM_STATES.get(self._arm[0], self._arm[0])} for tap {self._arm[1]}",
                 )
             self.promises[request.tap_id] = end
-            self.promised_to[request.tap_id] = request.key
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer that a state machine gives to its running job."""

@@ -258,7 +258,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "ignores the ids that its board has used",
         "tapping_cell.logic.tapper",
-        "max(self._last_tap_id, self._used)",
+        "max(self._last_tap_id, self._used or 0)",
         "self._last_tap_id",
         "",
         Mutant(
@@ -267,6 +267,13 @@ MUTANTS: tuple[Mutant, ...] = (
             "        spent = why is not None and why[0] == ErrorCode.TAPPER_SPENT\n",
             "        spent = False\n",
         ),
+        kinds=("kill", "restart", "repeated command"),
+    ),
+    Mutant(
+        "reports an old tap as not fired before the board was read",
+        "tapping_cell.logic.tapper",
+        "spent = self._used is None or command.tap_id <= self._used",
+        "spent = self._used is not None and command.tap_id <= self._used",
         kinds=("kill", "restart", "repeated command"),
     ),
     Mutant(
@@ -287,10 +294,26 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "lets any requester end the arm's promise",
         "tapping_cell.logic.arm",
-        "if request.key and requester == self._promised_to and is_shorter:",
+        "if requester == self._promised_to and is_shorter and self._is_of_tapper(request.key):",
         "if is_shorter:",
         "",
         kinds=("foreign outcome",),
+    ),
+    Mutant(
+        "lets the first requester end the arm's promise, whether or not it is the tapper",
+        "tapping_cell.logic.arm",
+        "return key > 0 and self._key_digests == {permit.key_digest(key)}",
+        "return key > 0",
+        "",
+        kinds=("foreign hold",),
+    ),
+    Mutant(
+        "accepts the promise of another arm",
+        "tapping_cell.logic.tapper",
+        "elif response is not None and (error := self._peers.other_arm(response.arm_key)):",
+        "elif response is not None and (error := None):",
+        "",
+        kinds=("second arm", "kill"),
     ),
     Mutant(
         "a second promise replaces the first one",
@@ -317,7 +340,7 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "believes any publisher that the striker is discharged",
         "tapping_cell.logic.arm",
-        "        if ours and message.state in CHARGED:\n",
+        "        if ours and not released and message.state in CHARGED:\n",
         "        if ours and message.state not in CHARGED:\n"
         "            self._charged_until = -math.inf\n"
         "        elif ours:\n",

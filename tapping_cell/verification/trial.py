@@ -373,15 +373,21 @@ class Trial:
 
         def arm() -> tuple[ArmLogic, ArmDriver]:
             arm_line.set_clock(self.clocks["scara_arm"].steady_offset)
-            return ArmLogic(ArmOptions()), make_arm_driver(cell.arm, arm_line)
+            draw = np.random.default_rng([self.seed, 5, round(1e6 * self.scheduler.now)])
+            options = ArmOptions(draw_key=lambda: int(draw.integers(1, 2**63)))
+            return ArmLogic(options), make_arm_driver(cell.arm, arm_line)
 
         def tapper() -> tuple[TapperLogic, TapperDriver]:
             tapper_line.set_clock(self.clocks["tapper_trigger"].steady_offset)
             draw = np.random.default_rng([self.seed, 4, round(1e6 * self.scheduler.now)])
             driver = TapperDriver(tapper_line, draw_number=lambda below: int(draw.integers(below)))
-            return TapperLogic(
-                TapperOptions(limits=limits, draw_key=lambda: int(draw.integers(1, 2**63)))
-            ), driver
+
+            def draw_key() -> int:
+                key = int(draw.integers(1, 2**63))
+                self.checker.keys_of_tapper.add(key)
+                return key
+
+            return TapperLogic(TapperOptions(limits=limits, draw_key=draw_key)), driver
 
         limits = PeerLimits(unseen=unseen, needs_camera=True)
         programs: dict[
@@ -705,6 +711,7 @@ class Trial:
         The second instance finds its device's port in use. Only the first instance answers service
         requests.
         """
+        self.disturbed_until = max(self.disturbed_until, self.scheduler.now + lasting)
         program = replace(self._programs(*self._busy_lines())[node], services=())
         second = Process(
             f"{node} (second)",

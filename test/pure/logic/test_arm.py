@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from test_permit import CELL, TAP, Pair, at, jobs, messages
@@ -133,12 +132,11 @@ def leaving_with_a_charged_striker() -> Pair:
 
 
 def report(pair: Pair, state: int, steady: float) -> Sequence[Effect]:
-    message = TapperState(state=state, tap_id=TAP)
+    message = TapperState(state=state, tap_id=TAP, key_digest=permit.key_digest(7))
     return pair.arm.on_message("tapper_state", message, at(steady))
 
 
-@pytest.mark.parametrize("outcome_first", [True, False])
-def test_the_arm_leaves_once_the_requesting_tapper_releases_it(outcome_first: bool) -> None:
+def test_the_arm_leaves_once_the_requesting_tapper_releases_it() -> None:
     pair = in_position()
     request = HoldStill.Request(tap_id=TAP, duration=0.26, key=7)
     pair.arm.on_request("hold_still", request, 1, at(START))
@@ -148,24 +146,33 @@ def test_the_arm_leaves_once_the_requesting_tapper_releases_it(outcome_first: bo
     assert not withdraws(pair.arm.on_tick(at(START + 0.3)))
     over = HoldStill.Request(tap_id=TAP, duration=0.0, key=7)
     outcome = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=TapperState.FIRED)
-    if outcome_first:
-        assert not withdraws(pair.arm.on_message("tapper_state", outcome, at(START + 0.35)))
-        assert withdraws(pair.arm.on_request("hold_still", over, 2, at(START + 0.36)))
-    else:
-        assert not withdraws(pair.arm.on_request("hold_still", over, 2, at(START + 0.35)))
-        assert withdraws(pair.arm.on_message("tapper_state", outcome, at(START + 0.36)))
+    assert not withdraws(pair.arm.on_message("tapper_state", outcome, at(START + 0.35)))
+    assert withdraws(pair.arm.on_request("hold_still", over, 2, at(START + 0.36)))
 
 
-@given(st.floats(0.0, arms.DISCHARGED_S - 0.01), st.floats(0.001, 0.3))
+@given(
+    st.floats(0.0, arms.DISCHARGED_S - 0.01),
+    st.floats(0.001, 0.3),
+    st.sampled_from([TapperState.NONE, TapperState.FIRED, TapperState.NOT_FIRED]),
+    st.booleans(),
+)
 def test_another_client_that_ends_its_own_request_does_not_discharge_the_striker(
-    wait: float, duration: float
+    wait: float, duration: float, outcome: int, claims: bool
 ) -> None:
-    """A tapper that is frozen while its striker is charged makes no request of its own."""
+    """A tapper that is frozen while its striker is charged makes no request of its own.
+
+    The other client also reports the end of the tap, and may claim to be the tapper.
+    """
     pair = in_position()
+    forged = TapperState(state=TapperState.SAFE, tap_id=TAP)
+    forged.key_digest = permit.key_digest(99) if claims else 0
+    pair.arm.on_message("tapper_state", forged, at(START))
     report(pair, TapperState.CHARGING, START)
     for token, asked in ((1, duration), (2, 0.0)):
         request = HoldStill.Request(tap_id=TAP, duration=asked, key=99)
         pair.arm.on_request("hold_still", request, token, at(START))
+    forged.outcome = outcome
+    pair.arm.on_message("tapper_state", forged, at(START))
     command = pair.command(TapCommand.WITHDRAW, at(START))
     assert not withdraws(pair.arm.on_message("tap_command", command, at(START)))
     assert not withdraws(pair.arm.on_tick(at(START + wait)))
@@ -174,11 +181,10 @@ def test_another_client_that_ends_its_own_request_does_not_discharge_the_striker
 
 def test_a_report_received_after_the_tapper_released_the_arm_is_ignored() -> None:
     pair = in_position()
+    report(pair, TapperState.FIRING, START)
     for token, duration in ((1, 0.26), (2, 0.0)):
         request = HoldStill.Request(tap_id=TAP, duration=duration, key=7)
         pair.arm.on_request("hold_still", request, token, at(START))
-    outcome = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=TapperState.FIRED)
-    pair.arm.on_message("tapper_state", outcome, at(START))
     report(pair, TapperState.FIRING, START + 0.01)
     command = pair.command(TapCommand.WITHDRAW, at(START + 0.1))
     assert withdraws(pair.arm.on_message("tap_command", command, at(START + 0.1)))

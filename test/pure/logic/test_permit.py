@@ -13,7 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapping_cell.configuration.cell import load_cell
+from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.scara import Joints
+from tapping_cell.hardware.tapper import FireOutcome
 from tapping_cell.hardware.tapper_protocol import LONGEST_PULSE, Mode, Reply, Result
 from tapping_cell.hardware.tapper_protocol import State as BoardState
 from tapping_cell.logic import arm as arms
@@ -24,7 +26,7 @@ from tapping_cell.logic.clock import Now, to_stamp
 from tapping_cell.logic.effects import Answer, Call, Effect, Job, JobEnded, Publish, RunJob
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.poses import to_message
-from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, Status
+from tapping_cell.logic.tapper_jobs import WINDOW_S, ChargeEnd, FireEnd, Status
 from tapping_cell.messages import ArmState, ErrorCode, HoldStill, TapCommand, TapperState
 from tapping_cell.se2 import Pose
 
@@ -87,6 +89,11 @@ class Pair:
         made = self.tapper.on_job(JobEnded(charge, ChargeEnd(status, True, None)), now)
         (call,) = [effect for effect in made if isinstance(effect, Call)]
         return call
+
+    def tell_key(self, steady: float) -> None:
+        """Deliver the tapper's state before charging, which contains the digest of its key."""
+        state = messages(self.tapper.on_tick(at(steady + 0.1)), "tapper_state")[-1]
+        self.arm.on_message("tapper_state", replace(state, state=TapperState.SAFE), at(steady))
 
     def begin_charging(self) -> int:
         """Return the number of the tapper's job that charges the striker."""
@@ -272,6 +279,7 @@ def test_only_the_requester_of_the_promise_can_end_it(
     promise."""
     pair = Pair()
     call = pair.begin()
+    pair.tell_key(START)
     pair.arm.on_request("hold_still", call.request, 1, at(START))
     message = TapperState(state=TapperState.SAFE, tap_id=TAP, outcome=outcome)
     pair.arm.on_message("tapper_state", message, at(START + after))
@@ -301,6 +309,7 @@ def test_no_sequence_of_other_requests_takes_over_the_promise(
     promise to the tapper early."""
     pair = Pair()
     call = pair.begin()
+    pair.tell_key(START)
     assert call.request.key > 3, "the tapper's key is not one of the others'"
     now = START
     if first:
@@ -318,13 +327,59 @@ def test_no_sequence_of_other_requests_takes_over_the_promise(
     assert not_before(pair, now) >= granted + permit.hold(permit.flight(STROKE, SPEED))
 
 
-def test_the_key_ends_the_promise() -> None:
+@pytest.mark.parametrize("tapper_reports", [True, False])
+def test_the_key_ends_the_promise_if_the_tapper_has_reported_its_digest(
+    tapper_reports: bool,
+) -> None:
     pair = Pair()
     call = pair.begin()
+    if tapper_reports:
+        pair.tell_key(START)
     pair.arm.on_request("hold_still", call.request, 1, at(START))
     request = HoldStill.Request(tap_id=TAP, duration=0.05, key=call.request.key)
     pair.arm.on_request("hold_still", request, 2, at(START + 0.1))
-    assert not_before(pair, START + 0.1) == START + 0.15
+    full = START + permit.hold(permit.flight(STROKE, SPEED))
+    assert not_before(pair, START + 0.1) == (START + 0.15 if tapper_reports else full)
+
+
+def test_no_key_ends_the_promise_if_two_tappers_have_reported_different_digests() -> None:
+    pair = Pair()
+    call = pair.begin()
+    pair.tell_key(START)
+    other = TapperState(state=TapperState.SAFE, tap_id=TAP, key_digest=permit.key_digest(1))
+    pair.arm.on_message("tapper_state", other, at(START))
+    pair.arm.on_request("hold_still", call.request, 1, at(START))
+    request = HoldStill.Request(tap_id=TAP, duration=0.05, key=call.request.key)
+    pair.arm.on_request("hold_still", request, 2, at(START + 0.1))
+    assert not_before(pair, START + 0.1) == START + permit.hold(permit.flight(STROKE, SPEED))
+
+
+def test_the_arm_is_not_released_if_the_board_is_not_known_to_be_discharged() -> None:
+    """The board may still be charged, because its line was lost."""
+    pair = Pair()
+    call = pair.begin()
+    made = pair.arm.on_request("hold_still", call.request, 1, at(START + 0.002))
+    (answer,) = [effect for effect in made if isinstance(effect, Answer)]
+    (fire,) = jobs(pair.tapper.on_answer(call.token, answer.response, at(START + 0.004)))
+    lost = HardwareFault(FaultReason.TIMEOUT, "no answer")
+    refused = (ErrorCode.TAPPER_ARM_NOT_IN_POSITION, "the arm's state is old")
+    end = FireEnd(TAP, FireOutcome.NOT_FIRED, "", refused, None, None, lost)
+    made = pair.tapper.on_job(JobEnded(fire, end), at(START + 0.1))
+    assert not [effect for effect in made if isinstance(effect, Call)]
+
+
+def test_the_answer_of_another_arm_is_no_promise() -> None:
+    """The cell's own arm has ended, so that only the arm of another cell offers the service."""
+    pair = Pair()
+    call = pair.begin()
+    other = HoldStill.Response(granted=True, duration=call.request.duration, arm_key=1)
+    made = pair.tapper.on_answer(call.token, other, at(START + 0.01))
+    (discharge,) = [effect.job.name for effect in made if isinstance(effect, RunJob)]
+    assert discharge == "discharge"
+    pair.tapper.on_job(JobEnded(jobs(made)[0], Status(board(BoardState.SAFE), 0)), at(START + 0.1))
+    state = messages(pair.tapper.on_tick(at(START + 1.0)), "tapper_state")[-1]
+    assert state.outcome == TapperState.NOT_FIRED
+    assert state.error_code == ErrorCode.CONFIGURATION_CONFLICT
 
 
 def not_before(pair: Pair, time: float) -> float:

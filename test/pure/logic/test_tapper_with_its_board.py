@@ -516,15 +516,20 @@ def test_a_tapper_frozen_during_a_shot_reports_unknown_once_and_becomes_ready() 
     assert cell.shots() == [100, 101]
 
 
+@pytest.mark.parametrize("read", [True, False])
 def test_a_restarted_tapper_does_not_report_an_id_used_by_its_board_as_not_fired(
-    cell: Cell,
+    cell: Cell, read: bool
 ) -> None:
-    """The tap may have been fired before the restart."""
+    """The tap may have been fired before the restart, also if the board was not read since."""
     cell.fire(100)
     cell.process.kill()
     cell.states.clear()
     cell.process.start()
-    cell.wait_state(TapperState.SAFE)
+    if read:
+        cell.wait_state(TapperState.SAFE)
+    else:
+        cell.wait(lambda: bool(cell.states), "a state")
+        assert cell.last.state == TapperState.DISCONNECTED
     cell.command(100)
     cell.wait(lambda: cell.outcome(100) != TapperState.NONE, "an outcome")
     assert cell.outcome(100) == TapperState.UNKNOWN
