@@ -2,14 +2,15 @@
 
 It holds the functions X, Theta and D of ``slide_solution`` as cubic Hermite polynomials between
 knots that are uniformly spaced in p (defined there). A single slide is computed with Python floats;
-many slides are computed in blocks that fit in the cache, with preallocated work arrays. The inverse
-looks up an estimate of p in a separate table and refines it by Newton steps on the forward table,
-so that ``launch`` inverts ``rest`` up to rounding.
+many slides are computed in blocks that fit in the cache. The inverse looks up an estimate of p in a
+separate table and refines it by Newton steps on the forward table, so that ``launch`` inverts
+``rest`` up to rounding.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -135,119 +136,65 @@ class SlideTable:
         """Vectorised :meth:`rest` for two flat arrays of equal length.
         Raises :class:`InvalidParameterError` if a value is not finite.
         """
-        count = speed.size
-        travel, rim_travel, time = np.empty(count), np.empty(count), np.empty(count)
-        work = _Workspace(min(count, _CHUNK), floats=6)
-        x, r, d = self._forward[0:4], self._forward[4:8], self._forward[8:12]
-        for start in range(0, count, _CHUNK):
-            part = slice(start, min(start + _CHUNK, count))
-            v, s = speed[part], rim_speed[part]
-            size = v.size
-            major, minor, t, value, gathered, spare = (f[:size] for f in work.floats)
-            index, mask = work.index[:size], work.mask[:size]
-            np.abs(v, out=value)
-            np.abs(s, out=gathered)
-            np.greater(gathered, value, out=mask)
-            np.maximum(value, gathered, out=major)
-            np.minimum(value, gathered, out=minor)
-            if not math.isfinite(float(np.dot(major, major))):
-                raise InvalidParameterError(
-                    f"speed and spin reach {float(np.abs(major).max()):g} m/s; all must be finite "
-                    "numbers with finite squares."
-                )
-            _grade(major, minor, t, spare)
-            _piece(t, mask, index, spare)
-            _cubic(x, index, t, value, gathered)
-            value *= major
-            np.multiply(value, v, out=travel[part])
-            _cubic(r, index, t, value, gathered)
-            value *= major
-            np.multiply(value, s, out=rim_travel[part])
-            _cubic(d, index, t, value, gathered)
-            np.multiply(value, major, out=time[part])
+        travel, rim_travel, time = _in_blocks(self._rest_block, speed, rim_speed, 3)
         return travel, rim_travel, time
+
+    def _rest_block(self, speed: Array, rim_speed: Array) -> tuple[Array, Array, Array]:
+        v, s = np.abs(speed), np.abs(rim_speed)
+        major, minor = np.maximum(v, s), np.minimum(v, s)
+        if not math.isfinite(float(np.dot(major, major))):
+            raise InvalidParameterError(
+                f"speed and spin reach {float(major.max()):g} m/s; all must be finite "
+                "numbers with finite squares."
+            )
+        index, t = _piece(_graded(major, minor), s > v)
+        x, r, d = self._forward[0:4], self._forward[4:8], self._forward[8:12]
+        return (
+            speed * major * _cubic(x, index, t),
+            rim_speed * major * _cubic(r, index, t),
+            major * _cubic(d, index, t),
+        )
 
     def launch_many(self, travel: Array, rim_travel: Array) -> tuple[Array, Array]:
         """Vectorised :meth:`launch` for two flat arrays of equal length.
         Raises :class:`InvalidParameterError` if a value is not finite.
         """
-        count = travel.size
-        speed, rim_speed = np.empty(count), np.empty(count)
-        work = _Workspace(min(count, _CHUNK), floats=13)
-        for start in range(0, count, _CHUNK):
-            part = slice(start, min(start + _CHUNK, count))
-            size = part.stop - part.start
-            block = _Block([f[:size] for f in work.floats], work.index[:size], work.mask[:size])
-            self._launch_block(travel[part], rim_travel[part], speed[part], rim_speed[part], block)
+        speed, rim_speed = _in_blocks(self._launch_block, travel, rim_travel, 2)
         return speed, rim_speed
 
-    def _launch_block(
-        self, travel: Array, rim_travel: Array, speed: Array, rim_speed: Array, work: _Block
-    ) -> None:
-        x, r, longer, ratio, t, p, small, large, slope, tau, gathered, spare, total = work.floats
-        index, mask = work.index, work.mask
-        np.abs(travel, out=x)
-        np.abs(rim_travel, out=r)
-        np.maximum(x, r, out=longer)
-        if not math.isfinite(float(longer.sum())):
-            raise InvalidParameterError(
-                f"distance and rotation reach {float(longer.max()):g} (m^2/s^2); all must be "
-                "finite numbers."
-            )
-        np.multiply(x, self._divide, out=spare)
-        np.greater(r, spare, out=mask)
+    def _launch_block(self, travel: Array, rim_travel: Array) -> tuple[Array, Array]:
+        x, r = np.abs(travel), np.abs(rim_travel)
         # With x scaled by ``_divide``, both travels are equal at the boundary between the regimes.
         # The smaller scaled travel is therefore the minor one in both regimes.
-        np.maximum(spare, r, out=large)
-        np.minimum(spare, r, out=small)
-        _grade(large, small, t, gathered)
-        _piece(t, mask, index, gathered)
-        _cubic(self._guess, index, t, p, gathered)
-        np.copyto(longer, x)
-        np.copyto(longer, r, where=mask)
-        np.copyto(ratio, r)
-        np.copyto(ratio, x, where=mask)
-        np.add(longer, _TINY, out=spare)
-        ratio /= spare
+        scaled = self._divide * x
+        spinning = r > scaled
+        longer = np.where(spinning, r, x)
+        if not math.isfinite(float((x + r).sum())):
+            raise InvalidParameterError(
+                f"distance and rotation reach {float(np.maximum(x, r).max()):g} (m^2/s^2); all "
+                "must be finite numbers."
+            )
+        ratio = np.where(spinning, x, r) / (longer + _TINY)
+        index, t = _piece(_graded(np.maximum(scaled, r), np.minimum(scaled, r)), spinning)
+        p = _cubic(self._guess, index, t)
         for step in range(_NEWTON_STEPS + 1):
-            np.minimum(p, 1.0, out=p)
-            np.maximum(p, 0.0, out=p)
-            np.multiply(p, PIECES, out=t)
-            _piece(t, mask, index, gathered)
-            np.subtract(1.0, p, out=spare)
-            np.multiply(p, p, out=tau)
-            np.multiply(spare, spare, out=total)
-            total += tau
-            tau /= total
+            p = np.clip(p, 0.0, 1.0)
+            index, t = _piece(PIECES * p, spinning)
+            q = 1.0 - p
+            square = p * p + q * q
+            tau = p * p / square
             if step == _NEWTON_STEPS:
-                _cubic(self._major, index, t, large, gathered)
                 break
-            _cubic_and_slope(self._major, index, t, large, slope, gathered)
-            slope *= ratio
-            large *= ratio
-            spare *= p
-            spare *= 2.0
-            total *= total
-            spare /= total
-            # The array x is no longer needed and is reused for the slope of the smaller travel.
-            _cubic_and_slope(self._minor, index, t, small, x, gathered)
-            spare *= small
-            x *= tau
-            spare += x
-            spare -= slope
-            small *= tau
-            small -= large
-            spare += _TINY
-            small /= spare
-            p -= small
-        np.divide(longer, large, out=large)
-        np.sqrt(large, out=large)
-        tau *= large
-        np.copyto(spare, large)
-        np.copyto(spare, tau, where=mask)
-        np.copysign(spare, travel, out=speed)
-        np.copyto(tau, large, where=mask)
-        np.copysign(tau, rim_travel, out=rim_speed)
+            large, large_slope = _cubic_and_slope(self._major, index, t)
+            small, small_slope = _cubic_and_slope(self._minor, index, t)
+            slope = 2 * p * q / (square * square) * small + tau * small_slope - ratio * large_slope
+            p = p - (tau * small - ratio * large) / (slope + _TINY)
+        major = np.sqrt(longer / _cubic(self._major, index, t))
+        minor = tau * major
+        return (
+            np.copysign(np.where(spinning, minor, major), travel),
+            np.copysign(np.where(spinning, major, minor), rim_travel),
+        )
 
     def travel_ratio(self, spin_ratio: float) -> float:
         """Compute the ratio of rim travel to travel of a launch with R omega / v =
@@ -259,12 +206,8 @@ class SlideTable:
         """Compute d ln(R omega / v) / d ln(time left) at values of ln(R omega / v), a flat
         array."""
         root = np.exp(-0.5 * np.abs(log_ratio))
-        t = PIECES * root / (root + np.sqrt(1.0 - root * root))
-        index = np.empty(t.size, dtype=np.intp)
-        value, gathered = np.empty(t.size), np.empty(t.size)
-        _piece(t, log_ratio > 0, index, gathered)
-        _cubic(self._rates, index, t, value, gathered)
-        return value
+        index, t = _piece(PIECES * root / (root + np.sqrt(1.0 - root * root)), log_ratio > 0)
+        return _cubic(self._rates, index, t)
 
     def _inverse_guess(self) -> Array:
         """Compute the table of p as a function of the ratio of the travels, which is graded like
@@ -294,15 +237,12 @@ class SlideTable:
         return np.concatenate(halves)
 
     def _solve_knots(self, p: Array, fraction: Array, half: int, divide: float) -> Array:
-        index = np.empty(p.size, dtype=np.intp)
-        mask = np.full(p.size, half == 1)
-        small, large, slope, slope_small, gathered = (np.empty(p.size) for _ in range(5))
+        spinning = np.full(p.size, half == 1)
         ratio = fraction * divide
         for _ in range(4):
-            t = p * PIECES
-            _piece(t, mask, index, gathered)
-            _cubic_and_slope(self._major, index, t, large, slope, gathered)
-            _cubic_and_slope(self._minor, index, t, small, slope_small, gathered)
+            index, t = _piece(PIECES * p, spinning)
+            large, slope = _cubic_and_slope(self._major, index, t)
+            small, slope_small = _cubic_and_slope(self._minor, index, t)
             square = p * p + (1 - p) ** 2
             tau_slope = 2 * p * (1 - p) / square**2
             derivative = tau_slope * small + grade_inverse(p) * slope_small - ratio * slope
@@ -313,67 +253,43 @@ class SlideTable:
         return p
 
 
-class _Workspace:
-    """Work arrays of one block, allocated in each call so that threads can call in parallel."""
-
-    def __init__(self, size: int, floats: int) -> None:
-        self.floats = [np.empty(size) for _ in range(floats)]
-        self.index = np.empty(size, dtype=np.intp)
-        self.mask = np.empty(size, dtype=bool)
-
-
-class _Block:
-    """Views of a workspace, cut to the size of one block."""
-
-    def __init__(self, floats: list[Array], index: NDArray[np.intp], mask: NDArray[np.bool_]):
-        self.floats = floats
-        self.index = index
-        self.mask = mask
+def _in_blocks(
+    function: Callable[[Array, Array], Sequence[Array]], first: Array, second: Array, results: int
+) -> list[Array]:
+    """Apply a function to blocks of two flat arrays that fit in the cache, and join its results."""
+    joined: list[Array] = [np.empty(first.size) for _ in range(results)]
+    for start in range(0, first.size, _CHUNK):
+        part = slice(start, start + _CHUNK)
+        for target, values in zip(joined, function(first[part], second[part]), strict=True):
+            target[part] = values
+    return joined
 
 
-def _grade(major: Array, minor: Array, t: Array, spare: Array) -> None:
-    """Compute t = PIECES * p for tau = minor / major; t is 0 if both are 0."""
-    np.subtract(major, minor, out=spare)
-    np.sqrt(spare, out=spare)
-    np.sqrt(minor, out=t)
-    spare += t
-    spare += _TINY
-    t /= spare
-    t *= PIECES
+def _graded(major: Array, minor: Array) -> Array:
+    """Compute PIECES * p for tau = minor / major; 0 if both are 0."""
+    root = np.sqrt(minor)
+    graded: Array = PIECES * root / (root + np.sqrt(major - minor) + _TINY)
+    return graded
 
 
-def _piece(t: Array, mask: NDArray[np.bool_], index: NDArray[np.intp], spare: Array) -> None:
-    """Split t into the row of its piece and the position in the piece. Where ``mask`` is true, the
-    row is in the second half of the table."""
-    np.copyto(index, t, casting="unsafe")
-    np.minimum(index, PIECES - 1, out=index)
-    t -= index
-    np.multiply(mask, PIECES, out=spare)
-    np.add(index, spare, out=index, casting="unsafe")
+def _piece(t: Array, spinning: NDArray[np.bool_]) -> tuple[NDArray[np.intp], Array]:
+    """Split t = PIECES * p into the row of its piece and the position in the piece, from 0 to 1.
+    The pieces of the spinning regime are in the second half of the table."""
+    piece = np.minimum(t.astype(np.intp), PIECES - 1)
+    return piece + PIECES * spinning, t - piece
 
 
-def _cubic(rows: Array, index: NDArray[np.intp], t: Array, value: Array, gathered: Array) -> None:
-    np.take(rows[3], index, out=value, mode="clip")
-    for k in (2, 1, 0):
-        value *= t
-        np.take(rows[k], index, out=gathered, mode="clip")
-        value += gathered
+def _cubic(rows: Array, index: NDArray[np.intp], t: Array) -> Array:
+    """Compute the value of one cubic piece for each element."""
+    a, b, c, d = (row[index] for row in rows)
+    value: Array = a + t * (b + t * (c + t * d))
+    return value
 
 
-def _cubic_and_slope(
-    rows: Array, index: NDArray[np.intp], t: Array, value: Array, slope: Array, gathered: Array
-) -> None:
+def _cubic_and_slope(rows: Array, index: NDArray[np.intp], t: Array) -> tuple[Array, Array]:
     """Compute the value and the derivative with respect to p of one cubic piece."""
-    np.take(rows[3], index, out=value, mode="clip")
-    np.copyto(slope, value)
-    for k in (2, 1, 0):
-        value *= t
-        np.take(rows[k], index, out=gathered, mode="clip")
-        value += gathered
-        if k:
-            slope *= t
-            slope += value
-    slope *= PIECES
+    a, b, c, d = (row[index] for row in rows)
+    return a + t * (b + t * (c + t * d)), PIECES * (b + t * (2 * c + t * (3 * d)))
 
 
 def _hermite(values: Array, slopes: Array) -> Array:
