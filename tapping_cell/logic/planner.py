@@ -1083,7 +1083,7 @@ class PlannerLogic:
         self._effects.append(Publish("plan_state", state))
         if task is not None and self.state in FINAL and state.planner != PRESCRIBED:
             self._effects.append(Publish("goal_report", _final_report(state, task)))
-        if draw:
+        if draw and self._configured:
             self._effects.append(
                 Publish(
                     "markers",

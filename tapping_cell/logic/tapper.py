@@ -393,9 +393,12 @@ class TapperLogic(DeviceLogic[State, Event]):
         new = self._last_tap_id < command.tap_id <= tap_commands.largest_id(self._last_tap_id, now)
         if new and self.state not in SERVING:
             self._last_tap_id = command.tap_id
-            # While the board has not been read, it may have fired this shot before a restart.
-            spent = self._used is None or command.tap_id <= self._used
-            self._set_tap(command.tap_id, TapperState.UNKNOWN if spent else TapperState.NOT_FIRED)
+            if self._used is not None:
+                # Until the board was read, this node does not know whether the tap was fired, by
+                # the same node before a restart or by another node that uses the board.
+                spent = command.tap_id <= self._used
+                outcome = TapperState.UNKNOWN if spent else TapperState.NOT_FIRED
+                self._set_tap(command.tap_id, outcome)
             if self.state is S.SAFE:
                 self._error = refusal
 

@@ -272,8 +272,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "reports an old tap as not fired before the board was read",
         "tapping_cell.logic.tapper",
-        "spent = self._used is None or command.tap_id <= self._used",
-        "spent = self._used is not None and command.tap_id <= self._used",
+        "            if self._used is not None:\n",
+        "            if True:\n                self._used = self._used or 0\n",
         kinds=("kill", "restart", "repeated command"),
     ),
     Mutant(

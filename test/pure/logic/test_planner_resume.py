@@ -10,12 +10,13 @@ import pytest
 
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.effects import Content, Effect, KeepGoal
+from tapping_cell.logic.effects import Content, Effect, KeepGoal, Publish
 from tapping_cell.logic.goal_handling import GoalHandling
 from tapping_cell.logic.host import Activated, Configured
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, State
 from tapping_cell.logic.planner_settings import PlannerSettings
+from tapping_cell.messages import ErrorCode, PoseStamped
 
 GOAL = {
     "goal": [0.01, 0.02, 0.3],
@@ -84,3 +85,10 @@ def test_stored_content_without_a_goal_is_discarded(content: dict[str, Any]) -> 
     logic, made = started(content)
     assert logic.state is not State.WAITING_FOR_CELL
     assert KeepGoal(None) in made
+
+
+def test_a_goal_received_before_the_node_is_configured_is_refused() -> None:
+    logic = PlannerLogic(PlannerSettings())
+    made = logic.on_message("goal_pose", PoseStamped(), NOW)
+    reports = [e.message for e in made if isinstance(e, Publish) and e.topic == "goal_report"]
+    assert [report.error_code for report in reports] == [ErrorCode.NOT_ACTIVE]
