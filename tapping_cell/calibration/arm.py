@@ -96,7 +96,10 @@ class ArmOutlier:
 
     def __str__(self) -> str:
         turn = "" if np.isnan(self.angle) else f" and {np.degrees(self.angle):.2f} deg"
-        return f"row {self.row} deviates by {self.distance * 1e3:.2f} mm{turn} from the other poses"
+        return (
+            f"row {self.row} deviates by {self.distance * 1e3:.2f} mm{turn} from the arm fitted to "
+            "the other rows"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -296,9 +299,10 @@ def _robust(
             again &= np.abs(turns) <= _OUTLIER * sigma[1]
         if again.sum() < max(MIN_POSES, len(record.rows) // 2):
             raise CalibrationRefused(
-                f"only {int(again.sum())} of {len(record.rows)} rows are consistent; check "
-                "that the joint values come from the controller in the right unit, and that "
-                "the marker is the same in all rows"
+                f"only {int(again.sum())} of {len(record.rows)} rows are consistent with one arm; "
+                f"at least {max(MIN_POSES, len(record.rows) // 2)} are needed. Check that the "
+                "joint values come from the controller in the right unit, and that the marker is "
+                "the same in all rows"
             )
         if np.array_equal(again, used):
             break

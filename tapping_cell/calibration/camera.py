@@ -156,8 +156,9 @@ def calibrate_camera(
         rejected.append(
             Rejected(
                 view.name,
-                f"outlier: reprojection error {error:.2f} pixels; in the other views it is "
-                f"{usual:.2f} (another target, a bent target or swapped corners)",
+                f"outlier: its reprojection error is {error:.2f} pixels, and the median of the "
+                f"other views is {usual:.2f}; is this another target, is the target bent, or are "
+                "its corners swapped?",
             )
         )
     _check_number(chosen, rejected)

@@ -284,9 +284,9 @@ def _check_size(path: Path, places: Sequence[_Place], values: dict[str, Array]) 
         largest = float(np.max(np.abs(found[np.isfinite(found)]), initial=0.0))
         if largest < column.least_largest:
             raise RecordError(
-                f"{path}: no value of {place.header} is larger than "
-                f"{largest / place.factor:g}, but at least "
-                f"{column.least_largest / place.factor:g} is expected; "
+                f"{path}: the largest magnitude of {place.header} is "
+                f"{largest / place.factor:g}, but at least one value of "
+                f"{column.least_largest / place.factor:g} or more is expected; "
                 f"{_remedy(place, [largest])}"
             )
 

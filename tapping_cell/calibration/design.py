@@ -80,7 +80,7 @@ class Design:
         for name in ("speeds", "incidences"):
             values = getattr(self, name)
             if not values:
-                raise ValueError(f"'{name}' is empty; give at least one")
+                raise ValueError(f"'{name}' is empty; give at least one value")
             if len(set(values)) != len(values):
                 raise ValueError(f"'{name}' contains a value twice; increase 'trials' instead")
 

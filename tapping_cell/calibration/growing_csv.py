@@ -38,8 +38,8 @@ class GrowingCsv:
         ] or [""]
         if first != line:
             raise RecordError(
-                f"{path}: has the columns {first or '(none)'}, but the recording has {line}; "
-                "give another name"
+                f"{path}: cannot be continued, because its columns are {first or '(none)'}, but "
+                f"this recording writes {line}; give another name"
             )
         self.rows = len(rows)
         if not text.endswith("\n"):

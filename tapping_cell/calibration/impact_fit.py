@@ -108,8 +108,9 @@ def fit_impact(model: ImpactModel) -> ImpactFit:
         free = ("scale_b2", *free[1:])
         kept = dict(model.known)
         notes.append(
-            "no restitution from 0 to 1 explains the launches; the scale of B2 is fitted "
-            f"instead, with the restitution kept at {kept['restitution']:g}"
+            "no restitution from 0 to 1 explains the object's velocities after the impacts; the "
+            "scale of B2, a constant of the impact model, is fitted instead, and the restitution "
+            f"is kept at {kept['restitution']:g}"
         )
         base = _fit(model, free)
     best = base
@@ -294,20 +295,20 @@ def _without_friction(model: ImpactModel, base: _Fit, stuck: _Fit, notes: list[s
     """
     known = model.known["contact_friction"]
     sentence = (
-        "the launches are equally consistent with sticking contacts, so the contact friction "
-        "is not determined"
+        "contacts that stick explain the object's velocities after the impacts as well as contacts "
+        "that slide, so the trials do not determine the contact friction"
     )
     held = _fit(model, ("restitution",))
     if held.criterion <= stuck.criterion + _SIGNIFICANT:
-        notes.append(f"{sentence}; it is kept at {known:.3g}")
+        notes.append(f"{sentence}; the object file's value, {known:.3g}, is kept")
         return model
     s = model.strikes
     hits = model.impact(stuck.values).strike(1.0, s.incidence, s.contact)
     needed = float(np.max(np.abs(hits.tangential_impulse / hits.normal_impulse)))
     kept = min(base.values["contact_friction"], 1.01 * needed)
     notes.append(
-        f"{sentence}, but the file's value, {known:.3g}, explains the launches worse; {kept:.3g} "
-        "is used, which is not a measured value"
+        f"{sentence}. The object file's value, {known:.3g}, explains these velocities worse than "
+        f"sticking contacts do; {kept:.3g}, which is not a measured value, is used instead"
     )
     return model.with_known(contact_friction=kept)
 

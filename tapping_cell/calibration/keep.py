@@ -77,7 +77,7 @@ def refuse_better(output: Output, new: Provenance) -> None:
     if old is None or old.by != new.by:
         return
     worse = [
-        f"its {what} is {before:.4g} (new: {after:.4g})"
+        f"{what}: old {before:.4g}, new {after:.4g}"
         for what, same, before, after in (
             (old.residual_of, old.residual_of == new.residual_of, old.residual, new.residual),
             (
@@ -91,9 +91,9 @@ def refuse_better(output: Output, new: Provenance) -> None:
     ]
     if worse:
         raise KeptFile(
-            f"{output.path}: the existing file, made {old.made}, is better and was kept: "
-            f"{', '.join(worse)}. Give another --output, or --force --accept-worse to replace "
-            "it anyway"
+            f"{output.path}: the existing file, made {old.made}, is more accurate than the new one"
+            f" and was kept ({'; '.join(worse)}). Give another --output, or --force --accept-worse "
+            "to replace it anyway"
         )
 
 

@@ -102,8 +102,9 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
         rows = off < _OUTLIER
         if rows.sum() < FEWEST_TAPS:
             raise RecordError(
-                f"only {int(rows.sum())} of {len(asked)} taps are consistent; check that the "
-                "object lies flat, and that arm and tapper are calibrated"
+                f"only {int(rows.sum())} of {len(asked)} taps are consistent with one another; at "
+                f"least {FEWEST_TAPS} are needed. Check that the object lies flat, and that arm "
+                "and tapper are calibrated"
             )
     count = int(rows.sum())
     deviations = [float(np.std(error[rows], ddof=2)) for error in errors]

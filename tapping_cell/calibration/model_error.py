@@ -59,8 +59,9 @@ class Misfit:
     def sentence(self) -> str:
         """Describe the deviation for the user."""
         return (
-            f"The model does not fit (p-value {self.probability:.1g}): the {self.quantity} varies "
-            f"by {100 * self.size:.0f} % {_CAUSES[self.cause]}"
+            f"The model does not fit (p-value {self.probability:.1g}): the relative error of the "
+            f"predicted {self.quantity} varies by {100 * self.size:.0f} % (standard deviation) "
+            f"{_CAUSES[self.cause]}"
         )
 
 

@@ -207,7 +207,7 @@ def _inconsistent(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
                 "the other trials"
             )
         elif slide.misfit[index] > _MISFIT * usual:
-            what = "track" if entry.motion.slide is not None else "launch"
+            what = "track" if entry.motion.slide is not None else "initial velocity"
             times = slide.misfit[index] / usual
             reason = f"the residual of its {what} is {times:.0f} times the usual residual"
         if reason:
@@ -260,7 +260,10 @@ def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
     own = _fit_slides(used, body)
     impacts = _others(fit, used, own, experiments)
     if impacts is None:
-        raise RecordError("the impact was not fitted, or no experiment.yaml describes the striker")
+        raise RecordError(
+            "the taps cannot be predicted: either the object's impact was not fitted, or no "
+            "experiment.yaml describes the striker"
+        )
     tapped = _tapped(used, fit.slide, impacts, body)
     return _taps(used, _labels(used), _measured(used, own), tapped, impacts.rows)
 
@@ -437,8 +440,8 @@ def _prediction_sentence(errors: Sequence[ModelError]) -> list[str]:
         f"{100 * entry.half_width:.0f} % of the predicted {entry.quantity}" for entry in errors
     )
     return [
-        "The prediction errors of 95 % of new taps with settings in the range of these runs "
-        f"are at most {widths}."
+        "For 95 % of new taps with settings in the range of these runs, the prediction error is at "
+        f"most {widths}."
     ]
 
 

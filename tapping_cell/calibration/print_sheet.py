@@ -131,7 +131,7 @@ def reference_map(
         largest = min((paper[0] - 2 * _MARGIN), (paper[1] - 2 * _MARGIN - _FOOT)) / (3 + 8 * _QUIET)
         raise SheetError(
             f"eight markers of {size * 1e3:g} mm do not fit on {paper[0] * 1e3:g} x"
-            f" {paper[1] * 1e3:g} mm; the largest that fit have {largest * 1e3:.0f} mm"
+            f" {paper[1] * 1e3:g} mm; the largest that fit have {largest * 1e3 // 1:g} mm"
         )
     middle = 0.5 * (top + bottom)
     places = [(-x, top), (0.0, top), (x, top), (-x, middle), (x, middle)]

@@ -85,9 +85,9 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
         for file, count in wrong.items():
             if count > total[file] / 2:
                 raise RecordError(
-                    f"{file}: {count} of {total[file]} rows have wrong units or hardly any motion, "
-                    f"the first in row {first[file].row} ({first[file].reason}): "
-                    f"{first[file].sentence}"
+                    f"{file}: in {count} of {total[file]} rows the units are wrong or the object "
+                    f"hardly moved. The first of them is row {first[file].row} "
+                    f"({first[file].reason}): {first[file].sentence}"
                 )
     return enough(used, left_out)
 
@@ -118,7 +118,8 @@ def enough(used: Sequence[Used], left_out: Sequence[LeftOut]) -> Screened:
         reasons = "; ".join(str(row) for row in dropped[:3])
         raise RecordError(
             f"{len(kept)} usable trials in {len(runs)} runs are too few for a fit; at least "
-            f"{MIN_TRIALS} trials in {MIN_RUNS} runs of {MIN_IN_RUN} are needed"
+            f"{MIN_TRIALS} trials are needed, in at least {MIN_RUNS} runs of at least "
+            f"{MIN_IN_RUN} usable trials each"
             + (f". Left out: {reasons}" + (" ..." if len(dropped) > 3 else "") if dropped else "")
         )
     return Screened(tuple(kept), tuple(dropped))
@@ -138,7 +139,7 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
             return _from_track(trial, header, math.inf, math.inf, gravity)
         return _Rejection(
             "not measured",
-            "displacement and rotation, or the poses before and after the tap, are missing",
+            "displacement or rotation is missing; give both, or the poses before and after the tap",
         )
     spread = _or(trial.displacement_std, math.sqrt(2) * header.rest_position_std)
     turn_spread = _or(trial.rotation_std, math.sqrt(2) * header.rest_rotation_std)
@@ -157,8 +158,8 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
         return _Rejection(
             "units",
             f"a rotation of {trial.rotation:.4g} rad over {trial.displacement:.4g} m is "
-            "larger than a tap can give; are rotation_rad or displacement_m in degrees, mm "
-            "or m?",
+            "larger than a tap can give; check that rotation_rad is in rad (not in degrees) and "
+            "displacement_m in m (not in mm)",
         )
     if math.isfinite(trial.initial_speed + trial.initial_spin):
         return _from_velocities(trial, spread, turn_spread, body, gravity)
@@ -177,15 +178,15 @@ def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Rejectio
         units = max(by_poses, trial.displacement) > 100 * min(by_poses, trial.displacement)
         return _Rejection(
             "units" if units else "inconsistent",
-            f"displacement_m is {trial.displacement:.4g}, but the poses are {by_poses:.4g} m apart"
-            + ("; is one of them in mm?" if units else ""),
+            f"displacement_m is {trial.displacement:.4g}, but the start and end poses are "
+            f"{by_poses:.4g} m apart" + ("; is one of them in mm?" if units else ""),
         )
     turned = trial.end_theta - trial.start_theta - trial.rotation
     turned = abs(math.remainder(turned, math.tau)) if math.isfinite(turned) else 0.0
     if turned > max(0.005, 0.02 * abs(trial.rotation), _OTHER_NOISE * turn_spread):
         return _Rejection(
             "inconsistent",
-            f"rotation_rad is {trial.rotation:.4g}, but the poses differ by "
+            f"rotation_rad is {trial.rotation:.4g}, but the start and end poses differ by "
             f"{trial.end_theta - trial.start_theta:.4g} rad; is one of them in degrees?",
         )
     return None

@@ -191,8 +191,9 @@ def _without(
     ]
     result = calibrate_table(kept, sizes, dictionary, focal)
     sentence = (
-        f"marker {marker} is left out: in no image is it consistent with the others (at best "
-        f"{error:.1f} pixels off); it is not flat on the table, has another size, or was moved"
+        f"marker {marker} is left out, because it is inconsistent with the other markers in every "
+        f"image (residual in the last image checked: {error:.1f} pixels); either it does not lie "
+        "flat on the table, or its size differs from the given size, or it was moved"
     )
     return replace(result, warnings=(sentence, *result.warnings))
 
@@ -274,8 +275,8 @@ def _join(
         if not shared[best]:
             names = ", ".join(views[k].name for k in waiting[:5])
             raise CalibrationRefused(
-                f"{names}: no marker in common with the other images; take images that show "
-                "markers of both groups"
+                f"{names}: no marker in common with the other images; take further images, each "
+                "with markers from these and from the other images"
             )
         own = {i: starts[best][1][row] for row, i in enumerate(views[best].ids.tolist())}
         if len(shared[best]) == 1:

@@ -198,15 +198,17 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         left_out.append(
             LeftOut(
                 int(record.rows[worst]),
-                f"speed {factor:.2f} times that of the other taps at this energy (scatter"
-                f" {100 * spread:.1f} %): missed, disturbed, or a wrong unit?",
+                f"the striker's speed is {factor:.2f} times the speed of the fitted curve at this "
+                f"energy (scatter of the taps: {100 * spread:.1f} %); did the tap miss, was it "
+                "disturbed, or is a unit wrong?",
             )
         )
         usable[worst] = False
         if usable.sum() < max(MIN_TAPS, len(x) // 2):
             raise CalibrationRefused(
-                "no single curve fits the taps: more than half of them would have to be "
-                "rejected. Check the columns' units and that all taps hit the object's middle"
+                f"no single curve fits the taps: fewer than {max(MIN_TAPS, len(x) // 2)} of the "
+                f"{len(x)} taps are consistent with one curve. Check the columns' units and that "
+                "all taps hit the object's middle"
             )
     low, high = float(record.energies[usable].min()), float(record.energies[usable].max())
     at = np.geomspace(low, high, POINTS)

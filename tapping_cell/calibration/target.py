@@ -148,7 +148,10 @@ def find_target(image: Image, target: Target, name: str) -> TargetView | str:
     moved = np.linalg.norm(refined - pixels, axis=1)
     kept = moved < max(2.0, 0.25 * side)
     if kept.sum() < target.least_corners:
-        return "too few corners: their surroundings do not look like corners of squares"
+        return (
+            f"too few corners: only {kept.sum()} of {len(ids)} detected corners are confirmed as "
+            f"corners of squares, but at least {target.least_corners} are needed"
+        )
     ids, pixels = ids[kept], refined[kept].astype(float)
     return TargetView(name, ids, pixels, _blur(image, target, ids, pixels), side)
 
@@ -201,8 +204,8 @@ def _charuco(image: Image, target: Target) -> tuple[NDArray[np.intp], Array] | s
         return f"no target: no marker of {target.dictionary} is seen"
     if not len(best[0]):
         return (
-            f"no target: {markers} markers of {target.dictionary} are seen but no corner of a board"
-            f" of {target.columns} x {target.rows} squares between them"
+            f"no target: {markers} markers of {target.dictionary} are seen, but between them no "
+            f"corner of a board of {target.columns} x {target.rows} squares is found"
             + ("" if aruco.LEGACY_BOARDS or not even else _NEWER)
         )
     return best

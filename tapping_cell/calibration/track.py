@@ -73,7 +73,9 @@ def slide_of(
     start, end = _rest(places[:2], floor), _rest(places[-2:], floor)
     if start is None or end is None:
         return TrackProblem(
-            "not at rest", "the object is not at rest at both ends of the track; record for longer"
+            "not at rest",
+            "the object moves at the start or at the end of the track; record from before the tap "
+            "until the object is at rest",
         )
     moved = end - start
     distance = float(np.hypot(*moved))
@@ -148,7 +150,9 @@ def _disturbed(
     reach = float(along[-1])
     if side > max(2 * edge, 0.1 * reach):
         return TrackProblem(
-            "disturbed", f"the object deviates from its line by {1e3 * side:.3g} mm; was it pushed?"
+            "disturbed",
+            f"the object deviates by {1e3 * side:.3g} mm from the straight line between its start "
+            "and its end; was it pushed?",
         )
     velocity = np.diff(along[max(first, 0) : last + 2]) / steps[max(first, 0) : last + 1]
     if velocity.size >= 2:

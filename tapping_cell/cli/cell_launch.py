@@ -157,7 +157,12 @@ def _describe(
     publishes the arm's links on /tf, computed from the joint states.
     """
     if not _has_state_publisher():
-        return [LogInfo(msg="robot_state_publisher is not installed: no robot_description")]
+        return [
+            LogInfo(
+                msg="robot_description is not published, because robot_state_publisher is not "
+                "installed"
+            )
+        ]
     if cell.file.arm is not None and cell.arm.chain() is not None:
         return [LogInfo(msg="the arm has its own URDF, which the arm's own driver publishes")]
     text = (

@@ -287,7 +287,10 @@ class CrashCell:
         true = self.client.settled_truth(5.0)
         away = true is None or true.distance_to(GOAL) > TOLERANCE[0]
         if true is None or away or abs(true.rotation_to(GOAL)) > TOLERANCE[1]:
-            seen.unsafe.append(f"the goal was reported as reached with the object at {true}")
+            seen.unsafe.append(
+                "the goal was reported as reached, but the object's true pose is "
+                f"{true or 'unknown'}"
+            )
         return Crash(node, phase, "reached", seconds, "", tuple(seen.unsafe))
 
     def ended(self) -> PlanState | None:

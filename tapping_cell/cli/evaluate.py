@@ -156,8 +156,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--variant",
         choices=("overshoot", "retreat"),
         default="overshoot",
-        help="first tap of a two-tap plan, for the methods exact and conservative: past the goal,"
-        " or away from it (default: overshoot)",
+        help="first tap of a two-tap plan: past the goal (overshoot), or away from it (retreat); "
+        "only for the methods exact and conservative (default: overshoot)",
     )
     numbers(
         "--error-line",
@@ -170,9 +170,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model",
         choices=("abstract", "physics", "world"),
         default="abstract",
-        help="model of a tap: displacements with scatter (abstract), closed-form impact and slide "
-        "(physics), or numerically integrated contact and slide, with the scatter given in "
-        "the simulation parameters, --truth (world) (default: abstract)",
+        help="model of a tap. abstract: displacements with scatter. physics: closed-form impact "
+        "and slide. world: numerically integrated contact and slide, with the scatter given in the "
+        "--truth file (default: abstract)",
     )
     numbers(
         "--round-position",
@@ -325,7 +325,10 @@ def run(arguments: argparse.Namespace) -> int:
             refuse_unused(arguments, "only with --table", "probe")
         fixed = _fixed_cell(arguments)
         if arguments.sweep and (fixed is not None or arguments.arrange is not None):
-            raise PlanningError("--sweep is for one object and an arm; leave --arrange out")
+            raise PlanningError(
+                "--sweep evaluates one object and an arm; leave --arrange out, and give no cell "
+                "file with fixed tappers"
+            )
         if arguments.cluster and not arguments.sweep:
             raise PlanningError("--cluster runs the points of a sweep: give --sweep with it")
         if fixed is not None:
@@ -593,17 +596,18 @@ def _text(planner: str, figures: dict[str, Any]) -> str:
         f"99 % within {taps['p99']}, maximum {taps['max']}",
         *_seconds_text(figures),
         f"  done              {100 * figures['success_rate']:.2f} %",
-        f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of these trials",
+        f"  truly inside      {100 * figures['truly_inside_rate']:.2f} % of the trials done",
         f"  stopping box      {box['distance_mm']:.3f} mm, {box['rotation_deg']:.3f} degrees",
     ]
     if not box["camera_suffices"]:
         lines.append(
-            "  the camera noise is too large for this tolerance, so fewer trials end truly inside"
+            "  the camera noise is too large for this tolerance, so a reached goal is often not "
+            "confirmed"
         )
     if "planned_taps" in figures:
         lines.append(
-            f"  as planned        {100 * figures['within_planned_rate']:.2f} % "
-            f"(within {figures['planned_taps']} taps)"
+            f"  as planned        {100 * figures['within_planned_rate']:.2f} % done within the "
+            f"planned {figures['planned_taps']} taps"
         )
     for key, label in (
         ("refused_before", "refused early"),
@@ -638,7 +642,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     from tapping_cell.report.sweep import sweep_table, write_sweep
 
     if arguments.report is None or arguments.all:
-        raise PlanningError("--sweep writes a folder: give --report DIR with it, and not --all")
+        raise PlanningError("--sweep needs a folder for its report: give --report DIR; omit --all")
     axes = sweep.read_axes(arguments.sweep)
     points = list(sweep.grid(axes))
     for point in points:
@@ -796,13 +800,13 @@ def _arrangement_text(method: str, figures: dict[str, Any]) -> str:
     scenes = figures["scenes"]
     lines = [
         f"{method}: {scenes} scenes",
-        f"  all truly inside    {100 * figures['success_rate']:.1f} %, "
-        f"wrongly reported as reached {figures['false_claims']}",
+        f"  all truly inside    {100 * figures['success_rate']:.1f} % of the scenes, "
+        f"wrongly reported as reached in {figures['false_claims']} scenes",
         f"  contacts            between objects in {figures['scenes_with_contact']} scenes, "
         f"with the tool in {figures['scenes_with_tool_contact']}",
-        f"  taps                mean {figures['taps_mean']:.2f}, factor due to other objects "
-        f"{figures['price_of_others']:.2f}, moves out of the way "
-        f"{figures['made_way_mean']:.2f}",
+        f"  taps                mean {figures['taps_mean']:.2f} per scene done, "
+        f"{figures['price_of_others']:.2f} times as many as for each object alone on the table",
+        f"  moved out of way    mean {figures['made_way_mean']:.2f} moves per scene",
         f"  time of a decision  mean {figures['decision_mean_s']:.3f} s, slowest "
         f"{figures['decision_slowest_s']:.2f} s",
         f"  refused             early {figures['refused_before']}, "

@@ -387,7 +387,7 @@ class TrialCell:
         truth, moving = self._true_place(now)
         why = ""
         if not self.firing or shot != self.shot:
-            why = f"shot {shot} was fired while shot {self.shot} was in progress"
+            why = f"shot {shot} was fired outside its firing window (latest shot: {self.shot})"
         elif now > self.release_by:
             late = 1e3 * (now - self.release_by)
             why = f"released {late:.1f} ms after the end of the firing window"

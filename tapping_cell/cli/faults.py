@@ -271,8 +271,10 @@ def _soak(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
                 f"{run.dialect}: {run.hours:.2f} h, {run.taps} taps; allocated Python blocks"
                 f" {blocks}; resident memory {memory} MiB; threads {run.threads[0]} at the start,"
                 f" {run.threads[1]} at the end; file descriptors {run.descriptors[0]} at the start,"
-                f" {run.descriptors[1]} at the end; {'steady' if run.steady else 'GROWS'},"
-                f" {'clean' if run.clean else 'NOT CLEAN'}"
+                f" {run.descriptors[1]} at the end; "
+                f"{'resources steady' if run.steady else 'RESOURCES NOT STEADY'},"
+                f" {'no' if run.clean else 'AT LEAST ONE'} unsafe or double shot, hang or false"
+                " report"
             )
     return 0 if all(run.steady and run.clean for run in runs) else 1
 

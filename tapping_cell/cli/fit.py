@@ -118,7 +118,7 @@ def _content(experiments: Sequence[Experiment], path: Path | None) -> ObjectFile
         )
     if any(other is None or other.shape != first.shape for other in headers):
         raise RecordError(
-            "the records are of objects with different shapes; fit each object separately"
+            "the records do not all name an object of the same shape; fit each object separately"
         )
     return first
 
@@ -175,7 +175,7 @@ def lines(fit: ObjectFit) -> list[str]:
         f"  with the fit criterion of Huang and Mason: friction {fit.paper.friction:.4f}, "
         f"torque factor {fit.paper.torque_factor:.3f}"
     )
-    text += ["", "  prediction error of each run's mean in percent:"]
+    text += ["", "  prediction error in percent, for the mean of each run's trials:"]
     text.extend(_run_rows(fit))
     if fit.tapper:
         text += ["", "  striker speed:", *(f"    {line}" for line in speed_lines(fit))]

@@ -76,7 +76,7 @@ def run_mutants(goals: int, seed: int, jobs: int, names: Sequence[str], as_json:
         return 2
     chosen = [mutant for mutant in mutants if not names or mutant.name in names]
     if not as_json:
-        print(f"{'removed':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
+        print(f"{'defect':<{NAME_WIDTH}} {'finding':<8} {'goals':>6}  {'caught by':<24} faults")
     results: list[dict[str, object]] = []
     for mutant in chosen:
         caught = hunt(mutant, goals, seed, jobs)
@@ -164,9 +164,9 @@ def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
 def _print(summary: Summary, wall: float, mix: Mix) -> None:
     speed = summary.cell_seconds / max(wall, 1e-9)
     print(
-        f"{summary.goals} goals, {summary.taps} taps and {summary.program_taps} taps of programs"
-        f" without a planner, {summary.cell_seconds / 3600:.1f} h of"
-        f" cell time in {wall:.0f} s ({speed:.0f} times real time)"
+        f"{summary.goals} goals, {summary.taps} taps and {summary.program_taps} taps commanded by"
+        f" other programs without the planner; {summary.cell_seconds / 3600:.1f} h of"
+        f" cell time simulated in {wall:.0f} s ({speed:.0f} times real time)"
     )
     print("faults:")
     for kind, count in summary.by_fault.most_common():

@@ -17,7 +17,9 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that select graph and cell."""
     how = parser.add_mutually_exclusive_group()
     how.add_argument(
-        "--hardware", action="store_true", help="start the nodes of the real camera, arm and tapper"
+        "--hardware",
+        action="store_true",
+        help="use the real camera, arm and tapper (default: simulated)",
     )
     how.add_argument(
         "--attach", action="store_true", help="use a running cell instead of starting the nodes"
@@ -61,7 +63,10 @@ def measuring_graph(
         return
     domain = own_domain()
     domain.use()
-    report(f"records in {logs.parent}; watch with ROS_DOMAIN_ID={domain.number}")
+    report(
+        f"records in {logs.parent}; to watch the cell, run"
+        f" ROS_DOMAIN_ID={domain.number} python -m tapping_cell watch"
+    )
     with tempfile.TemporaryDirectory(prefix="tapping_cell-") as ports:
         if not arguments.hardware:
             parameters = with_own_ports(parameters, Path(ports))

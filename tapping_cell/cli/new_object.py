@@ -149,8 +149,8 @@ def summary_lines(made: ObjectFile, traced: TracedObject) -> list[str]:
         marker = made.marker
         x, y, _ = marker.offset
         lines.append(
-            f"marker {marker.id} of {marker.dictionary}, {1e3 * marker.size:.2f} mm, "
-            f"({1e3 * x:.2f}, {1e3 * y:.2f}) mm from the middle"
+            f"marker {marker.id} of {marker.dictionary}, side {1e3 * marker.size:.2f} mm, "
+            f"centre at ({1e3 * x:.2f}, {1e3 * y:.2f}) mm from the middle of the object"
         )
     else:
         assert made.outline is not None

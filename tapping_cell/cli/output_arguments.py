@@ -25,8 +25,8 @@ def add_output_arguments(
     parser.add_argument(
         "--accept-worse",
         action="store_true",
-        help="replace the file even if the new result has a larger residual or uncertainty "
-        "(only with --force)",
+        help="replace the file even if the new result has a larger residual or uncertainty than "
+        "the result in the file (only with --force)",
     )
 
 

@@ -142,7 +142,7 @@ def _sweep(tap: Tap, farthest: float) -> dict[str, object]:
 
 def _print(report: dict[str, Any]) -> None:
     print(
-        f"A tap of {report['distance_mm']:g} mm and {report['rotation_deg']:g} degrees "
+        f"Jacobian of a tap of {report['distance_mm']:g} mm and {report['rotation_deg']:g} degrees "
         "(rows x mm, y mm, theta degrees; columns i mm, j mm, beta degrees)"
     )
     for title, figures in (
@@ -154,11 +154,12 @@ def _print(report: dict[str, Any]) -> None:
             print("  " + "".join(f"{value:10.4f}" for value in row))
         error = " ".join(f"{e:g}" for e in report["striker_error"])
         product = " ".join(f"{p:.2f}" for p in figures["product"])
-        print(f"  times [{error}]: [{product}]    norm {figures['norm']:.3f}")
+        print(f"  times [{error}]: [{product}]    norm of the Jacobian {figures['norm']:.3f}")
     sweep = report["sweep"]
     print(
-        f"\nThe norm is below one for {100 * sweep['share_below_one']:.0f} % of {sweep['taps']} "
-        f"taps of {sweep['distance_mm'][0]:g} to {sweep['distance_mm'][1]:g} mm inside the cone of "
+        f"\nThe Jacobian's norm is below one for {100 * sweep['share_below_one']:.0f} % of "
+        f"{sweep['taps']} taps of {sweep['distance_mm'][0]:g} to "
+        f"{sweep['distance_mm'][1]:g} mm inside the cone of "
         f"{sweep['cone_deg_per_mm']:.3f} degrees/mm\n  "
         f"({100 * sweep['share_below_one_physical']:.0f} % if the impact model determines the "
         f"direction of travel), and for every tap of at most "

@@ -178,7 +178,7 @@ def follow(
                 console.print(tap_text(event))
             elif isinstance(event, Finished):
                 return event
-    raise AssertionError("the event stream ended before the goal")
+    raise AssertionError("the event stream ended before the goal ended")
 
 
 def wait_for_record(

@@ -134,8 +134,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=SLOW_MOTION,
         metavar="TIMES",
-        help="factor by which slides are slowed down, with correct time stamps, so that a busy "
-        f"machine drops no frames (only in simulation; default: {SLOW_MOTION:g})",
+        help="factor by which simulated slides are slowed down, so that a busy machine drops no "
+        "frames; the time stamps are those of slides at normal speed (only in simulation; "
+        f"default: {SLOW_MOTION:g})",
     )
     parser.add_argument(
         "--exposure",
@@ -341,8 +342,8 @@ def _keep_header(folder: Path, header: ExperimentFile) -> None:
     for name in ("source", "object", "striker"):
         if getattr(kept, name) != getattr(header, name):
             raise RecordError(
-                f"{folder / HEADER_FILE}: the {name} differs from that of this cell; resume with "
-                "the files with which the experiment was started, or start a new experiment"
+                f"{folder / HEADER_FILE}: '{name}' differs from that of this cell; resume with "
+                "the options and files with which the experiment was started, or start a new one"
             )
 
 

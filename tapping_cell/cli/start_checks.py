@@ -39,7 +39,7 @@ def refuse_unused(arguments: argparse.Namespace, needs: str, *names: str) -> Non
         value = getattr(arguments, name)
         if value is not None and value is not False:
             option = "--" + name.replace("_", "-")
-            raise ConfigurationError(f"{option} is used {needs}; leave it out")
+            raise ConfigurationError(f"{option} is used {needs}; leave {option} out")
 
 
 def require_folder(folder: Path | None, option: str) -> None:

@@ -62,7 +62,8 @@ class Supervisor:
             self._due[ended.name] = now + DELAY_S
             return Incident(
                 ended.name,
-                f"{ended.sentence}; it is restarted ({len(recent)} of {MAX_RESTARTS})",
+                f"{ended.sentence}; it is restarted (restart {len(recent)} of at most"
+                f" {MAX_RESTARTS} in {WINDOW_S:.0f} s)",
             )
         if ended.name not in ASIDE:
             often = (

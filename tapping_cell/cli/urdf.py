@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     own = cell.arm.ros2_control
     if own is not None and own.chain is not None:
-        print_error(f"the arm of this cell has a URDF of its own: {own.chain.urdf}")
+        print_error(f"the arm of this cell has its own URDF file; use {own.chain.urdf}")
         return 2
     sys.stdout.write(urdf(cell.arm.geometry()))
     return 0

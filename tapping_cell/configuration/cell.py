@@ -455,7 +455,8 @@ class ArmSection:
         if len(chain.max_acceleration) != len(section.joints):
             raise ValueError(
                 f"arm.ros2_control.chain.max_acceleration has {len(chain.max_acceleration)}"
-                f" values, but .joints has {len(section.joints)}; give one value for each joint"
+                f" values, but arm.ros2_control.joints has {len(section.joints)}; give one value"
+                " for each joint"
             )
         try:
             return chain_from_urdf(
@@ -773,8 +774,8 @@ class CellFile:
     object: str = text("path of the object file, relative to this file")
     table: TableSection = section("usable area of the table")
     tapper: TapperSection = section(
-        "settings of the arm's tapper; in a cell with fixed tappers, the values for all "
-        "tappers, some of which each tapper can override"
+        "settings of the arm's tapper; in a cell with fixed tappers, default values for all "
+        "tappers; each tapper can override some of these values"
     )
     camera: CameraSection = section("accuracy of the camera")
     goal: GoalSection = section("tolerances and limits of a goal, and the planning method")
@@ -960,7 +961,10 @@ def load_cell(path: Path | str | None = None, object_path: Path | str | None = N
         content.tapper.curve()
         content.tapper.check_dialect()
         if content.fixed_tappers is not None and content.tapper.dialect == "io":
-            raise ValueError("tapper.dialect is io, but fixed tappers need boards of their own")
+            raise ValueError(
+                "tapper.dialect is io, but fixed tappers are fired by tapper boards; set the "
+                "dialect to board"
+            )
     except ValueError as error:
         raise ConfigurationError(f"{cell_path}: {error}") from error
     cell = Cell(

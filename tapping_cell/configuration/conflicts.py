@@ -194,7 +194,7 @@ def _reach(cell: Cell) -> tuple[list[str], list[str]]:
     if share == 0.0:
         return [
             f"{cell.path}: the arm can tap the object nowhere on the table: at every "
-            "place, the directions of possible taps have a gap of more than "
+            "place, no tap is possible over a range of directions of more than "
             f"{math.degrees(WIDEST_GAP):.0f} degrees; check 'arm.base', the links and the joint "
             "limits"
         ], []

@@ -19,8 +19,8 @@ def fixed_conflicts(cell: Cell) -> Iterator[str]:
     if height >= top:
         yield (
             f"{path}: key 'fixed_tappers.strike_height' is {1e3 * height:.1f} mm, but the object "
-            f"is {1e3 * top:.1f} mm high: the strikers pass over the object; reduce the "
-            "key"
+            f"is {1e3 * top:.1f} mm high: the strikers pass over the object; reduce "
+            "this value"
         )
     sections = cell.tapper_sections
     for name, tapper in sections.items():

@@ -43,7 +43,9 @@ class ShapeSection:
         if getattr(self, needed) is None:
             raise ValueError(f"a {self.kind} needs the key 'shape.{needed}'")
         if getattr(self, surplus) is not None:
-            raise ValueError(f"a {self.kind} takes no key 'shape.{surplus}'")
+            raise ValueError(
+                f"the key 'shape.{surplus}' does not apply to a {self.kind}; remove it"
+            )
 
     def reach(self) -> float:
         """Return the largest distance of the outline from the object's origin, m."""

@@ -73,8 +73,8 @@ def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
     """Raise ConfigurationError for fewer than two markers or for overlapping markers."""
     if len(content.markers) < 2:
         raise ConfigurationError(
-            f"{path}: key 'markers' lists {len(content.markers)}; list at least two, "
-            "preferably six or more around the working area"
+            f"{path}: key 'markers' lists {len(content.markers)} marker(s), but at least "
+            "two are needed, preferably six or more around the working area"
         )
     for number, first in enumerate(content.markers):
         for second in content.markers[number + 1 :]:
@@ -82,9 +82,9 @@ def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
             least = 0.5 * (first.size + second.size)
             if apart < least:
                 raise ConfigurationError(
-                    f"{path}: key 'markers': {first.id} and {second.id} lie {apart * 1e3:.1f} mm "
-                    f"apart, but their squares need {least * 1e3:.1f} mm, otherwise they overlap; "
-                    "correct x and y"
+                    f"{path}: the markers {first.id} and {second.id} lie {apart * 1e3:.1f} mm "
+                    f"apart; below {least * 1e3:.1f} mm, their squares overlap; correct x and y "
+                    "in the key 'markers'"
                 )
 
 

@@ -228,7 +228,10 @@ class ArmDriver:
         first_speed = speed if via_speed is None else via_speed
         for fraction in (first_speed, speed):
             if not 0 < fraction <= 1:
-                sentence = f"speed {fraction:g} must be a fraction in (0, 1]"
+                sentence = (
+                    f"speed is {fraction:g}, but must be above 0 and at most 1 (a fraction of the "
+                    "maximum joint speeds)"
+                )
                 raise HardwareFault(FaultReason.OUT_OF_RANGE, sentence)
         legs = (goal,) if via is None else (Joints(*via), goal)
         for leg in legs:
@@ -527,10 +530,10 @@ class ArmDriver:
     def _mismatch(self, goal: Joints, found: Joints) -> HardwareFault:
         return HardwareFault(
             FaultReason.POSITION_MISMATCH,
-            f"the arm is at {joints_text(found)}, but was sent to {joints_text(goal)}, more "
-            f"than {math.degrees(self.settings.tolerance_angle):.3f} deg or "
-            f"{self.settings.tolerance_quill * 1e3:.2f} mm apart: check for an obstacle or a "
-            "noisy line, then move again",
+            f"the arm is at {joints_text(found)}, but should be at {joints_text(goal)} (tolerance "
+            f"{math.degrees(self.settings.tolerance_angle):.3f} deg for a rotary joint, "
+            f"{self.settings.tolerance_quill * 1e3:.2f} mm for the quill): check for an obstacle "
+            "or a noisy line, then try again",
         )
 
     def _begin_call(self) -> None:
@@ -610,9 +613,14 @@ class ArmDriver:
     def _halted(self, fault: HardwareFault) -> HardwareFault:
         """Stop the arm after a motion has failed, and latch the fault."""
         fault = self._named(fault)
-        result = "the arm was stopped" if self.stop() else "a stop could not be sent to the arm"
+        result = (
+            "the arm was stopped: "
+            if self.stop()
+            else "a stop could not be sent to the arm, so it may still be moving: press the "
+            "emergency stop, then "
+        )
         return self._latch(
-            HardwareFault(fault.reason, f"{fault}; {result}: clear the fault and home again")
+            HardwareFault(fault.reason, f"{fault}; {result}clear the fault and home again")
         )
 
     def _stop_fault(self) -> HardwareFault:

@@ -181,7 +181,8 @@ def _folder_pictures(folder: Path) -> Iterator[Picture | str]:
         ) from error
     if not files:
         raise CameraSourceError(
-            f"the folder {folder} contains no images ({', '.join(IMAGE_SUFFIXES)})"
+            f"the folder {folder} contains no images; give a folder with files of the types "
+            f"{', '.join(IMAGE_SUFFIXES)}"
         )
     return (_decoded(file) for file in files)
 
@@ -198,7 +199,10 @@ def _video_pictures(file: Path) -> Iterator[Picture]:
     capture = cv2.VideoCapture(str(file))
     try:
         if not capture.isOpened():
-            raise CameraSourceError(f"the video {file} cannot be opened or decoded")
+            raise CameraSourceError(
+                f"the video {file} cannot be opened or decoded; give a video file that OpenCV can "
+                "read"
+            )
         while True:
             good, picture = capture.read()
             if not good:

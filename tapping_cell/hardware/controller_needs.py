@@ -94,7 +94,6 @@ def refuse(findings: Sequence[Finding]) -> None:
     if differences:
         raise HardwareFault(
             FaultReason.SETTINGS_MISMATCH,
-            "the controller's settings differ from the required ones: "
-            + "; ".join(differences)
-            + ": set them on the controller or correct the configuration",
+            "the controller's settings differ from the required ones; set them on the controller "
+            "or correct the configuration: " + "; ".join(differences),
         )

@@ -607,7 +607,7 @@ class GrblDialect:
                 Finding(
                     "$/report_inches",
                     inches,
-                    "must be false: reports in degrees and mm",
+                    "must be false, so that positions are reported in degrees and mm",
                     inches.lower() == "false",
                     "$/report_inches=false",
                     storable=True,
@@ -632,7 +632,7 @@ class GrblDialect:
             Finding(
                 "$10",
                 "missing" if mask is None else f"{mask:g}",
-                "must be odd: reports of the machine position",
+                "must be odd, so that reports contain the machine position",
                 mask is not None and int(mask) % 2 == 1,
                 f"$10={int(mask or 0) | 1}",
                 storable=True,

@@ -220,8 +220,8 @@ class MarlinDialect:
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
                     f"homing has not ended within {self._transport.now() - began:.0f} s "
-                    f"(arm.homing_timeout; {fault}): check for an axis that does not reach "
-                    "its end stop",
+                    "(arm.homing_timeout): check for an axis that does not reach its end stop "
+                    f"(last error: {fault})",
                 ) from fault
             if fault.reason in (FaultReason.ALARM, FaultReason.REJECTED):
                 raise HardwareFault(
@@ -231,8 +231,8 @@ class MarlinDialect:
         if self._beginnings != beginnings:
             raise HardwareFault(
                 FaultReason.HOMING_FAILED,
-                "the controller lost count of its lines while homing, so it is unknown "
-                "whether it homed: home again",
+                "the line numbering was restarted during homing, so it is unknown whether the "
+                "controller executed the homing command: home again",
             )
 
     def set_position(self, axes: Axes, deadline: float) -> None:
@@ -441,8 +441,9 @@ class MarlinDialect:
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
                     f"nothing on {self._transport.name} answers like Marlin"
-                    f" ({self.counters.bad_lines} unreadable lines): check the port, the baud rate"
-                    " and the dialect parameter; if the board is halted, press its reset button",
+                    f" ({self.counters.bad_lines} unreadable lines): check the port, the baud"
+                    " rate and arm.dialect in the cell file; if the board is halted, press its"
+                    " reset button",
                 )
             self.counters.retries += 1
 
@@ -472,14 +473,14 @@ class MarlinDialect:
             if not name.startswith("Marlin"):
                 raise HardwareFault(
                     FaultReason.UNKNOWN_FIRMWARE,
-                    f"firmware {name!r} is not supported: this driver supports Marlin; check "
-                    "the dialect parameter",
+                    f"firmware {name!r} is not supported: this driver supports Marlin; correct "
+                    "arm.dialect in the cell file",
                 )
             return name.removeprefix("Marlin").strip()
         raise HardwareFault(
             FaultReason.UNKNOWN_FIRMWARE,
             f"the controller on {self._transport.name} does not report its firmware (M115): "
-            "check the dialect parameter",
+            "check arm.dialect in the cell file",
         )
 
     def _figures(self, code: str, deadline: float) -> dict[str, float]:
@@ -554,7 +555,7 @@ class MarlinDialect:
             raise HardwareFault(
                 FaultReason.UNKNOWN_FIRMWARE,
                 f"the controller reports no axis {', '.join(missing)}: build its firmware with"
-                f" {AXIS_COUNT} axes or correct the axis letters",
+                f" {AXIS_COUNT} axes, or correct arm.axis_letters in the cell file",
             )
         commanded = tuple(frame.commanded[letter] for letter in letters)
         if not self._steps or not set(letters) <= set(frame.counts):
@@ -570,9 +571,9 @@ class MarlinDialect:
         why = f" ({self._halted_why})" if self._halted_why else ""
         return HardwareFault(
             FaultReason.NEEDS_PERSON,
-            f"the arm's controller on {self._transport.name} no longer answers, like a "
-            f"halted Marlin board{why}: press the reset button on its board (or check "
-            "power and cable), then clear the fault and home again",
+            f"the arm's controller on {self._transport.name} no longer answers; its Marlin "
+            f"firmware has probably halted{why}: press the reset button on its board, and check "
+            "power and cable, then clear the fault and home again",
         )
 
     def _restarted(self) -> HardwareFault:

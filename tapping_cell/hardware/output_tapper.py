@@ -188,9 +188,9 @@ class OutputTapperDriver:
         if not (0 < shot <= protocol.MAXIMUM_SHOT and least <= energy <= most):
             raise self._noted(
                 FaultReason.OUT_OF_RANGE,
-                f"shot {shot} with {energy:g} J: the shot number must be 1 to "
-                f"{protocol.MAXIMUM_SHOT}, the"
-                f" energy {least:g} to {most:g} J (tapper.energies)",
+                f"shot number {shot} or energy {energy:g} J is out of range: the number must be 1"
+                f" to {protocol.MAXIMUM_SHOT}, the energy {least:g} to {most:g} J"
+                " (tapper.energies)",
             )
         self._refuse_spent(shot)
         reply = self.status()
@@ -225,7 +225,7 @@ class OutputTapperDriver:
         asked = self._link.now()
         release_by = asked + self._longest(pulse)
         if not still_allowed(release_by):
-            return self._not_fired(shot, f"shot {shot} was no longer allowed before the pulse")
+            return self._not_fired(shot, f"the last check before the pulse forbade shot {shot}")
         if self._link.now() > asked + self.settings.latency:
             self.counters.late += 1
             return self._not_fired(
@@ -395,8 +395,9 @@ class OutputTapperDriver:
                 what = "guard" if self._link.guard is None else "read_back"
                 raise self._noted(
                     FaultReason.TIMEOUT,
-                    f"no message has arrived on the topic tapper.output.{what}: one is needed "
-                    f"at least every {self.settings.guard_timeout:g} s (std_msgs/Bool)",
+                    f"no message has arrived on the topic that tapper.output.{what} names: the"
+                    " robot's driver must publish a std_msgs/Bool there at least every"
+                    f" {self.settings.guard_timeout:g} s",
                 )
             self._link.wait(WAIT)
 
@@ -411,9 +412,9 @@ class OutputTapperDriver:
                 self._ready, self._connected = None, False
                 raise self._noted(
                     FaultReason.DISCONNECTED,
-                    f"the topic tapper.output.{name} has been silent for {silence:.2f} s (limit"
-                    f" {self.settings.guard_timeout:g} s): check the robot's driver and the"
-                    " network",
+                    f"the topic that tapper.output.{name} names has been silent for"
+                    f" {silence:.2f} s (limit {self.settings.guard_timeout:g} s): check the robot's"
+                    " driver and the network",
                 )
 
     def _reply(self) -> Reply:

@@ -228,17 +228,17 @@ class Ros2ControlDialect:
         samples = self._link.samples
         late = bool(samples) and self._link.now() - samples[-1].received < 0.1
         cause = (
-            "have time stamps that are too old: the clock of the arm's computer differs, or "
-            "the network is slow; synchronise the clocks"
+            "messages still arrive, but with old time stamps, because the clock of the arm's "
+            "computer differs or the network is slow; synchronise the clocks"
             if late
-            else "have stopped: check the arm's driver, its joint_state_broadcaster and the network"
+            else "check the arm's driver, its joint_state_broadcaster and the network"
         )
         silence = self._silence()
         since = f"{silence:.2f} s" if math.isfinite(silence) else "more than a second"
         return HardwareFault(
             FaultReason.DISCONNECTED,
-            f"the joint states of {self._link.name} {cause} (nothing measured for {since}, limit"
-            f" {self._settings.state_timeout:.2f} s)",
+            f"no joint states of {self._link.name} have been measured for {since} (limit"
+            f" {self._settings.state_timeout:.2f} s): {cause}",
         )
 
     def _await_first(self, deadline: float) -> None:
@@ -246,11 +246,11 @@ class Ros2ControlDialect:
             if self._link.now() >= deadline:
                 self.counters.timeouts += 1
                 other = ", ".join(self._link.other_names)
-                found = f"only messages with the joints {other}" if other else "nothing"
+                found = f", only messages with the joints {other}" if other else ""
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"no joint states of {', '.join(self._settings.joints)} for "
-                    f"{self._link.name}; received: {found}: check "
+                    f"no joint states of {', '.join(self._settings.joints)} have arrived for "
+                    f"{self._link.name}{found}: check "
                     "arm.ros2_control.joint_states and .joints, and that the "
                     "joint_state_broadcaster is active",
                 )

@@ -347,9 +347,9 @@ class ScaraGeometry:
             )
         if code is ReachCode.SINGULAR:
             return (
-                f"{where}: the elbow would be {math.degrees(excess):.2f} deg inside the margin of"
-                f" {math.degrees(self.singularity_margin):.1f} deg from straight or folded;"
-                " choose a pose away from the edge of the reach"
+                f"{where}: the elbow must stay {math.degrees(self.singularity_margin):.1f} deg"
+                " away from straight and from folded, and would be too close by"
+                f" {math.degrees(excess):.2f} deg; choose a pose away from the edge of the reach"
             )
         joint = {
             ReachCode.SHOULDER_LIMIT: 0,

@@ -162,7 +162,7 @@ class SerialChain:
             if value <= joint.lower or value >= joint.upper
         ]
         if stopped:
-            return f"{where}: {', '.join(stopped)} would be beyond its limit"
+            return f"{where}: these joints would exceed their limits: {', '.join(stopped)}"
         left = float(np.linalg.norm(goal[:3, 3] - self.forward(nearest)[:3, 3]))
         return f"{where}: the nearest pose found is {left * 1e3:.0f} mm away"
 

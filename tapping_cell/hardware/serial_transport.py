@@ -133,8 +133,8 @@ class SerialTransport:
             elif self.now() > deadline:
                 raise HardwareFault(
                     FaultReason.TIMEOUT,
-                    f"{self._path} accepted no byte for {timeout:g} s with {len(rest)} bytes "
-                    "left: check the cable and the flow control, then clear the fault",
+                    f"{self._path} accepted no data for {timeout:g} s while {len(rest)} bytes were "
+                    "still to be sent: check the cable and the flow control, then clear the fault",
                 )
             else:
                 self._wait_writable(port)

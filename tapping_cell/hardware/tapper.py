@@ -94,11 +94,16 @@ class TapperSettings:
 
     def __post_init__(self) -> None:
         if self.attempts < 1 or min(self.reply_timeout, self.fire_reply_timeout) <= 0:
-            raise ValueError("at least one attempt and reply timeouts above 0 are needed")
+            raise ValueError(
+                f"attempts is {self.attempts}, reply_timeout {self.reply_timeout:g} s and"
+                f" fire_reply_timeout {self.fire_reply_timeout:g} s: attempts must be at least 1,"
+                " and both timeouts must be above 0"
+            )
         if self.poll_period + self.reply_timeout > protocol.SILENCE_LIMIT / 2:
             raise ValueError(
-                f"poll_period {self.poll_period:g} s and reply_timeout {self.reply_timeout:g} s are"
-                f" too long for the silence limit of {protocol.SILENCE_LIMIT:g} s"
+                f"the sum of poll_period ({self.poll_period:g} s) and reply_timeout"
+                f" ({self.reply_timeout:g} s) must be at most {protocol.SILENCE_LIMIT / 2:g} s,"
+                f" half of the tapper's silence limit of {protocol.SILENCE_LIMIT:g} s"
             )
 
 
@@ -332,9 +337,9 @@ class TapperDriver:
         if not (0 < shot <= protocol.MAXIMUM_SHOT and 0 < energy_uj <= protocol.MAXIMUM_ENERGY_UJ):
             raise self._noted(
                 FaultReason.OUT_OF_RANGE,
-                f"shot {shot} with {energy:g} J: the shot number must be 1 to "
-                f"{protocol.MAXIMUM_SHOT}, the"
-                f" energy above 0 and at most {protocol.MAXIMUM_ENERGY_UJ * 1e-6:g} J",
+                f"shot number {shot} or energy {energy:g} J is out of range: the number must be 1"
+                f" to {protocol.MAXIMUM_SHOT}, the energy above 0 and at most"
+                f" {protocol.MAXIMUM_ENERGY_UJ * 1e-6:g} J",
             )
         self._refuse_spent(shot)
         until = self._transport.now() + self.settings.home_timeout
@@ -414,7 +419,7 @@ class TapperDriver:
         if not 1e-3 <= window <= protocol.LONGEST_WINDOW:
             raise self._noted(
                 FaultReason.OUT_OF_RANGE,
-                f"a window of {window:g} s for shot {shot}: it must be 0.001 to"
+                f"the firing window of shot {shot} is {window:g} s, but must be 0.001 to"
                 f" {protocol.LONGEST_WINDOW:g} s",
             )
         sample = self._request(Command.STATUS)
@@ -425,7 +430,7 @@ class TapperDriver:
         release_by = self._latest_release(sampled_at, window)
         if not still_allowed(release_by):
             self.discharge()
-            sentence = f"shot {shot} was no longer allowed before FIRE"
+            sentence = f"the last check before FIRE forbade shot {shot}"
             return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
         self._attempted = shot
         self._release_by = max(self._release_by, release_by)
@@ -685,7 +690,8 @@ class TapperDriver:
                 FaultReason.TIMEOUT,
                 "FIRE reached the tapper after its deadline, so the striker was not fired: "
                 "this computer"
-                " or the line was too slow; reduce its load or use a longer window",
+                " or the line was too slow; reduce the computer's load or use a longer firing"
+                " window",
             )
         elif reply.result is Result.SPENT:
             reason, text = (
@@ -729,15 +735,17 @@ class TapperDriver:
         elif reply.state is State.UNHOMED:
             reason, text = (
                 FaultReason.POSITION_LOST,
-                "the tapper's carriage is not at the position that its steps give: the motor missed"
-                " steps or has no power; check both (the carriage is homed before the next shot)",
+                "the tapper's carriage is not at the position that its step count indicates: the"
+                " motor missed steps or has no power; check the motor and its supply; the carriage"
+                " is homed before the next shot",
             )
         else:
             reason, text = (
                 FaultReason.REJECTED,
-                f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}):"
-                " it discharged itself (after 0.5 s without a request, or because the guard was"
-                " opened briefly) or was never charged; charge again",
+                f"the tapper answered {reply.result.value} in state {reply.state.value} ({shot}),"
+                " so the requested shot is not charged: it was never charged, or the tapper"
+                " discharged itself because it received no request for 0.5 s or the guard was"
+                " opened briefly; charge again",
             )
         return self._noted(reason, text)
 

@@ -126,8 +126,8 @@ class TapperBoards:
         if not 0 <= board < len(self._drivers):
             raise HardwareFault(
                 FaultReason.SETTINGS_MISMATCH,
-                f"channel {channel} belongs to board {board}, but the cell has"
-                f" {len(self._drivers)} (0 to {len(self._drivers) - 1})",
+                f"channel {channel} belongs to board {board}, but the cell's boards have the"
+                f" numbers 0 to {len(self._drivers) - 1}; correct the channels in the cell file",
             )
         others = self._require_rest(board)
         spent = max((reply.shot for reply in others), default=0)

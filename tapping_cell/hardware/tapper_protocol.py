@@ -214,7 +214,7 @@ def _reply(line: bytes) -> Reply | OtherFirmware | Bad:
     if not star or not re.fullmatch(rb"[0-9A-F]{4}", check):
         return Bad(line, "no checksum")
     if int(check, 16) != crc16(body):
-        return Bad(line, f"checksum {check.decode()} but {crc16(body):04X} was computed")
+        return Bad(line, f"the checksum is {check.decode()}, but must be {crc16(body):04X}")
     text = body.decode("ascii", "replace")
     found = _REPLY.match(text)
     if not found:

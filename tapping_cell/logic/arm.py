@@ -448,8 +448,8 @@ class ArmLogic(DeviceLogic[State, Event]):
                 return HoldStill.Response(granted=True, duration=request.duration)
             return HoldStill.Response(
                 error_code=ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
-                error_msg=f"the time for which the arm stands still for tap {request.tap_id} had "
-                "already ended",
+                error_msg="the arm may have moved again, because the time granted by hold_still "
+                f"for tap {request.tap_id} has already ended",
             )
         error = self._unsteady(request, now)
         if error is not None:
@@ -469,24 +469,29 @@ class ArmLogic(DeviceLogic[State, Event]):
         if not 0 < request.duration <= self._longest_hold:
             return (
                 ErrorCode.COMMAND_INVALID,
-                f"the arm stands still for at most {self._longest_hold:g} s, but "
-                f"{request.duration:g} s were requested",
+                f"the duration of hold_still is {request.duration:g} s; it must be above 0 and at "
+                f"most {self._longest_hold:g} s",
             )
         if not self._active or self.state is not S.IN_POSITION or request.tap_id != self._tap_id:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
-                f"the arm is not in position for tap {request.tap_id} (it is {self.state.value},"
-                f" tap {self._tap_id})",
+                f"the arm is not in position for tap {request.tap_id}: its state is"
+                f" {self.state.value} and the tap that it serves is {self._tap_id} (0: none)",
             )
         if self._outcome_received == request.tap_id:
-            return ErrorCode.COMMAND_REPEATED, f"tap {request.tap_id} already has an outcome"
+            return (
+                ErrorCode.COMMAND_REPEATED,
+                f"hold_still is refused, because the outcome of tap {request.tap_id} was already "
+                "reported",
+            )
         reading = self._reading_kept
         age = math.inf if reading is None else now.steady - reading.stamp
         if age > FRESH_READING_S or self._deviating_readings or now.ros > self._expiry:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
-                f"the arm was last read back {age:.2f} s ago (limit {FRESH_READING_S:.2f} s), or"
-                " its tap has expired",
+                "the arm cannot confirm that it is at the strike pose: its last measured position"
+                f" ({age:.2f} s old, limit {FRESH_READING_S:.2f} s) is too old or deviates from the"
+                " strike pose, or the tap has expired",
             )
         return None
 

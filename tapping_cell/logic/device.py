@@ -391,7 +391,7 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _clear(self, token: Token, now: Now) -> None:
         if not self._configured and self._clears_at_next_attempt():
-            self._answer(token, True, "clearing; the node's state reports the result")
+            self._answer(token, True, "clearing has started; the node's state reports its result")
         elif not self._configured:
             self._answer(token, False, self._error[1])
         elif self._stops.stopped:
@@ -417,4 +417,4 @@ class DeviceLogic(ABC, Generic[State, Event]):
 
     def _clear_granted(self, token: Token, now: Now) -> None:
         self._begin_clear(now)
-        self._answer(token, True, "clearing; the node's state reports the result")
+        self._answer(token, True, "clearing has started; the node's state reports its result")

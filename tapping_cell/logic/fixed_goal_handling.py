@@ -39,8 +39,8 @@ class FixedGoalHandling(GoalHandling):
     def _use_method(self, tolerance: tuple[float, float]) -> None:
         if self._planner not in ("", METHOD, self.cell.file.goal.planner):
             raise PlanningError(
-                f"the planning method '{self._planner}' moves an arm; a cell with fixed tappers has"
-                f" one method, '{METHOD}'"
+                f"the planning method '{self._planner}' needs an arm, but this cell has fixed"
+                f" tappers; set the parameter planner to '{METHOD}'"
             )
 
     def _update(self, task: Task) -> None:

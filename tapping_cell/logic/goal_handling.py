@@ -336,7 +336,7 @@ class GoalHandling:
             return Refused(
                 ErrorCode.GOAL_UNKNOWN_OBJECT,
                 f"the cell has no object '{request.object_id}'; name one of {known}, or leave"
-                " object_id empty for the first",
+                f" object_id empty for '{self.cell.object.name}'",
             )
         if request.probe:
             return Refused(

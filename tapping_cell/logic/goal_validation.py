@@ -80,17 +80,18 @@ def read_goal(message: PoseStamped, now: float, frames: Frames) -> Pose | Refuse
         return Refused(
             ErrorCode.GOAL_NOT_PLANAR,
             f"the goal is tilted by {math.degrees(tilted):.2f} deg and lifted by "
-            f"{1000 * height:.2f} mm in '{TABLE}'; taps keep the object flat on the table: at most "
-            f"{math.degrees(LARGEST_TILT):.1f} deg and {1000 * LARGEST_HEIGHT:.0f} mm",
+            f"{1000 * height:.2f} mm in '{TABLE}'; at most {math.degrees(LARGEST_TILT):.1f} deg "
+            f"and {1000 * LARGEST_HEIGHT:.0f} mm are accepted, because taps keep the object flat on"
+            " the table",
         )
     stamp = to_seconds(message.header.stamp)
     age = now - stamp
     if stamp > 0 and not -FARTHEST_AHEAD_S <= age <= OLDEST_S:
         return Refused(
             ErrorCode.GOAL_STALE,
-            f"the goal's stamp is {age:.1f} s old; at most {OLDEST_S:.0f} s are accepted (and "
-            f"{FARTHEST_AHEAD_S:.0f} s in the future); send it again with a fresh stamp or "
-            "none",
+            f"the goal's stamp is {abs(age):.1f} s in the {'past' if age > 0 else 'future'}; it "
+            f"may be at most {OLDEST_S:.0f} s in the past and {FARTHEST_AHEAD_S:.0f} s in the "
+            "future; send the goal again with a current stamp or with stamp 0",
         )
     return from_message(pose)
 
@@ -103,8 +104,8 @@ def read_tolerance(
         if not math.isfinite(value) or value < 0 or 0 < value < MIN_TOLERANCE:
             return Refused(
                 ErrorCode.GOAL_BAD_TOLERANCE,
-                f"the {name} tolerance is {value:g} {unit}; it must be 0 (the cell's own) or at "
-                f"least {MIN_TOLERANCE:g} {unit}",
+                f"the {name} tolerance is {value:g} {unit}; it must be at least {MIN_TOLERANCE:g} "
+                f"{unit}, or 0 for the cell's tolerance",
             )
     return position or default[0], angle or default[1]
 

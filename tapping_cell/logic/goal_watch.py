@@ -72,8 +72,8 @@ class GoalWatch:
             if now - self._received > RETURN_S:
                 return Ended(
                     ErrorCode.NOT_READY,
-                    "the planner ended while the goal was under way and sent no message for "
-                    f"{RETURN_S:.0f} s; check its log, start it, then send the goal again",
+                    "while the goal was under way, the planner sent no message for "
+                    f"{RETURN_S:.0f} s; check its log, restart it, then send the goal again",
                 )
             return None
         same = plan is not None and pose is not None and pose.distance_to(self._goal) < SAME_M

@@ -510,7 +510,10 @@ class PlannerLogic:
             taps, ask = int(kept["max_taps"]), bool(kept["ask"])
             name = str(kept["object_id"])
         except (KeyError, TypeError, ValueError, OverflowError):
-            self._log(LogLevel.WARNING, "the goal saved before the crash cannot be read")
+            self._log(
+                LogLevel.WARNING,
+                "the goal saved before the planner's crash cannot be read; send the goal again",
+            )
             return
         message.header.frame_id = "table"
         self._resumed = Request(message, position, angle, taps, limit, ask=ask, object_id=name)
@@ -726,7 +729,9 @@ class PlannerLogic:
             self._log(LogLevel.INFO, f"tap {shot.number} must be confirmed again: {difference}")
             return False
         self._log(
-            LogLevel.INFO, f"tap {shot.number} has hardly changed; its confirmation remains valid"
+            LogLevel.INFO,
+            f"tap {shot.number} differs from the confirmed tap by less than the limits; its "
+            "confirmation remains valid",
         )
         return True
 
@@ -771,11 +776,12 @@ class PlannerLogic:
             self._advance(now)  # first handle received messages and expired deadlines
         shot, task = self._proposed, self._task
         if shot is None or task is None or shot.tap_id != asked.tap_id:
-            waiting = f"tap {shot.tap_id} is" if shot is not None else "none is"
+            waiting = (
+                f"answer for tap {shot.tap_id} instead" if shot is not None else "no tap is waiting"
+            )
             return ConfirmTap.Response(
                 error_code=ErrorCode.TAP_NOT_AWAITED,
-                error_msg=f"tap {asked.tap_id} is not waiting for confirmation ({waiting}); "
-                "answer for the tap that is shown now",
+                error_msg=f"tap {asked.tap_id} is not waiting for confirmation; {waiting}",
             )
         self._confirmed = None
         if not asked.confirm:
@@ -825,7 +831,7 @@ class PlannerLogic:
         else:
             self._check_cell(
                 ErrorCode.ARM_TIMEOUT,
-                "the striker was not at its strike pose within"
+                "the striker did not reach its strike pose within"
                 f" {self._settings.place_deadline:.0f} s",
                 now,
             )
@@ -916,7 +922,8 @@ class PlannerLogic:
         elif self._monitor.lost(now):
             self._wait_again(now)
         elif self._late(now):
-            self._fail(code, sentence + "; check the arm, then send the goal again", now)
+            device = "arm" if self._has_arm else "tapper"
+            self._fail(code, f"{sentence}; check the {device}, then send the goal again", now)
 
     def _wait_again(self, now: Now) -> None:
         """End the tap and wait until the cell is ready again."""

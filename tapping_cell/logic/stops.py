@@ -115,8 +115,9 @@ class StopLatch:
         """Return why the publishers' levels do not show that the stop is released, or ""."""
         if levels.silent:
             return (
-                f"the emergency stop of {', '.join(levels.silent)} is not known, because this"
-                " publisher does not repeat its level (volatile durability)"
+                "it is unknown whether the emergency stop is still pressed, because a publisher"
+                " with volatile durability does not repeat its last message"
+                f" ({', '.join(levels.silent)})"
             )
         if self._asserted or levels.gone:
             names = ", ".join(levels.gone) or "name unknown"

@@ -64,7 +64,8 @@ def refusal(command: TapCommand, now: Now, last_tap_id: int) -> CodedError | Non
     if ahead > CLOCK_TOLERANCE_S:
         return (
             ErrorCode.STAMP_INVALID,
-            f"its stamp lies {ahead:.1f} s in the future; synchronise the computers' clocks",
+            f"its stamp lies {ahead:.1f} s in the future (limit {CLOCK_TOLERANCE_S:.1f} s); "
+            "synchronise the computers' clocks",
         )
     left = (to_nanoseconds(command.expiry) - now.ros) / NANOSECONDS
     if left > LONGEST_EXPIRY_S:

@@ -156,8 +156,8 @@ def _confirmed(result: FireResult, reply: Reply) -> tuple[FireOutcome, str]:
     return (
         FireOutcome.UNKNOWN,
         f"the board's replies contradict each other: shot {result.shot} was answered with"
-        f" {result.outcome.value}, then {reply.last_fired} was the last shot fired; check where the"
-        " object is and what else is connected to the line",
+        f" {result.outcome.value}, but then the board reported {reply.last_fired} as the number of"
+        " the last shot fired; check where the object is and what else is connected to the line",
     )
 
 

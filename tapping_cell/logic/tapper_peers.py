@@ -229,8 +229,8 @@ class TapperPeers:
         if arm.state != ArmState.IN_POSITION or arm.tap_id != tap_id:
             return (
                 code,
-                f"the arm is not in position for tap {tap_id} (state {arm.state}, tap"
-                f" {arm.tap_id})",
+                f"the arm is not in position for tap {tap_id}: arm_state reports state"
+                f" {arm.state} (in position: {ArmState.IN_POSITION}) and tap {arm.tap_id}",
             )
         age = max(self._clocks["arm"].age(arm.header.stamp, now), now.steady - self._arm_received)
         if age > limit:
@@ -257,8 +257,8 @@ class TapperPeers:
             return None
         return (
             ErrorCode.CONFIGURATION_CONFLICT,
-            "not all of arm_state and the answer to hold_still come from the same arm; end the"
-            " other scara_arm, or give each cell a namespace or a ROS domain of its own",
+            "the messages on arm_state and the answer to hold_still come from more than one arm;"
+            " end all but one scara_arm, or give each cell a namespace or a ROS domain of its own",
         )
 
     def clocks_differ(self, now: Now) -> CodedError | None:
@@ -291,13 +291,13 @@ class TapperPeers:
                 self._plan_received,
                 of_planner,
                 ErrorCode.NOT_READY,
-                "the planner has been silent for {:.2f} s, more than {:.2f} s; check its node",
+                "the planner has sent no message for {:.2f} s (limit {:.2f} s); check tap_planner",
             ),
             (
                 self._picture_at,
                 silence,
                 ErrorCode.CAMERA_SILENT,
-                "the camera's last usable image is {:.2f} s old, more than {:.2f} s; check "
+                "the camera's last usable image is {:.2f} s old (limit {:.2f} s); check "
                 "the camera and its node",
             ),
         ):
@@ -328,9 +328,9 @@ class TapperPeers:
             return None
         return (
             ErrorCode.OBJECT_MOVED,
-            f"the object is {1000 * moved:.1f} mm and {math.degrees(turned):.1f} deg away from the"
-            f" pose for which the tap was planned (limits {1000 * limits.moved:.1f} mm and"
-            f" {math.degrees(limits.turned):.1f} deg); it was moved",
+            f"the object was moved: it is {1000 * moved:.1f} mm and {math.degrees(turned):.1f} deg"
+            f" away from the pose for which the tap was planned (limits"
+            f" {1000 * limits.moved:.1f} mm and {math.degrees(limits.turned):.1f} deg)",
         )
 
 

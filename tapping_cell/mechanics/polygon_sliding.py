@@ -338,9 +338,9 @@ def invert(
     if np.abs(residual).max() <= limit:
         return z * scale
     raise MechanicsError(
-        f"the launch of the polygon was not found: the relative error of the displacement is "
-        f"{float(np.abs(residual).max()):.3g} after {_SIMPLE_STEPS} steps (limit "
-        f"{tolerance:g})."
+        "the initial velocity of the polygon for this displacement was not found: the relative "
+        f"error of the displacement is {float(np.abs(residual).max()):.3g} after {_SIMPLE_STEPS} "
+        f"steps (limit {limit:g})."
     )
 
 

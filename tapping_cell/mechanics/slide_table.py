@@ -144,8 +144,8 @@ class SlideTable:
         major, minor = np.maximum(v, s), np.minimum(v, s)
         if not math.isfinite(float(np.dot(major, major))):
             raise InvalidParameterError(
-                f"speed and spin reach {float(major.max()):g} m/s; all must be finite "
-                "numbers with finite squares."
+                f"the largest speed or rim speed is {float(major.max()):g} m/s; all values and "
+                "their squares must be finite"
             )
         index, t = _piece(_graded(major, minor), s > v)
         x, r, d = self._forward[0:4], self._forward[4:8], self._forward[8:12]
@@ -171,8 +171,8 @@ class SlideTable:
         longer = np.where(spinning, r, x)
         if not math.isfinite(float((x + r).sum())):
             raise InvalidParameterError(
-                f"distance and rotation reach {float(np.maximum(x, r).max()):g} (m^2/s^2); all "
-                "must be finite numbers."
+                f"the largest travel or rim travel (mu g times the distance) is "
+                f"{float(np.maximum(x, r).max()):g} m^2/s^2; all values must be finite"
             )
         ratio = np.where(spinning, x, r) / (longer + _TINY)
         index, t = _piece(_graded(np.maximum(scaled, r), np.minimum(scaled, r)), spinning)
@@ -224,7 +224,7 @@ class SlideTable:
             if not np.all(np.diff(fraction) > 0):
                 raise InvalidParameterError(
                     f"torque factor times m R^2 / I is {self.torque_ratio:g}; this is so far from "
-                    "1 that a displacement does not determine a unique launch."
+                    "1 that different initial velocities lead to the same displacement"
                 )
             root: Array = np.sqrt(fraction)
             graded = root / (root + np.sqrt(1.0 - fraction))

@@ -195,7 +195,9 @@ class _Worker:
 
 
 def _solver_ended() -> PlanningError:
-    return PlanningError("the process that solves goals has ended; start the planner again")
+    return PlanningError(
+        "the process that computes the plans for goals has ended; start the planner again"
+    )
 
 
 def _work(line: Connection, niceness: int) -> None:

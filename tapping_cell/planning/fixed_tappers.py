@@ -63,8 +63,9 @@ class FixedTapper:
         """Reject an invalid stroke or invalid speeds (PlanningError)."""
         if not (self.stroke > 0.0 and 0.0 <= self.slowest < self.fastest):
             raise PlanningError(
-                f"tapper '{self.name}': stroke {self.stroke!r} m must be above 0, and the speeds "
-                f"{self.slowest!r} to {self.fastest!r} m/s must increase"
+                f"tapper '{self.name}': the stroke is {self.stroke!r} m and the speeds are "
+                f"{self.slowest!r} to {self.fastest!r} m/s; the stroke must be above 0, and the "
+                "lowest speed must be at least 0 and below the highest"
             )
 
 

@@ -625,8 +625,9 @@ class PositioningSession(GoalSession):
             return Refusal(
                 RefusalReason.NO_CONTACT,
                 f"no contact of the object at {place} allows a safe tap towards the goal: "
-                "its edges transmit only impulses within the friction cone (the preferred tap: "
-                f"{first}); turn the object by hand, or move it towards the middle",
+                "its edges transmit only impulses within the friction cone (the preferred tap was "
+                f"rejected because {first}); turn the object by hand, or move it towards the "
+                "middle",
             )
         longest = self._longest_factor()
         if trusted and not allowed and longest > UNKNOWN:
@@ -641,8 +642,8 @@ class PositioningSession(GoalSession):
             RefusalReason.NO_STRIKE,
             f"no tap is possible with the object at {place}: every tap is out of the "
             "arm's reach, or would move the object off the table, into a keep-out or to a place "
-            f"from which it cannot be tapped back (the preferred tap: {first}); move the object by "
-            "hand towards the middle" + others_text(self._space),
+            f"from which it cannot be tapped back (the preferred tap was rejected because "
+            f"{first}); move the object by hand towards the middle" + others_text(self._space),
         )
 
     def _longest_factor(self) -> float:
@@ -683,7 +684,7 @@ class PositioningSession(GoalSession):
             left,
             safe[found[0]],
             found[1],
-            "a probe tap, to measure how far the object slides and how much it turns",
+            "it is a probe tap, which measures how far the object slides and how much it turns",
         )
 
     def _ends_well(self, pose: Array, commanded: Array, *, trusting: bool = False) -> BoolArray:
@@ -723,8 +724,8 @@ class PositioningSession(GoalSession):
             return "the straight line to the goal is blocked"
         if self._leads_back(pose, commanded):
             return (
-                "the tap along the line to the goal leads back to a place that took more taps than "
-                "estimated"
+                "the tap along the line to the goal leads back to a place from which more taps "
+                "than estimated were needed before"
             )
         if bool(self._ends_well(pose, commanded[None, :])[0]):
             return ""

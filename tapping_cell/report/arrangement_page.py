@@ -186,9 +186,9 @@ def _move(run: ArrangementRun, number: int, move: ArrangedMove) -> dict[str, str
         plan.arrow((1000 * here.x, 1000 * here.y), (1000 * there.x, 1000 * there.y), colour, 0.6)
     first, last = move.taps[0].number, move.taps[-1].number
     result = f"Tap {first}" if first == last else f"Taps {first} to {last}"
-    result += f": {1000 * before.distance_to(after):.0f} mm"
+    result += f": moved by {1000 * before.distance_to(after):.0f} mm"
     if one.goal is not None:
-        result += f", then {_residual(after, one.goal)} from its goal"
+        result += f"; remaining error {_residual(after, one.goal)}"
     return {
         "reason": f"{move.purpose}." if move.purpose else f"'{move.name}' is tapped.",
         "result": f"{result}.",

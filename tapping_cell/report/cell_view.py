@@ -40,7 +40,7 @@ def _headline(run: Run) -> str:
         return result
     turn = math.degrees(run.start.rotation_to(run.goal))
     away = 1000 * run.start.distance_to(run.goal)
-    return f"{away:.1f} mm and {turn:+.1f} deg from the goal: {result}"
+    return f"started {away:.1f} mm and {turn:+.1f} deg from the goal: {result}"
 
 
 def _moves(run: Run) -> str:

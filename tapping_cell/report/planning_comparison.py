@@ -173,8 +173,8 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
     )
     axis.set_ylim(0.0, max(2.5 * turn, 12.0))
     axis.set_title(
-        "remaining error: cones of the method multi, error lines at "
-        f"{100 * planner.error_line:.0f} %",
+        "cone n: errors that the method multi corrects with n taps,\n"
+        f"if the rotation of each tap is wrong by at most {100 * planner.error_line:.0f} %",
         fontsize=9,
     )
     axis.legend(fontsize=7, loc="upper left")

@@ -93,7 +93,7 @@ def _task(run: Run) -> str:
         return ""
     turn = math.degrees(run.start.rotation_to(run.goal))
     away = 1000 * run.start.distance_to(run.goal)
-    return unbroken(f"{away:.1f} mm and {turn:+.1f} deg from the goal.")
+    return unbroken(f"Started {away:.1f} mm and {turn:+.1f} deg from the goal.")
 
 
 def _details(run: Run) -> list[str]:
@@ -271,8 +271,8 @@ def _aim(learnt: Learnt) -> str:
     spread = math.degrees(1e-3) * math.hypot(learnt.offset_x_deviation, learnt.offset_y_deviation)
     return (
         f"direction {math.degrees(learnt.direction):+.2f} \u00b1 "
-        f"{math.degrees(learnt.direction_deviation):.2f} deg; off centre by "
-        f"{offset:.3f} \u00b1 {spread:.3f} deg/mm"
+        f"{math.degrees(learnt.direction_deviation):.2f} deg; rotation due to off-centre mass or "
+        f"friction {offset:.3f} \u00b1 {spread:.3f} deg per mm of travel"
     )
 
 

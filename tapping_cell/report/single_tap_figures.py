@@ -143,9 +143,9 @@ def _residuals(figure: Figure, report: SingleTapReport) -> None:
     seen, slid, names = report.measured, report.by_sliding, np.array(report.labels)
     index = np.arange(1, len(names) + 1)
     columns = (
-        (left, _percent(seen.speed, slid.speed), "initial speed: measured over calculated"),
-        (middle, _percent(seen.spin, slid.spin), "initial spin: measured over calculated"),
-        (right, 100 * (report.own_friction - 1), "friction: single trial over fit to all trials"),
+        (left, _percent(seen.speed, slid.speed), "initial speed: deviation from calculated"),
+        (middle, _percent(seen.spin, slid.spin), "initial spin: deviation from calculated"),
+        (right, 100 * (report.own_friction - 1), "friction: deviation from fit to all trials"),
     )
     for axes, values, title in columns:
         for label, (colour, mark) in _styles(report).items():

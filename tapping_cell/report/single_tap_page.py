@@ -20,8 +20,8 @@ _CAPTIONS = {
     figures.PROFILES: "Velocity profiles of single trials (as figure 4 of the paper), "
     "predicted from the displacement with the fitted torque factor. The fit itself compares the "
     "poses (right), not the velocities.",
-    figures.RESIDUALS: "Residuals of each trial: differences between measured and calculated "
-    "values, and the friction of each trial alone.",
+    figures.RESIDUALS: "Residuals of each trial: deviations of the measured from the calculated "
+    "velocities, and of the friction fitted to the trial alone from that fitted to all trials.",
     figures.ERRORS: "Prediction error of each run's mean. The last two predictions include the "
     "tapper's own scatter: the mean displacement of ten taps with 5 % scatter in speed scatters "
     "by 3 %.",

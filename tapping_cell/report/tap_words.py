@@ -35,7 +35,7 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
         parts.append(f"Chosen because {tap.reason}.")
     effort = expected_effort(tap.expected_taps, tap.expected_seconds)
     if effort:
-        parts.append(f"Expected effort before the tap: {effort} to the goal.")
+        parts.append(f"Before this tap, the planner expected to reach the goal in {effort}.")
     return " ".join(part for part in parts if part)
 
 

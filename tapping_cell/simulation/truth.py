@@ -35,7 +35,8 @@ class SupportTruth:
         "additional pressure at the rim, relative to the centre", "", 0.0, 20.0, default=0.0
     )
     feet_radius: float = quantity(
-        "distance of the three points from the centre, as a fraction of the outline's distance",
+        "distance of the three points from the centre, as a fraction of the outline's distance "
+        "from the centre in the same direction",
         "",
         0.05,
         1.0,
@@ -143,8 +144,8 @@ class ImpactTruth:
         default=0.0,
     )
     oblique_loss: float = quantity(
-        "fraction of the restitution that a grazing impact loses, proportional to the squared "
-        "sine of its angle",
+        "fraction of the restitution that a fully grazing impact loses; at an angle to the "
+        "contact normal, an impact loses this fraction times the squared sine of the angle",
         "",
         0.0,
         1.0,
@@ -242,7 +243,7 @@ class CameraTruth:
         "ratio of the true to the calibrated focal length", "", 0.9, 1.1, default=1.0
     )
     distortion_offset: float = quantity(
-        "offset of the first radial distortion coefficient", "", -0.2, 0.2, default=0.0
+        "true minus calibrated first radial distortion coefficient", "", -0.2, 0.2, default=0.0
     )
     noise: float = quantity(
         "standard deviation of the pixel noise", "grey levels", 0.0, 20.0, default=2.0

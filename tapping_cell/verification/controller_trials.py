@@ -100,7 +100,7 @@ def _check_truth(cell: ControllerCell, goal: Joints) -> None:
     """Raise if a move that was reported as successful did not end at its target, or ended without
     holding torque."""
     if not cell.emulator.holds:
-        raise WrongError(f"a move to {goal} succeeded without torque")
+        raise WrongError(f"after a successful move to {goal} the motors hold no torque")
     if not np.allclose(cell.truth(), goal, atol=CLOSE):
         raise WrongError(f"a move to {goal} succeeded, but the arm is at {cell.truth()}")
 
@@ -139,7 +139,7 @@ def _recover(cell: ControllerCell, rng: np.random.Generator) -> None:
     if not np.allclose(cell.truth()[:2], here[:2], atol=STILL):
         raise WrongError(f"the arm kept moving, from {here} to {cell.truth()}")
     if cell.driver.homed:
-        raise WrongError("the arm still counts as homed")
+        raise WrongError("the arm still counts as homed after the fault")
     _home_and_move(cell, rng)
 
 
@@ -219,7 +219,7 @@ def _late_answer(cell: ControllerCell, rng: np.random.Generator) -> None:
     for _ in range(4):
         _move(cell, rng)
         if cell.emulator.moving(cell.clock.now):
-            raise WrongError("a move succeeded while the arm moved")
+            raise WrongError("a move was reported as successful while the arm was still moving")
 
 
 def _feed_override(cell: ControllerCell, rng: np.random.Generator) -> None:
@@ -265,7 +265,7 @@ def _work_position(cell: ControllerCell, rng: np.random.Generator) -> None:
     words = r"\$10 is 0, must be odd.*send \$10=1"
     _expect(cell.driver.connect, FaultReason.SETTINGS_MISMATCH, words)
     if cell.clock.now - began > 5.0:
-        raise WrongError(f"the refusal took {cell.clock.now - began:.1f} s")
+        raise WrongError(f"connecting failed only after {cell.clock.now - began:.1f} s (limit 5 s)")
 
 
 def _three_axes(cell: ControllerCell, rng: np.random.Generator) -> None:

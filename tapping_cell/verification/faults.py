@@ -175,7 +175,9 @@ def _freeze_before_write(rng: np.random.Generator, trial: FaultTarget) -> Made:
     def strike(t: FaultTarget) -> None:
         t.processes[node].freeze_before_write = PlannedFreeze(writes, duration)
 
-    return strike, f"{node} frozen for {duration:.3f} s before its write number {writes}"
+    return strike, (
+        f"{node} frozen for {duration:.3f} s before serial write {writes + 1}, counted from now"
+    )
 
 
 def _freeze_at_write(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -184,7 +186,10 @@ def _freeze_at_write(rng: np.random.Generator, trial: FaultTarget) -> Made:
     def strike(t: FaultTarget) -> None:
         t.processes["tapper_trigger"].freeze_before_write = PlannedFreeze(writes, duration)
 
-    return strike, f"tapper_trigger frozen for {duration:.3f} s before its write number {writes}"
+    return strike, (
+        f"tapper_trigger frozen for {duration:.3f} s before serial write {writes + 1}, counted "
+        "from now"
+    )
 
 
 def _freeze_after_check(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -306,8 +311,9 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
         forged.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
         t.network.publish("somebody_else", "tapper_state", forged)
 
-    return strike, "another node ends the arm's promise" if by_service else (
-        f"a tapper_state of another program: {'FIRED' if fired else 'NOT_FIRED'}"
+    return strike, "another node ends the arm's promise to stand still" if by_service else (
+        "another program publishes a tapper_state with the outcome "
+        f"{'FIRED' if fired else 'NOT_FIRED'}"
     )
 
 
@@ -346,7 +352,7 @@ def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
     return strike, (
         f"another node{', which claims to be the tapper,' if claims else ''} requests hold_still"
         f" for {duration:.3f} s and ends it after {later:.3f} s"
-        + (" and withdraws the arm" if sends else "")
+        + (", then withdraws the tap" if sends else "")
     )
 
 
@@ -492,7 +498,8 @@ def _shot_cable(rng: np.random.Generator, trial: FaultTarget) -> Made:
         layer.add(LineFault(kind, direction, layer.count(direction), length, lasting))
 
     return strike, (
-        f"tapper line: {kind.value} of {length} bytes or {lasting:.2f} s, {direction.value}"
+        f"tapper line, {direction.value}: {kind.value} "
+        + (f"of {length} bytes" if kind is FaultKind.DROP else f"for {lasting:.2f} s")
     )
 
 

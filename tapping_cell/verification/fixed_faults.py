@@ -64,7 +64,9 @@ def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
         command.header.stamp = to_stamp(now)
         t.network.publish("somebody_else", "tap_command", command)
 
-    return strike, f"another program's TAP of '{name}' with the {('same', 'next')[ahead]} id"
+    return strike, (
+        f"another program's TAP of '{name}' with the id of the {('last', 'next')[ahead]} tap"
+    )
 
 
 def _stays_out(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -76,7 +78,7 @@ def _stays_out(rng: np.random.Generator, trial: FaultTarget) -> Made:
         cell.keep_out(name, True)
         t.scheduler.after(lasting, lambda: cell.keep_out(name, False))
 
-    return strike, f"the striker of '{name}' stays out for {lasting:.2f} s"
+    return strike, f"the striker of '{name}' is off its mount for {lasting:.2f} s"
 
 
 def _out_in_a_freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
@@ -99,8 +101,8 @@ def _out_in_a_freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
         t.processes["tapper_trigger"].freeze_before_write = plan
 
     return strike, (
-        f"tapper_trigger frozen for {frozen:.2f} s before write number {writes} of the next job"
-        f" '{job}'; the striker of '{name}' leaves its mount {later:.3f} s later"
+        f"tapper_trigger frozen for {frozen:.2f} s before serial write {writes + 1} of the next job"
+        f" '{job}'; the striker of '{name}' leaves its mount {later:.3f} s after the freeze began"
     )
 
 

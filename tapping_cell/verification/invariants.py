@@ -230,14 +230,15 @@ class InvariantChecker:
             self.violate(
                 "planner silent",
                 f"shot {shot} was released {silent:.2f} s after the tapper had last received a "
-                "message from the planner that commanded the shot",
+                "message from the planner that commanded the shot (limit "
+                f"{patience + WINDOW_S:g} s)",
             )
         blind = release.time - self.camera_received
         if blind > HEARTBEAT_S + WINDOW_S:
             self.violate(
                 "camera silent",
                 f"shot {shot} was released {blind:.2f} s after the last camera message that the"
-                " tapper received",
+                f" tapper received (limit {HEARTBEAT_S + WINDOW_S:g} s)",
             )
         self._check_scene(release, command)
 
@@ -287,8 +288,13 @@ class InvariantChecker:
         if self._struck_until + PULSE_S > end:
             self.violate(
                 "outside the permit",
-                f"shot {release.shot} was released {end - release.time:.3f} s before the end of"
-                " the arm's promise to stand still, too short for the pulse and the stroke",
+                f"shot {release.shot} was released when the arm's promise to stand still "
+                + (
+                    f"had only {end - release.time:.3f} s left, too short for the pulse and the"
+                    " stroke"
+                    if end > release.time
+                    else "had ended or had never been made"
+                ),
             )
 
     def _check_last_check(self, release: Release) -> None:
@@ -302,7 +308,7 @@ class InvariantChecker:
             self.violate(
                 "check too old",
                 f"shot {release.shot} was released {release.time - asked:.3f} s after the last"
-                " check",
+                f" check (limit {CHECK_S:g} s)",
             )
 
     def _check_time(self, release: Release, command: TapCommand) -> None:
@@ -311,7 +317,7 @@ class InvariantChecker:
             self.violate(
                 "after its end",
                 f"shot {release.shot} was released {release.time - ended:.3f} s after the tapper"
-                " had received the end of its tap",
+                " had received the message that ended the tap",
             )
         stopped = self.stopped_at.get("tapper_trigger")
         if stopped is not None and release.time > stopped + WINDOW_S:
@@ -323,7 +329,8 @@ class InvariantChecker:
         if late > 0:
             self.violate(
                 "expired",
-                f"shot {release.shot} was released {late:.3f} s too late: its command had expired",
+                f"shot {release.shot} was released {late + WINDOW_S:.3f} s after its command had"
+                " expired",
             )
 
     def _check_scene(self, release: Release, command: TapCommand) -> None:
@@ -331,7 +338,7 @@ class InvariantChecker:
             self.violate(
                 "unseen",
                 f"shot {release.shot} was released {release.time - self.hidden_since:.2f} s after"
-                " the camera last saw the object",
+                f" the camera last saw the object (limit {self.unseen_limit:g} s)",
             )
         planned = from_message(command.object_pose)
         self._check_knowledge(release, planned)
@@ -357,7 +364,8 @@ class InvariantChecker:
             self.violate(
                 "unseen by the tapper",
                 f"shot {release.shot} was released {release.time - last:.3f} s after the tapper"
-                " had last received a pose of the object",
+                " had last received a pose of the object (limit"
+                f" {self.unseen_by_tapper + WINDOW_S:g} s)",
             )
         for received, pose in reversed(self.seen_by_tapper):
             if planned.distance_to(pose) <= BUMP_M and abs(planned.rotation_to(pose)) <= BUMP_RAD:
@@ -383,7 +391,9 @@ class InvariantChecker:
         if self._charged_since is None:
             self._charged_since = now
         elif now - self._charged_since > CHARGED_LIMIT_S:
-            self.violate("left charged", f"the striker has been charged for {now:.1f} s")
+            self.violate(
+                "left charged", f"the striker has been charged for more than {CHARGED_LIMIT_S:g} s"
+            )
             self._charged_since = now
 
     def _check_motion(self) -> None:
@@ -406,8 +416,8 @@ class InvariantChecker:
                 if now < end - ROUNDING_S:
                     self.violate(
                         "broken promise",
-                        f"the arm began to move {end - now:.3f} s before the end of its promise for"
-                        f" tap {tap_id}",
+                        f"the arm began to move {end - now:.3f} s before the end of its promise to"
+                        f" stand still for tap {tap_id}",
                     )
             if not self.motion_allowed:
                 self.violate(
@@ -513,7 +523,9 @@ class InvariantChecker:
                 )
             self.outcomes[message.tap_id] = message.outcome
             if message.outcome == TapperState.FIRED and not fired:
-                self.violate("false report", f"tap {message.tap_id} is reported FIRED, but was not")
+                self.violate(
+                    "false report", f"tap {message.tap_id} is reported FIRED, but was not fired"
+                )
         if message.state == TapperState.SAFE and self._charged_since is not None:
             since = self.scheduler.now - self._charged_since
             if since > 0.6 and message.tap_id != 0:
@@ -529,7 +541,9 @@ class InvariantChecker:
         waited = self.scheduler.now - self._plan_state_since
         if waited > self.deadlines.get(message.state, math.inf) + WAIT_SLACK_S:
             self.violate(
-                "waits too long", f"the planner has waited in one state for {waited:.1f} s"
+                "waits too long",
+                f"the planner has waited in PlanState {message.state} for {waited:.1f} s (limit"
+                f" {self.deadlines[message.state] + WAIT_SLACK_S:g} s)",
             )
             self._plan_state_since = self.scheduler.now
         if message.state != PlanState.REACHED or before == PlanState.REACHED:

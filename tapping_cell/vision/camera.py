@@ -69,7 +69,8 @@ class CameraModel:
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.all(np.isfinite(numbers)):
             raise CameraError(
-                "the camera matrix or the distortion holds a number that is not finite"
+                f"fx, fy, cx, cy and the distortion are {[float(n) for n in numbers]}, but must "
+                "not contain an infinity or NaN; calibrate again"
             )
         if len(self.deviations) not in (0, 8) or not all(
             math.isfinite(value) and value >= 0.0 for value in self.deviations
@@ -79,7 +80,10 @@ class CameraModel:
                 "of at least 0 (fx, fy, cx, cy, k1, k2, p1, p2) or none"
             )
         if self.width < 16 or self.height < 16:
-            raise CameraError(f"an image of {self.width} x {self.height} pixels is too small")
+            raise CameraError(
+                f"an image of {self.width} x {self.height} pixels is too small (at least 16 x 16 "
+                "are needed)"
+            )
         if self.fx <= 0 or self.fy <= 0:
             raise CameraError(
                 f"focal lengths are {self.fx} and {self.fy} pixels; they must be above 0 "

@@ -41,10 +41,10 @@ class FrameValidator:
             return Problem.LATE_FRAME, "the frame has no time stamp and is ignored"
         if stamp <= self._stamp:
             late = (self._stamp - stamp) * 1e3
-            when = f"is {late:.0f} ms older than" if late >= 1.0 else "has the stamp of"
+            when = f"is {late:.0f} ms older than" if late >= 1.0 else "has the time stamp of"
             return (
                 Problem.LATE_FRAME,
-                f"the frame {when} a frame already used; it is ignored",
+                f"the frame is ignored: it {when} a frame already used",
             )
         self._stamp = stamp
         rows = np.ascontiguousarray(image[:: max(1, self._camera.height // 64)])

@@ -309,7 +309,8 @@ class PoseTracker:
             self._working = view
             self._warning = (
                 stamp,
-                f"the camera or the table moved by {self.table.move * 1e3:.1f} mm; corrected",
+                f"the camera or the table moved by {self.table.move * 1e3:.1f} mm; the camera "
+                "pose was updated",
             )
         return state
 

@@ -50,8 +50,9 @@ def record(arguments: argparse.Namespace, cell: Cell, console: Console) -> bool:
     own = cell.arm.ros2_control
     if own is not None and own.chain is not None:
         raise CalibrationRefused(
-            "arm.ros2_control.chain: the joints of this arm are calibrated by its own "
-            "driver; measure only arm.base and chain.tool, which belong to the cell"
+            "no poses are recorded for an arm with arm.ros2_control.chain, because its own driver "
+            "calibrates its joints; measure only arm.base and arm.ros2_control.chain.tool, and "
+            "write them into the cell file"
         )
     end_on_signals()
     growing = GrowingCsv(arguments.record, HEADER, arguments.resume)
@@ -91,8 +92,9 @@ def _visit(
     left = [joints for joints in places if not _among(joints, done)]
     number, blind = len(done), 0
     console.print(
-        f"the arm moves to {arguments.poses - number} postures above the table at its current "
-        "height; Ctrl-C stops it after the current move"
+        "the arm moves to postures above the table, with the tip at its current height, until "
+        f"{arguments.poses - number} poses are recorded; Ctrl-C stops the arm after the current "
+        "move"
     )
     for joints in left:
         if number >= arguments.poses:

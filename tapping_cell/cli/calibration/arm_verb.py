@@ -152,7 +152,10 @@ def _provenance(
 ) -> Provenance:
     tip = []
     if result.turns is None:
-        tip.append("tip_yaw is kept, because touched points do not determine the line of travel")
+        tip.append(
+            "tip_yaw is kept as in the cell file, because a record without angles does not "
+            "determine the direction of the striker's line of travel"
+        )
     elif arguments.marker_on_tip is None:
         tip.append(
             "the position of the tip on the tool is kept, because it can be fitted only if "

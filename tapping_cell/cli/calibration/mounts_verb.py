@@ -165,8 +165,9 @@ def fit_all(cell: Cell, taps: Taps) -> tuple[list[MountFit], list[str]]:
     unknown = sorted(set(taps.tapper.tolist()) - {entry.name for entry in entries})
     if unknown:
         raise RecordError(
-            f"{taps.files[0]}: there is no tapper {', '.join(map(repr, unknown))} in {cell.path}; "
-            f"its tappers are {', '.join(entry.name for entry in entries)}"
+            f"some taps were made by {', '.join(map(repr, unknown))}, but {cell.path} has only the "
+            f"tappers {', '.join(entry.name for entry in entries)}; give the cell file of these "
+            "taps with --cell"
         )
     scatter, camera = cell.object.scatter, cell.file.camera
     noise = TapScatter(
@@ -247,8 +248,10 @@ def report(fits: list[MountFit], taps: Taps, path: Path, entries: list[str]) -> 
 def lines(found: dict[str, Any]) -> list[str]:
     """Format the report as text."""
     rows = [
+        "offset of each tapper's line (at the object and at the mount), angle and speed, relative "
+        "to the cell file:",
         f"{'tapper':<12} {'taps':>5} {'at object, mm':>16} {'at mount, mm':>13} "
-        f"{'angle, deg':>11} {'speed, %':>9}"
+        f"{'angle, deg':>11} {'speed, %':>9}",
     ]
     for fit in found["tappers"]:
         rows.append(
@@ -259,9 +262,9 @@ def lines(found: dict[str, Any]) -> list[str]:
     for fit in found["tappers"]:
         if fit["line_deviation"] > MAX_DEVIATION:
             rows.append(
-                f"note: the line of '{fit['name']}' is known to "
-                f"{1e3 * fit['line_deviation']:.2f} mm at the object (needed: "
-                f"{1e3 * MAX_DEVIATION:.1f} mm); make about {fit['taps_wanted']} taps"
+                f"note: the line of '{fit['name']}' has a standard deviation of "
+                f"{1e3 * fit['line_deviation']:.2f} mm at the object (limit "
+                f"{1e3 * MAX_DEVIATION:.1f} mm); make about {fit['taps_wanted']} taps in total"
             )
     rows += [f"note: unchanged: {sentence}" for sentence in found["too_few_taps"]]
     if found["without_taps"]:

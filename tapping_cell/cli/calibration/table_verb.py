@@ -240,8 +240,8 @@ def _placed(
     if arguments.distance:
         references, factor = _at_distance(references, arguments.distance)
         notes.append(
-            "scale from a measured distance; the printed sizes were wrong by the factor "
-            f"{factor:.5f}"
+            "scale from a measured distance, which is "
+            f"{factor:.5f} times the distance according to the printed sizes"
         )
     if arguments.origin is not None or arguments.x_axis is not None:
         if arguments.origin is None or arguments.x_axis is None:
@@ -282,7 +282,7 @@ def _at_distance(references: ReferenceMap, words: list[str]) -> tuple[ReferenceM
 def outlier_lines(result: TableCalibration) -> list[str]:
     """Return a message for every marker that was excluded from an image."""
     return [
-        f"left out: marker {s.marker} in {s.image}, {s.error:.1f} pixels off"
+        f"left out: marker {s.marker} in {s.image}, because its residual is {s.error:.1f} pixels"
         for s in result.outliers
     ]
 

@@ -138,7 +138,10 @@ def camera(session: Session) -> Proof:
     )
     rms = float(found["rms_px"])
     if rms > 1.0:
-        raise StepFailed(f"reprojection error {rms:.2f} px (limit 1 px): take sharper photographs")
+        raise StepFailed(
+            f"reprojection error {rms:.2f} px (limit 1 px): replace the photographs in {pictures} "
+            "by sharper ones"
+        )
     return Proof(f"reprojection error {rms:.3f} px", {"reprojection_px": round(rms, 4)})
 
 
@@ -271,7 +274,8 @@ def joints(session: Session) -> Proof:
                 turned = session.ask(question, "yes")
                 if not turned.lower().startswith("y"):
                     raise StepFailed(
-                        f"the {name} turns in the wrong direction: change it in the controller"
+                        f"the {name} turns in the wrong direction: reverse this joint's direction "
+                        "in the controller"
                     )
                 client.go(start, SPEED, graph.check)
             for name in ("shoulder", "elbow"):
@@ -285,7 +289,11 @@ def joints(session: Session) -> Proof:
                 client.go(park, SPEED, graph.check)
         except ArmRefused as refused:
             raise StepFailed(str(refused)) from refused
-    return Proof("directions confirmed; shoulder and elbow moved to 90 % of their range", values)
+    return Proof(
+        "directions confirmed; shoulder and elbow moved 90 % of the way from the park pose to each "
+        "limit",
+        values,
+    )
 
 
 def object_at_rest(session: Session) -> Proof:
@@ -364,7 +372,10 @@ def arm(session: Session) -> Proof:
         )
     rms = 1e3 * float(found["position_rms"])
     if rms > 1.0:
-        raise StepFailed(f"residual between arm and camera {rms:.2f} mm (limit 1 mm)")
+        raise StepFailed(
+            f"residual between arm and camera {rms:.2f} mm (limit 1 mm): check that the marker "
+            "is firmly attached to the striker, then repeat the measurement with --again arm"
+        )
     return Proof(f"residual between arm and camera {rms:.3f} mm", {"residual_mm": round(rms, 4)})
 
 

@@ -146,7 +146,7 @@ def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
     except cv2.error as error:
         raise ImageRefused(
             f"an image of {message.width} x {message.height} pixels cannot have the encoding "
-            f"'{message.encoding}'"
+            f"'{message.encoding}'; set the camera to another image size or to mono8"
         ) from error
 
 

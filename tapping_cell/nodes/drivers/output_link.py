@@ -198,8 +198,8 @@ class RosOutputLink(RosLink):
         return self._publisher is not None and self._publisher.get_subscription_count() > 0
 
     def _absence(self) -> str:
-        what = "service" if self._client is not None else "topic"
+        what = "server of the service" if self._client is not None else "subscriber of the topic"
         return (
-            f"there is no server of the {what} {self.name}: start the robot's driver, or "
+            f"there is no {what} {self.name}: start the robot's driver, or "
             "correct tapper.output.name and .interface"
         )

@@ -39,8 +39,8 @@ class Parameters:
     )
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: charge and fire only while an enabling device is held; unless this device "
-        "is the switch on the board, the board also reduces the energy of the taps",
+        "set-up mode: charge and fire only while an enabling device is held; unless the enabling "
+        "switch at the board is held, the board refuses taps above its set-up energy",
         default=False,
     )
     arm_freshness: float = quantity(

@@ -196,7 +196,8 @@ class CellView:
         if stopped:
             return Mode("stopped", "; ".join(dict.fromkeys(stopped)), ErrorCode.EMERGENCY_STOP)
         if self.emergency_stop and self._monitor.lost(_now()):
-            sentence = "the emergency stop is pressed; a device does not answer"
+            devices = "the arm or the tapper" if self.has_arm else "the tapper"
+            sentence = f"the emergency stop is pressed, and {devices} does not respond"
             return Mode("stopped", sentence, ErrorCode.EMERGENCY_STOP)
         fault = self._monitor.fault()
         if fault is not None:

@@ -74,7 +74,7 @@ class Guard:
                 "add the name to the parameter host_names of operator_page"
             )
         if origin is None:
-            return "a request without an Origin is not accepted" if command else ""
+            return "a request without an Origin header is not accepted" if command else ""
         parts = urlsplit(origin) if _plain(origin) else None
         expected = host if page_port is None else _with_port(name, page_port)
         if parts is None or parts.scheme not in ("http", "https") or parts.netloc != expected:

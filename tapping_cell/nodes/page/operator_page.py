@@ -100,15 +100,16 @@ ANSWER_S = 5.0
 """Timeout for the planner's response to a goal, after which the queue counts the goal as lost."""
 LONGEST_PATH = 4096
 STOP_NOT_SENT = (
-    "the stop was NOT sent: the process that serves it is starting; press again, or use the wired "
-    "emergency stop"
+    "the stop was NOT sent, because the page's stop process is still starting: press again, or use "
+    "the wired emergency stop"
 )
 LATEST = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
 
 STOP_NOT_RELEASED = (
-    "the page's own stop cannot be released: the process that holds it is starting; try again"
+    "the page's own stop cannot be released yet, because the page's stop process is still "
+    "starting; try again"
 )
 
 
@@ -537,7 +538,7 @@ class OperatorPage(CellNode[Parameters]):
             sentence = with_code(response.error_msg, response.error_code)
             answer(_answer("confirm", response.accepted, text if response.accepted else sentence))
             if response.accepted:
-                self._view.note(f"{text} on the page ({who})")
+                self._view.note(f"{text} (answered on the page, {who})")
 
         question = ConfirmTap.Request(tap_id=request.tap_id, confirm=request.confirm)
         self._call(self._confirm_client, question, "confirm", "the planner", answer, on_reply)

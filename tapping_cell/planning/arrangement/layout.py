@@ -31,7 +31,8 @@ def check_layout(scene: Scene, maps: AmongOthers) -> Refusal | None:
         if not np.all(np.isfinite(place)):
             return Refusal(
                 RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"the pose of '{body.name}' is {list(place)}; observe it again",
+                f"the pose of '{body.name}' is {list(place)}, but must be three finite numbers; "
+                "observe the object again",
             )
     standing = {body.name: scene.poses[body.name] for body in scene.bodies if not body.movable}
     return check_goals(scene.bodies, standing) or _order_exists(scene, goals, maps)
@@ -67,13 +68,14 @@ def _overlap(bodies: Sequence[Body], standing: Mapping[str, Pose]) -> Refusal | 
             margin = max(b.free.space.workspace.keep_out_margin for b in (first, second))
             between = gap(first.area(here), second.area(there))
             if between < margin:
-                kind = "their goals" if first.goal and second.goal else "the goal and the object"
+                both = first.goal is not None and second.goal is not None
+                remedy = "these goals apart" if both else "the goal away from the other object"
                 return Refusal(
                     RefusalReason.GOALS_OVERLAP,
                     f"'{second.name}' at {place_text(there)} and '{first.name}' at "
-                    f"{place_text(here)}: the gap between {kind} is {1e3 * between:.1f} mm "
-                    f"(bounding circles), at least {1e3 * margin:.1f} mm are needed; move one of"
-                    " them",
+                    f"{place_text(here)} would be too close together: the gap between their "
+                    f"bounding circles would be {1e3 * between:.1f} mm, but at least "
+                    f"{1e3 * margin:.1f} mm are needed; move {remedy}",
                 )
     return None
 

@@ -181,7 +181,8 @@ class ArrangementSession:
         if missing:
             return Refusal(
                 RefusalReason.OBJECT_POSE_NOT_FINITE,
-                f"no observation of {', '.join(map(repr, missing))}; uncover their markers",
+                f"the camera has not observed {', '.join(map(repr, missing))}; uncover these "
+                "objects",
             )
         poses = {name: seen[name].pose for name in self._by_name}
         for name, pose in poses.items():
@@ -288,7 +289,8 @@ class ArrangementSession:
             return Refusal(
                 RefusalReason.TOO_MANY_TAPS,
                 f"{sum(self.taps.values())} taps did not bring all objects to their goals "
-                f"(limit {self._most_taps})",
+                f"(limit {self._most_taps}); raise the limit, or check the striker, the camera and "
+                "the objects' files",
             )
         waiting = frozenset(n for n, other in self._waits_for.items() if other not in done)
         chosen = self._planner.next_move(self._scene(self._excluded | self._stalled, waiting))

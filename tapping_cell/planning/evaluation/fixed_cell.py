@@ -57,7 +57,9 @@ class FixedEvaluation:
             )
         if not all(0.0 <= error <= 0.1 for error in self.mount_error):
             raise PlanningError(
-                f"the mount errors are {self.mount_error}; they must be 0 to 0.1 m and rad"
+                f"the mount errors are {1e3 * self.mount_error[0]:g} mm and "
+                f"{math.degrees(self.mount_error[1]):g} degrees; they must be 0 to 100 mm and 0 to "
+                "5.7 degrees"
             )
 
 

@@ -94,13 +94,20 @@ class Evaluation:
             )
         if not all(0.0 <= abs(bias) <= 0.4 for bias in self.gain_bias):
             raise PlanningError(
-                f"the gain bias is {self.gain_bias}; its values must be within +-0.4 (40 %)"
+                f"the gain bias is {100 * self.gain_bias[0]:g} % in distance and "
+                f"{100 * self.gain_bias[1]:g} % in rotation; both must be within +-40 %"
             )
 
         if not all(1.0 <= factor <= 10.0 for factor in self.unknown):
-            raise PlanningError(f"the unknown factors are {self.unknown}; they must be 1 to 10")
+            raise PlanningError(
+                f"the limits of the unknown factors are {self.unknown[0]:g} for the distance and "
+                f"{self.unknown[1]:g} for the rotation per distance; both must be 1 to 10"
+            )
         if not 0.0 <= self.off_centre <= 10.0:
-            raise PlanningError(f"off_centre is {self.off_centre} rad/m; it must be 0 to 10")
+            raise PlanningError(
+                "the rotation per distance of off-centre objects (--off-centre) is "
+                f"{1e-3 * math.degrees(self.off_centre):g} degrees per mm; it must be 0 to 0.57"
+            )
 
     @property
     def simulation(self) -> World:

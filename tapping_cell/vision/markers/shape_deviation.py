@@ -121,8 +121,8 @@ class ShapeWarnings:
         lifted = (camera_height - self._marker.height) * reported[0] * 1e3
         return (
             f"{self._described(*reported)}: the object may be lifted (possibly by {lifted:.0f} mm) "
-            "or tilted, or its size or height in the object file may be wrong; the reported "
-            "uncertainty includes this"
+            "or tilted, or the marker's size or height in the object file may be wrong; the "
+            "uncertainty of the pose includes this deviation"
         )
 
     def refusal(self, shape: ShapeDeviation, limit: float) -> str:
@@ -130,15 +130,18 @@ class ShapeWarnings:
         self._reported = None
         return (
             f"{self._described(shape.stretch, shape.strain)} (limit {limit * 100:.0f} %): the "
-            "object may be lifted or tilted, or its size or height in the object file may be wrong"
+            "object may be lifted or tilted, or the marker's size or height in the object file may "
+            "be wrong"
         )
 
     def _described(self, stretch: float, strain: float) -> str:
         text = (
             f"the apparent size of the object's marker differs by {stretch * 100:+.1f} % from "
-            f"{self._marker.size * 1e3:.1f} mm"
+            f"{self._marker.size * 1e3:.1f} mm, its size in the object file"
         )
-        return text if strain < 0.001 else f"{text}, and it is {strain * 100:.1f} % out of square"
+        if strain < 0.001:
+            return text
+        return f"{text}, and its shape deviates by {strain * 100:.1f} % from a square"
 
 
 def _beyond(share: float, allowance: float) -> float:

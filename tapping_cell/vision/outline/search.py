@@ -209,7 +209,7 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
     seen = 0.0 if rim is None else rim.seen
     return Refused(
         OTHER_SHAPE,
-        f"the image agrees with its outline along only {seen * 100:.0f} % of the rim (at least "
+        f"only {seen * 100:.0f} % of its rim is seen where its outline predicts it (at least "
         f"{least * 100:.0f} % is needed)",
     )
 
@@ -240,9 +240,9 @@ def wrong_size(fit: OutlineFit) -> Refused:
     """Reject a region that is too large or too small."""
     return Refused(
         OTHER_SIZE,
-        f"its apparent size differs by {(fit.size - 1.0) * 100:+.1f} % from its file (limit "
-        f"{LARGEST_STRETCH * 100:.0f} %): it may be lifted or tilted or another object, or its "
-        "height in the file may be wrong",
+        f"its apparent size differs by {(fit.size - 1.0) * 100:+.1f} % from the size in its file "
+        f"(limit {LARGEST_STRETCH * 100:.0f} %): it may be lifted or tilted, or be a different "
+        "object, or its height in the file may be wrong",
     )
 
 

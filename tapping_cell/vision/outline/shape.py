@@ -71,7 +71,10 @@ class ObjectOutline:
     def __post_init__(self) -> None:
         """Raise OutlineError, with the value and a remedy, if the outline cannot be detected."""
         if (self.radius is None) == (self.vertices is None):
-            raise OutlineError("an outline is either a disk (radius) or a polygon (vertices)")
+            raise OutlineError(
+                "the outline must be either a disk (radius) or a polygon (vertices), but "
+                + ("neither is given" if self.radius is None else "both are given")
+            )
         if self.vertices is not None:
             _check_convex(np.array(self.vertices))
             # Callers may pass a list; it is converted to a tuple, which is hashable.
@@ -107,8 +110,13 @@ class ObjectOutline:
             apart *= 2.0 * math.sin(0.5 * min(turns[1], 2.0 * math.pi - turns[-1]))
         if apart < 1.5 * dot.radius:
             raise OutlineError(
-                f"the dot is {apart * 1e3:.1f} mm from its position after a rotation that leaves "
-                f"the outline unchanged (at least {1.5 * dot.radius * 1e3:.1f} mm are needed); "
+                f"the dot is only {apart * 1e3:.1f} mm from "
+                + (
+                    "where it would be after a turn that leaves the outline unchanged"
+                    if turns
+                    else "the centre of the round outline"
+                )
+                + f" (at least {1.5 * dot.radius * 1e3:.1f} mm are needed to determine the angle); "
                 "put the dot farther from the centre"
             )
 
@@ -231,4 +239,7 @@ def _check_convex(vertices: Array) -> None:
     along = np.roll(vertices, -1, axis=0) - vertices
     after = np.roll(along, -1, axis=0)
     if np.any(along[:, 0] * after[:, 1] - along[:, 1] * after[:, 0] <= 0.0):
-        raise OutlineError("the polygon's corners must be convex and go counter-clockwise")
+        raise OutlineError(
+            "the polygon must be convex, its corners must be in counter-clockwise order, and no "
+            "three successive corners may lie on a line"
+        )

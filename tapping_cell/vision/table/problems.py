@@ -65,12 +65,13 @@ def _contradiction(table: TableTracker) -> str:
             f"the reference markers {names} have changed their relative positions: one of "
             "them was moved; put it back, or measure the table again and configure again"
         )
-    if table.error > table.settings.displaced:
+    # The limits of TableTracker._contradicted.
+    limit = (1.0 if len(table.used) <= 2 else 3.0) * table.settings.displaced
+    if table.error > limit:
         return (
             f"the reference markers {names} do not match the table file: after the best fit "
-            f"they are off by up to {table.error:.1f} pixels (limit "
-            f"{table.settings.displaced:.1f}); check their positions, angles and sizes in the "
-            "file and on the table"
+            f"they are off by up to {table.error:.1f} pixels (limit {limit:.1f}); check their "
+            "positions, angles and sizes in the file and on the table"
         )
     return (
         f"the apparent side length of the reference markers {names} differs by "

@@ -160,7 +160,7 @@ def test_the_verb_refuses_wrong_units_and_keeps_the_file(tmp_path: Path, capsys)
     assert main(["calibrate", "arm", str(record), *words]) == 2
     noisy = write(tmp_path / "noisy.csv", simulated(2, noise=4.0)[2])
     assert main(["calibrate", "arm", str(noisy), *words, "--force"]) == 2
-    assert "better and was kept" in capsys.readouterr().err
+    assert "more accurate than the new one and was kept" in capsys.readouterr().err
     assert output.read_text() == before
     assert main(["calibrate", "arm", str(noisy), *words, "--force", "--accept-worse"]) == 0
     assert output.read_text() != before

@@ -92,7 +92,7 @@ def test_a_better_file_is_kept(records, fit, tmp_path, capsys):
     worse = write(tmp_path / "noisy", taps(noise=(0.05, 0.2), trials=4))
     assert main(["fit", str(worse), "--output", str(output), "--force"]) == 2
     errors = capsys.readouterr().err
-    assert "better and was kept" in errors
+    assert "more accurate than the new one and was kept" in errors
     assert "torque factor" in errors
     assert output.read_bytes() == before
     assert main(["fit", str(worse), "--output", str(output), "--force", "--accept-worse"]) == 0

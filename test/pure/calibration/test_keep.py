@@ -63,7 +63,7 @@ def test_force_replaces_only_a_file_that_is_not_better(
     new = replace(OLD, residual=float(f"{residual:.6g}"), uncertainty=float(f"{uncertainty:.6g}"))
     worse = new.residual > 1.01 * OLD.residual or new.uncertainty > 1.01 * OLD.uncertainty
     if worse:
-        with pytest.raises(KeptFile, match="better and was kept"):
+        with pytest.raises(KeptFile, match="more accurate than the new one and was kept"):
             write(Output(path, force=True), new)
         assert read_provenance(path) == OLD
     else:

@@ -112,7 +112,7 @@ def test_the_model_error_of_the_simulated_world_is_detected() -> None:
     assert ("distance", "setting") in {(m.quantity, m.cause) for m in oblique.misfits}
     # The scatter that the planner receives includes the model's error.
     assert oblique.estimate("scatter_distance").value > 0.08
-    assert any("errors of 95 % of new taps" in sentence for sentence in oblique.sentences)
+    assert any("For 95 % of new taps" in sentence for sentence in oblique.sentences)
 
 
 @pytest.mark.parametrize("assumed", [0.2, 0.1])

@@ -181,7 +181,7 @@ def test_the_verb_reads_the_taps_of_goals_from_run_folders(tmp_path: Path, capsy
 
 def test_an_unknown_tapper_and_too_few_taps_are_refused(tmp_path: Path, capsys) -> None:
     still = ((0.0, 0.0, 0.0), (0.02, 0.0, 0.1))
-    for name, words in (("upstairs", "no tapper 'upstairs'"), ("east", "at least 4")):
+    for name, words in (("upstairs", "made by 'upstairs'"), ("east", "at least 4")):
         record = write(tmp_path / "taps.csv", [(name, 0.5, *still)])
         output = tmp_path / "cell.yaml"
         status = main(

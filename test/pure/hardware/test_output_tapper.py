@@ -150,7 +150,7 @@ def test_the_guard_must_be_closed_and_its_state_received(cell: Cell) -> None:
     cell.device.guard_closed = True
     cell.device.faults.silent_inputs = True
     cell.sleep(1.0)
-    with pytest.raises(HardwareFault, match="guard has been silent"):
+    with pytest.raises(HardwareFault, match="guard names has been silent"):
         cell.driver.charge(8, 1e-2)
     assert not cell.device.pulses()
 

@@ -39,7 +39,7 @@ def test_a_level_that_is_not_repeated_requires_an_operator_confirmation() -> Non
     latch.receive(True)
     latch.receive(False)
     silent = StopLevels(False, ("a", "b"), (), ("a",))
-    assert "a is not known" in reset(latch, silent, 10.0)
+    assert "its last message (a)" in reset(latch, silent, 10.0)
     assert latch.stopped
     assert reset(latch, silent, 11.0) == ""
 

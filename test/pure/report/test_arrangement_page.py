@@ -92,7 +92,7 @@ def test_the_page_lists_each_object_and_each_reason(run: ArrangementRun) -> None
     text = page(run)
     assert headline(run) == "Arrangement reached: 2 objects, 5 taps"
     assert "1. &#39;&lt;b&gt; 2&#39; makes way: it is in the way of &#39;disk&#39;." in text
-    assert "Taps 1 to 2: 156 mm, then 156.20 mm, 0.00 deg from its goal." in text
+    assert "Taps 1 to 2: moved by 156 mm; remaining error 156.20 mm, 0.00 deg." in text
     shown = text.replace("\u00a0", " ")
     assert "-100.0 mm, 0.0 mm, 0.0 deg" in shown and "100.0 mm, 0.0 mm, 28.6 deg" in shown
     assert "<b> 2" not in text, "a name is text, not HTML"

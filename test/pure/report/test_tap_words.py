@@ -49,9 +49,11 @@ def test_a_tap_of_a_cell_with_several_tappers_names_its_tapper() -> None:
 
 def test_the_expected_effort_is_shown_if_the_planner_provides_it() -> None:
     text = tap_sentence(tap(expected_taps=2.23, expected_seconds=5.94), Pose(0.04, 0.0, 0.2))
-    assert text.endswith("Expected effort before the tap: 2.2 taps, 5.9 s to the goal.")
-    assert "1.0 taps to the goal" in tap_sentence(tap(expected_taps=1.0), None)
-    assert "to the goal" not in tap_sentence(tap(), None)
+    assert text.endswith(
+        "Before this tap, the planner expected to reach the goal in 2.2 taps, 5.9 s."
+    )
+    assert "reach the goal in 1.0 taps." in tap_sentence(tap(expected_taps=1.0), None)
+    assert "expected to reach" not in tap_sentence(tap(), None)
 
 
 @pytest.mark.parametrize(

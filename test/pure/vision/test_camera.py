@@ -117,7 +117,7 @@ def test_a_point_on_a_higher_plane_projects_further_out():
         ({"d": [0.1, 0.2, 0.3]}, "but 3 are given"),
         ({"k": [0.0] * 9}, "uncalibrated"),
         ({"k": [1.0] * 4}, "4 numbers"),
-        ({"d": [float("nan")] * 5}, "not finite"),
+        ({"d": [float("nan")] * 5}, "infinity or NaN"),
         ({"width": 4}, "too small"),
     ],
 )

@@ -201,7 +201,7 @@ function renderPicture() {
   if (seen.sentence && !words) parts.push(`${seen.sentence} (${seen.code})`);
   if (!stale) parts.push(`image ${age.toFixed(1)} s old`);
   const unknown = state ? state.arrangement.unknown : 0;
-  if (unknown) parts.push(`${unknown} ${unknown === 1 ? "object" : "objects"} without a file (red outline), avoided`);
+  if (unknown) parts.push(`the planner avoids ${unknown} ${unknown === 1 ? "object" : "objects"} without an object file (red outline)`);
   setText($("picture-words"), parts.join(" \u00b7 "));
 }
 
