@@ -55,8 +55,8 @@ class TapScatter:
     """Standard deviations of a tap and of one camera measurement.
 
     ``distance`` and ``rotation`` are relative, ``direction`` and ``camera_angle`` in rad,
-    ``camera_position`` in m. ``position_floor`` (m) and ``angle_floor`` (rad) are the parts that do
-    not decrease with the size of the tap.
+    ``camera_position`` in m. ``position_floor`` (m) and ``angle_floor`` (rad) are the parts that
+    do not depend on the size of the tap.
     """
 
     distance: float

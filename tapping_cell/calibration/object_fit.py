@@ -479,7 +479,8 @@ def _slide_sentences(
         sentences.append(
             f"The uncertainty of the torque factor is {100 * share:.0f} %. Ten more taps like "
             f"those of run {best}, the most informative run, would reduce it to "
-            f"{100 * after:.0f} %. Taps that turn the object more are even more informative."
+            f"{100 * after:.0f} %. Taps that rotate the object by more than those of "
+            f"run {best} are even more informative."
         )
     return sentences
 

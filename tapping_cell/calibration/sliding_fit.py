@@ -44,7 +44,8 @@ from tapping_cell.mechanics import Body
 # angle, and ln of the trial's friction over the shared friction.
 _IMPACT, _SPEED, _SPIN, _START, _ANGLE, _FRICTION = range(6)
 _LOCAL = 6
-# Shared parameters: ln friction, ln torque factor, centre of pressure over the support's radius.
+# Shared parameters: ln friction, ln torque factor, and the centre of pressure (x, y) divided by the
+# support's radius.
 _SHARED = 4
 _LOWEST = (math.log(0.003), math.log(TORQUE_FACTORS[0]), -0.3, -0.3)
 _HIGHEST = (math.log(5.0), math.log(TORQUE_FACTORS[1]), 0.3, 0.3)

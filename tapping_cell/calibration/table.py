@@ -435,9 +435,10 @@ def _warnings(
         warnings.append(
             f"markers {', '.join(single_view)} are seen in only one image: take more images"
         )
-    if images < 5:
+    if images < 6:
         warnings.append(
-            f"{images} images are few: 6 or more from different sides average out the lens errors"
+            f"number of images: {images}; take 6 or more from different sides, so that the lens "
+            "errors average out"
         )
     for number in sorted({outlier.marker for outlier in outliers}):
         times = sum(outlier.marker == number for outlier in outliers)

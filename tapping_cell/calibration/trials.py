@@ -310,8 +310,8 @@ def append_trial(folder: Path, trial: Trial) -> None:
         for other in _read_file(file).trials:
             if other.trial == trial.trial:
                 raise RecordError(
-                    f"{file}, row {other.row}: trial {trial.trial} exists already; give the "
-                    "next number"
+                    f"{file}, row {other.row}: trial {trial.trial} is already recorded here; "
+                    "use a trial number that is not in this file"
                 )
     if trial.track is not None:
         (folder / TRACK_FOLDER).mkdir(parents=True, exist_ok=True)

@@ -31,7 +31,7 @@ from tapping_cell.report.run_folder import RunError
 
 
 class Verb(Protocol):
-    """Interface of a module of ``cli/calibration``."""
+    """Interface of the modules ``*_verb`` in ``cli/calibration``, one for each sub-verb."""
 
     __doc__: str | None
 

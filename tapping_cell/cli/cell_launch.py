@@ -30,7 +30,10 @@ COMMON = {
     "cell_file": ("", "cell file; if empty, the package's default"),
     "object_file": ("", "object file; if empty, the one named in the cell file"),
     "planner": ("", "planning method; if empty, the one named in the cell file"),
-    "params_file": ("", "file of ROS parameters for every node; overrides the other arguments"),
+    "params_file": (
+        "",
+        "file of ROS parameters for every node; overrides parameters that other arguments set",
+    ),
     "runs": ("runs", "folder in which every goal gets a run folder"),
     "use_sim_time": ("false", "use the time of /clock, for example while a bag is played"),
     "page": ("false", "serve the operator's web page"),

@@ -65,6 +65,7 @@ from tapping_cell.report.run_folder import (
     summary,
     write_failure,
 )
+from tapping_cell.report.words import counted
 from tapping_cell.se2 import Pose, wrap_angle
 
 READY_TIMEOUT_S = 60.0
@@ -156,7 +157,8 @@ def run(arguments: argparse.Namespace) -> int:
     parameters[RECORDER] |= {"folder": folder.parent, "name": folder.name}
     nodes = nodes_of(cell, hardware=False)
     if scene is None:
-        # The demo writes the report of an arrangement itself, from the action and the ground truth.
+        # Only a single goal needs the recorder. The demo itself writes the report of an
+        # arrangement, from the action and the ground truth.
         nodes = (*nodes, RECORDER)
     try:
         with (
@@ -240,8 +242,8 @@ def _verdict(record: Run, folder: Path, wall_time: float, console: Console) -> i
             )
     if record.reached:
         console.print(
-            f"[green]goal reached[/green] in {len(record.taps)} taps, {wall_time:.0f} s; "
-            f"see {folder / 'report.html'}"
+            f"[green]goal reached[/green] in {counted(len(record.taps), 'tap')}, "
+            f"{wall_time:.0f} s; see {folder / 'report.html'}"
         )
         return 0
     reason = record.error_msg or "the object's true pose is outside the tolerance"

@@ -50,10 +50,10 @@ HOMING_LOST = frozenset(
         FaultReason.ALARM,
         FaultReason.BOARD_RESET,
         FaultReason.POSITION_LOST,
-        FaultReason.HOMING_FAILED,
     }
 )
-"""Faults after which the arm's position is no longer trusted."""
+"""Faults after which the arm's position is no longer trusted until they are cleared. Failed homing
+is not one of them: the arm is not homed then, and can be homed again at once."""
 
 
 UNANSWERED = (FaultReason.TIMEOUT, FaultReason.UNKNOWN_FIRMWARE, FaultReason.NEEDS_PERSON)

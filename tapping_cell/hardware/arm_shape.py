@@ -32,7 +32,8 @@ class ArmShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bars:
-    """Round bars of N arm poses: ``start`` and ``end`` (N, K, 3), ``radius`` (K,), in m."""
+    """K round bars that represent the arm, at each of N arm poses: ``start`` and ``end`` (N, K, 3)
+    and ``radius`` (K,), in m."""
 
     start: Array
     end: Array

@@ -271,8 +271,8 @@ class GrblDialect:
         while self._offset is None:
             self._ask_status(deadline)
         # From here on, this offset is kept, and offsets in later reports are ignored. If a bit
-        # error turns a later line into a G92, the following moves therefore end at wrong machine
-        # positions, and the position check detects this.
+        # error turns a later line into a G92, the following moves end at wrong machine positions.
+        # The position check detects this, because it uses the kept offset.
         self._frozen = True
         self._marked = True
 

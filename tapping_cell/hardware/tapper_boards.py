@@ -134,8 +134,8 @@ class TapperBoards:
         if shot <= spent:
             raise HardwareFault(
                 FaultReason.SHOT_SPENT,
-                f"shot {shot} may have been fired by another board already (last charged: {spent}):"
-                " use a new number",
+                f"shot {shot} may already have been fired by another board (greatest shot number"
+                f" charged there: {spent}): use a greater number",
             )
         self._charged = board
         self._drivers[board].charge(shot, energy, go_on, timeout, own)

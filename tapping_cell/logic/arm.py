@@ -538,7 +538,7 @@ class ArmLogic(DeviceLogic[State, Event]):
         if self.state is not S.LEAVING or self._job is not None:
             return
         # While the striker is charged, the arm waits, but not longer than LONGEST_WAIT_S. The
-        # tapper's reports can only lengthen this wait.
+        # tapper's reports can lengthen this wait up to that limit, but never shorten it.
         if now.steady < min(self._charged_until, self._leaving_since + LONGEST_WAIT_S):
             return
         # The job may start shortly before the arm is free to move: it reads the joints, then waits

@@ -87,7 +87,11 @@ def named_tapper(name: str, tappers: Sequence[str]) -> str | None:
 def unknown_tapper(name: str, tappers: Sequence[str]) -> CodedError:
     """Return the refusal of a command that does not name one of the cell's tappers."""
     known = ", ".join(f"'{tapper}'" for tapper in tappers)
-    asked = f"there is no tapper '{name}'" if name else "it names no tapper, but there are several"
+    asked = (
+        f"there is no tapper '{name}'"
+        if name
+        else "the command names no tapper, but the cell has several"
+    )
     return ErrorCode.TAPPER_UNKNOWN, f"{asked}; name one of {known}"
 
 

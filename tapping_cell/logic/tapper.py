@@ -265,14 +265,14 @@ class TapperLogic(DeviceLogic[State, Event]):
         reason = self._peers.check_firing(tap.tap_id, tap.planned, tap.strike, now)
         if reason is not None:
             return reason
+        if self.state is not S.FIRING:
+            return ErrorCode.NONE, "the tap is over"
         if self._fixed:
-            # A fixed tapper cannot move, so only the state of this tap is checked.
-            fires = self.state is S.FIRING
-            return None if fires else (ErrorCode.NONE, "the tap is over")
+            return None  # a fixed tapper cannot move
         if promise is None or promise.tap_id != tap.tap_id:
             return ErrorCode.TAPPER_ARM_NOT_IN_POSITION, "the arm has not granted hold_still"
         end = max(release_by, now.steady) + tap.flight
-        if self.state is not S.FIRING or end > promise.until:
+        if end > promise.until:
             return (
                 ErrorCode.TAPPER_ARM_NOT_IN_POSITION,
                 f"the shot could end {end - promise.until:.3f} s after the time for which the arm"

@@ -238,8 +238,9 @@ class Impact:
         shape = np.broadcast_shapes(slope.shape, c.shape[:-1])
         slope = np.broadcast_to(slope, shape).ravel()
         c = np.broadcast_to(c, (*shape, 2)).reshape(-1, 2)
-        # If the contact slides throughout, the slope is the friction limit at every incidence. The
-        # target is therefore slightly inside the limit.
+        # At every incidence at which the contact slides throughout the impact, the slope equals the
+        # friction limit, so the limit itself does not determine the incidence. The target is
+        # therefore slightly inside the limit.
         limit = self.friction * (1 - 1e-11)
         target = np.clip(slope, -limit, limit)
         beyond = np.abs(slope) > self.friction * (1 + 1e-9)

@@ -165,7 +165,8 @@ class SlideTable:
     def _launch_block(self, travel: Array, rim_travel: Array) -> tuple[Array, Array]:
         x, r = np.abs(travel), np.abs(rim_travel)
         # With x scaled by ``_divide``, both travels are equal at the boundary between the regimes.
-        # The smaller scaled travel is therefore the minor one in both regimes.
+        # In both regimes, the travel that belongs to the smaller of speed and rim speed is
+        # therefore the smaller of r and the scaled x.
         scaled = self._divide * x
         spinning = r > scaled
         longer = np.where(spinning, r, x)

@@ -221,9 +221,16 @@ class LogicHost(Generic[Machine]):
                 self.stop_file.keep(effect.content)
         except OSError as error:
             what = "stop" if isinstance(effect, fx.KeepStop) else "goal"
-            self._node.get_logger().error(
-                f"the {what} could not be stored, so a restart of the node would lose it: {error}"
-            )
+            if isinstance(effect, fx.TouchGoal):
+                sentence = "the time of the stored goal could not be updated"
+            elif effect.content is None:
+                sentence = (
+                    f"the stored {what} could not be deleted, so a restart of the node would "
+                    "restore it"
+                )
+            else:
+                sentence = f"the {what} could not be stored, so a restart of the node would lose it"
+            self._node.get_logger().error(f"{sentence}: {error}")
 
     def later(self, action: Callable[[], None]) -> None:
         """Run an action in the executor's thread after its current callback."""

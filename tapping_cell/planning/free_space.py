@@ -228,8 +228,8 @@ def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
 
 
 def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
-    """Return which taps are impossible because of the arm's reach or the tool's clearance: (turns,
-    cells x, cells y, directions)."""
+    """Return an array that is True for taps that are impossible because of the arm's reach or the
+    tool's clearance; shape (turns, cells x, cells y, directions)."""
     found = []
     for turn in tips:
         poses = np.empty((*centres.shape[:-1], DIRECTIONS, 3))

@@ -624,10 +624,10 @@ class PositioningSession(GoalSession):
         if allowed and not struck:
             return Refusal(
                 RefusalReason.NO_CONTACT,
-                f"no contact of the object at {place} allows a safe tap towards the goal: "
-                "its edges transmit only impulses within the friction cone (the preferred tap was "
-                f"rejected because {first}); turn the object by hand, or move it towards the "
-                "middle",
+                f"the object at {place} cannot be tapped safely in any direction: its edges "
+                "transmit only impulses within the friction cone, and no contact point allows any "
+                f"of the safe slides. The preferred tap was rejected because {first}. Turn the "
+                "object by hand, or move it towards the middle",
             )
         longest = self._longest_factor()
         if trusted and not allowed and longest > UNKNOWN:

@@ -38,9 +38,9 @@ def _headline(run: Run) -> str:
     result = f"goal reached in {taps}" if run.reached else f"{run.outcome} after {taps}"
     if run.start is None or run.goal is None:
         return result
-    turn = math.degrees(run.start.rotation_to(run.goal))
+    turn = abs(math.degrees(run.start.rotation_to(run.goal)))
     away = 1000 * run.start.distance_to(run.goal)
-    return f"started {away:.1f} mm and {turn:+.1f} deg from the goal: {result}"
+    return f"started {away:.1f} mm and {turn:.1f} deg from the goal: {result}"
 
 
 def _moves(run: Run) -> str:

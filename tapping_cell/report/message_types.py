@@ -76,7 +76,8 @@ def definition_file(kind: str) -> Path:
     try:
         share = Path(get_package_share_directory(package))
     except (PackageNotFoundError, OSError, ValueError) as error:
-        # Without a build, the ament index lacks this package, so use the source tree.
+        # Before a build, the ament index lacks tapping_cell_msgs, so use its definitions in the
+        # source tree.
         if package != _OWN_PACKAGE or not _OWN_SOURCES.is_dir():
             raise UnknownMessageType(
                 f"the definition of {kind} was not found: the package {package} is not installed"

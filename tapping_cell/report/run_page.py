@@ -91,9 +91,9 @@ def headline(run: Run) -> str:
 def _task(run: Run) -> str:
     if run.start is None or run.goal is None:
         return ""
-    turn = math.degrees(run.start.rotation_to(run.goal))
+    turn = abs(math.degrees(run.start.rotation_to(run.goal)))
     away = 1000 * run.start.distance_to(run.goal)
-    return unbroken(f"Started {away:.1f} mm and {turn:+.1f} deg from the goal.")
+    return unbroken(f"Started {away:.1f} mm and {turn:.1f} deg from the goal.")
 
 
 def _details(run: Run) -> list[str]:

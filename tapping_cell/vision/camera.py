@@ -221,9 +221,10 @@ class CameraModel:
         if lost.any():
             x, y = rim[lost][0]
             raise CameraError(
-                f"the lens model projects no direction to the pixel ({x:.0f}, {y:.0f}): its "
-                f"coefficients {self.distortion} fold back inside the image; calibrate again with "
-                "views in the corners, or with rational_polynomial"
+                f"the lens model with the coefficients {self.distortion} maps no viewing direction "
+                f"to the pixel ({x:.0f}, {y:.0f}), because it folds back inside the image; "
+                "calibrate again with views of the target in the corners of the image, or with "
+                "--model rational_polynomial"
             )
 
     def check_image(self, image: NDArray[np.generic]) -> str | None:

@@ -15,8 +15,9 @@ def view_clearance(
     """Distance (N, M) in m from each of M points to the nearest shadow of each of N sets of bars.
 
     A shadow is the area that a bar hides from the camera: the bar's central projection from the
-    lens to the plane of the point. The distance is negative if the point itself is hidden. A disc
-    around the point is fully visible if the distance is greater than its radius.
+    lens to the horizontal plane through the point. The distance is negative if the
+    point itself is hidden. A disc around the point is fully visible if the distance is greater than
+    its radius.
 
     Args:
         camera: position of the lens, (3,).

@@ -113,8 +113,8 @@ class Page:
 
     def way_back(self) -> None:
         """Follow the numbered recovery steps after a stop until the cell is ready."""
-        # The tapper requires the clear button at the cell to be pressed, and accepts a press for 10
-        # s only.
+        # The tapper clears its stop only within 10 s after the clear button at the cell was
+        # pressed, so each attempt presses it again.
         for _ in range(5):
             self.element("step-press-button").click()
             self.element("step-clear").click()

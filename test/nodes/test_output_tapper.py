@@ -1,4 +1,4 @@
-"""The tapper's node with a robot's digital output, over DDS."""
+"""The tapper's node over DDS, with a striker that is fired by a robot's digital output."""
 
 from __future__ import annotations
 

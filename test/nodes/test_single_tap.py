@@ -147,7 +147,8 @@ def test_a_tap_known_not_to_have_fired_is_tried_three_times_with_new_ids(
     actors = experiment.actors
     actors.tapper_answers = TapperState.NOT_FIRED
     result = experiment.tap()
-    # The tapper reports no error, so the planner concludes that another node has ended the taps.
+    # The tapper gives no error code for the taps that were not fired, so the planner reports that
+    # another program ended them.
     assert result.error_code == ErrorCode.NOT_READY and result.record.tap_id == 0
     ids = [command.tap_id for command in actors.taps()]
     assert len(ids) == len(set(ids)) == 3

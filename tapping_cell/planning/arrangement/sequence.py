@@ -191,7 +191,8 @@ class SequencePlanner:
         return [body.name for body in near]
 
     def _buffer(self, scene: Scene, body: Body, blocked: Body) -> _Option | None:
-        """Return the move to the cheapest buffer place for an object that blocks another object."""
+        """Return the move of ``body`` to the cheapest buffer place from which it no longer blocks
+        ``blocked`` or blocks it less, or None."""
         pose = scene.poses[body.name]
         others = areas_of(scene.bodies, scene.poses, [body.name])
         places = self._maps.places(body, others, pose)

@@ -100,8 +100,8 @@ class Evaluation:
 
         if not all(1.0 <= factor <= 10.0 for factor in self.unknown):
             raise PlanningError(
-                f"the limits of the unknown factors are {self.unknown[0]:g} for the distance and "
-                f"{self.unknown[1]:g} for the rotation per distance; both must be 1 to 10"
+                f"the limits of the factors (--unknown) are {self.unknown[0]:g} for the distance "
+                f"and {self.unknown[1]:g} for the rotation per distance; both must be 1 to 10"
             )
         if not 0.0 <= self.off_centre <= 10.0:
             raise PlanningError(

@@ -327,8 +327,9 @@ def _uneven(samples: _EdgeSamples, white: Array) -> Array:
     slopes = np.stack([across, down], axis=-1) / np.where(turned == 0.0, 1.0, turned)[:, None]
     slope = np.where(samples.steep, slopes[:, 0].repeat(4), slopes[:, 1].repeat(4))
     length = samples.half_width + 0.5
-    # ``slope`` and the result refer to the direction of q. The sign of the outward direction is not
-    # needed: it would be a factor of both and cancel.
+    # ``slope`` is the gradient of the illumination towards increasing q, and the result is the
+    # correction of q. The sign of the outward direction is not needed: it would be a factor of both
+    # and cancel.
     return np.asarray(-slope * length * (away - 0.5 * length))
 
 

@@ -243,7 +243,8 @@ def _together(
     rows, columns = np.divmod(chosen, width)
     rows, columns = rows - rows.min(), columns - columns.min()
     shape = int(rows.max()) + 1, int(columns.max()) + 1
-    # Single precision is sufficient for a factor that is known to 1 % at best.
+    # Single precision is sufficient, because this correction of the covariance is known to 1 % at
+    # best.
     maps = np.zeros((5, *shape), dtype=np.float32)
     maps[:, rows, columns] = np.vstack([influence.T, residual, np.ones(len(residual))])
     size = [fft.next_fast_len(n + _LAGS, real=True) for n in shape]

@@ -119,8 +119,9 @@ class ShapeWarnings:
         ):
             self._reported = reported = (shape.stretch, shape.strain)
         lifted = (camera_height - self._marker.height) * reported[0] * 1e3
+        amount = f" (by {lifted:.0f} mm if this is the only cause)" if lifted >= 1.0 else ""
         return (
-            f"{self._described(*reported)}: the object may be lifted (possibly by {lifted:.0f} mm) "
+            f"{self._described(*reported)}: the object may be lifted{amount} "
             "or tilted, or the marker's size or height in the object file may be wrong; the "
             "uncertainty of the pose includes this deviation"
         )

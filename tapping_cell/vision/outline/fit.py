@@ -311,8 +311,9 @@ class _State:
         mixed = normal[:, :LEVELS, LEVELS:].copy()
         mixed[..., -1] += self._level_pull(sectors) * variance
         answer = np.linalg.solve(own, mixed)
-        # Normal equations of each sector after elimination of the levels. Rows and columns:
-        # globals, displacement of the rim, grey values.
+        # Normal equations of each sector after elimination of the levels. Rows and columns: the
+        # GLOBALS parameters that all sectors share (model.py), the displacement of this sector's
+        # rim, and the grey values (right-hand side).
         left = normal[:, LEVELS:, LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
         # The levels of an excluded sector are still updated, so that the sector can be included
         # again.

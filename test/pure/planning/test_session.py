@@ -378,7 +378,7 @@ def test_a_polygon_without_a_contact_for_the_safe_taps_is_refused_with_that_reas
     refusal = session.decide((0.0, 0.0, math.pi / 4))
     assert isinstance(refusal, Refusal) and refusal.reason is RefusalReason.NO_CONTACT
     assert REFUSALS[refusal.reason] == ErrorCode.NO_CONTACT_FOUND
-    assert "no contact of the object" in refusal.sentence
+    assert "no contact point allows any of the safe slides" in refusal.sentence
     assert "the arm" not in refusal.sentence
 
 

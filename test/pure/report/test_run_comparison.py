@@ -69,7 +69,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     [
         ("run", ["run 1", "run 2", "run 10"], ["run 10", "run 2", "run 1"]),
         ("time", ["run 10", "run 2", "run 1"], ["run 1", "run 2", "run 10"]),
-        # The start of run 10 is unknown, so it is always last.
+        # The start pose of run 10 is unknown, so it is last in both directions.
         ("distance at the start", ["run 1", "run 2", "run 10"], ["run 2", "run 1", "run 10"]),
     ],
 )

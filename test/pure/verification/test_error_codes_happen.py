@@ -156,7 +156,8 @@ def test_an_arm_at_another_baud_rate_is_unreadable(cell: ReportedCell) -> None:
     layer.emulator = WrongBaud(layer.emulator, 115200, 250000)
     cell.trial.start()
     cell.run(4.0)
-    # the board sends a greeting, as most boards do when the port is opened
+    # After the interruption, the emulated board sends its greeting, which is unreadable at the
+    # wrong baud rate. Most real boards restart and send it when the port is opened.
     cell.trial.interrupt_arm_power()
     cell.read(ErrorCode.ARM_REPLY_GARBLED, "not text", "check arm.baud")
 

@@ -75,7 +75,7 @@ def test_rays_of_a_wide_lens_project_to_their_pixels(half_angle):
 
 
 def test_a_lens_that_folds_back_inside_the_image_is_refused():
-    with pytest.raises(CameraError, match="pixel \\(0, 0\\).*fold back"):
+    with pytest.raises(CameraError, match="pixel \\(0, 0\\).*folds back"):
         CameraModel(1280, 1024, 500.0, 500.0, 639.5, 511.5, (-0.2, 0.0, 0.0, 0.0, 0.0))
     # A smaller image is inside the circle at which this lens folds back, so the lens is accepted.
     # Pixels beyond this circle have no rays.

@@ -1,4 +1,4 @@
-"""Shadows of bars compared with rays from each point to the lens."""
+"""The areas that bars hide from the camera, compared with rays from each point to the lens."""
 
 from __future__ import annotations
 

@@ -146,7 +146,8 @@ def test_sharp_images_made_by_brute_force_are_measured_without_bias(outline, pos
     d = fit.pose - pose
     # A pixel is 0.6 mm.
     assert np.all(np.abs(d) < [2e-5, 2e-5, 6e-4])
-    # Even without noise, the area of the pixels causes small differences.
+    # Even without noise, the fitted size deviates slightly, because each pixel averages over its
+    # area.
     assert abs(fit.size - 1.0) < 5e-4 and fit.seen > 0.7
 
 
