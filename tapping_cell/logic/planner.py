@@ -273,7 +273,8 @@ class PlannerLogic:
             self._active = True
             self._report(now)
         else:
-            # The event Unreachable does not occur, because the planner has no device.
+            # The node is deactivated or shut down. The remaining lifecycle event, Unreachable, does
+            # not occur, because the planner has no device.
             self._active = False
             if self._task is not None:
                 sentence = "the planner was deactivated"
