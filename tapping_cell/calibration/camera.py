@@ -351,7 +351,7 @@ def _invertible(fit: _Fit, size: tuple[int, int], lens: Lens) -> bool:
     rays = model.rays(pixels)
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     back = np.abs(model.project(points) - pixels).max()
-    # At the border, the distance from the image centre must still increase with the ray's angle.
+    # At the border, the distance from the principal point must still increase with the ray's angle.
     further = model.project(np.concatenate([1.02 * rays, np.ones((len(rays), 1))], axis=1))
     centre = np.array([model.cx, model.cy])
     grows = ((further - pixels) * (pixels - centre)).sum(axis=1) > 0

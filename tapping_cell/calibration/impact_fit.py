@@ -239,7 +239,8 @@ def _fit(model: ImpactModel, free: tuple[str, ...]) -> _Fit:
     for _ in range(_PASSES):
         starts = [x]
         if "contact_friction" in free:
-            # Contacts switch between sticking and sliding with the friction, so use several starts.
+            # The residuals are not smooth in the friction, because contacts switch between sticking
+            # and sliding. Use several starts, so that the fit does not end in a local minimum.
             place = free.index("contact_friction")
             for friction in (0.08, 0.2, 0.5):
                 start = x.copy()

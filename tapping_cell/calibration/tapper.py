@@ -177,7 +177,8 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
         )
     speeds = np.where(usable, striker_speeds(record, tap), 1.0)
     x, y = np.log(record.energies), np.log(speeds)
-    # The speed is proportional to the square root of the displacement.
+    # The speed is proportional to the square root of the displacement, so its relative error is
+    # half that of the displacement.
     seen = 0.5 * record.deviations / np.maximum(record.distances, _NO_MOTION)
     if len(np.unique(groups[usable])) < 3:
         raise CalibrationRefused(

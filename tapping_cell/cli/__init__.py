@@ -87,8 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         if not _reader_has_gone():
             raise
-        # Python flushes stdout once more at exit. Redirect it to /dev/null, so that this does not
-        # fail again.
+        # Python flushes stdout once more at exit. Redirect stdout to /dev/null, so that this flush
+        # does not fail too.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     return status

@@ -58,7 +58,7 @@ def parts(state: dict[str, Any]) -> Table:
         shown.add_row("taps", f"{plan['taps']} ({plan['state']})")
     for name in ("arm", "tapper"):
         device = state[name]
-        # After a stop or fault, the remedy is left out here, because the numbered steps contain it.
+        # If recovery steps are shown, the remedy is left out here, because these steps contain it.
         text = device["sentence"].partition(";")[0] if state["recovery"] else device["sentence"]
         shown.add_row(name, escape(_with(device["state"], text)))
     return shown

@@ -287,7 +287,8 @@ def require_devices(cell: Cell, arguments: argparse.Namespace) -> None:
     missing = []
     arm = () if cell.file.arm is None else (("arm", cell.file.arm.port),)
     for name, port in (*arm, *(("tapper", board.port) for board in cell.boards)):
-        # A parameter file may name another port for the node.
+        # If the parameter file names a port, the node may not use the port of the cell file, so
+        # this port is not checked.
         if (
             port
             and "port:" not in given

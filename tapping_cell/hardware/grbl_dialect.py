@@ -194,8 +194,8 @@ class GrblDialect:
             self._pump(left)
         pause, longest = POLL_PERIODS
         while True:
-            # Each query has its own timeout: a move that ends late does not mean that the
-            # controller is silent.
+            # Even after the deadline, a query may take REPLY_TIMEOUT: a move that ends late does
+            # not mean that the controller is silent.
             status = self._ask_status(max(deadline, self._transport.now() + REPLY_TIMEOUT))
             if status.state == "Alarm":
                 raise self._alarm_fault("the controller is in alarm")

@@ -132,8 +132,8 @@ Frame = (
 )
 
 _OK = re.compile(r"^ok(?: N\d{1,10})?(?: P\d{1,3})?(?: B\d{1,3})?$")
-# Marlin 2 has four error messages that contain the number of the last line. The messages of related
-# firmwares differ.
+# Errors of the line number or of the checksum. Marlin 2 ends these messages with the number of the
+# last line. The messages of related firmwares differ.
 _LINE_ERROR = re.compile(r"^Error: ?(.*(?:checksum|line number|expected line).*)$", re.IGNORECASE)
 _LAST_LINE = re.compile(r"Last Line: ?(\d{1,10})$")
 _RESEND = re.compile(r"^(?:Resend|rs): ?N?(\d{1,10})$")

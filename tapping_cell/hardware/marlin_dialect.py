@@ -362,14 +362,15 @@ class MarlinDialect:
             return True
         if outcome >= 0:
             return False
+        # The number of the query is not used again, even if the query is not answered: it may still
+        # arrive at the board, which would ignore a second line with the same number.
         self._number = number + 1
         self._sent[number + 1] = marlin.numbered(number + 1, "M114")
         self._transport.write(self._sent[number + 1])
         outcome = self._await(number + 1, patience, deadline, frames)
         if outcome is None or outcome == number + 2:
             return True
-        # The query may still arrive at the board. Its number is therefore not used again: the board
-        # would ignore a second line with the same number.
+        # If the board requests the query again, it has executed the line before the query.
         return outcome == number + 1
 
     def _next(self, until: float) -> marlin.Frame | None:

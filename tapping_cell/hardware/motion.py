@@ -165,8 +165,8 @@ def raise_step(
         )
         solution = geometry.inverse(behind, geometry.branch_of(start), near=start)
         if solution.joints is not None:
-            # If the command of this step is lost, the striker only rises vertically, which is
-            # harmless.
+            # If the command for this step backwards is lost, the striker only rises vertically,
+            # which is harmless.
             low = via = solution.joints
     raised = low._replace(quill=max(start.quill, _clear_quill(geometry, settings)))
     # Only the step backwards is close to the object, so the arm may be raised fast.

@@ -38,8 +38,8 @@ class SerialTransport:
         self._path = path
         self._baud = baud
         self._port: serial.Serial | None = None
-        # Held during every write, so that a stop is sent between two chunks and nothing is sent
-        # after it.
+        # Held while a chunk is written. A stop is therefore sent between two chunks of a message,
+        # and nothing is sent after it.
         self._lock = threading.Lock()
         self._stopped = False
 

@@ -509,8 +509,8 @@ class ArmLogic(DeviceLogic[State, Event]):
         ours = message.tap_id == self._last_tap_id
         released = message.tap_id == self._released_tap and len(self._key_digests) == 1
         if ours and not released and message.state in CHARGED:
-            # Only reports that the striker is charged are used, because they make the arm wait. Any
-            # program could publish the opposite.
+            # Reports that the striker is charged only make the arm wait longer, so they are used.
+            # Reports that it is not charged are not, because any program could publish them.
             self._charged_until = now.steady + DISCHARGED_S
         over = message.outcome in (TapperState.FIRED, TapperState.NOT_FIRED)
         if (

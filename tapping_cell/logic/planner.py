@@ -273,7 +273,8 @@ class PlannerLogic:
             self._active = True
             self._report(now)
         else:
-            # The event Unreachable does not occur, because the planner has no device.
+            # The node is deactivated or shut down. The remaining lifecycle event, Unreachable, does
+            # not occur, because the planner has no device.
             self._active = False
             if self._task is not None:
                 sentence = "the planner was deactivated"
@@ -354,7 +355,7 @@ class PlannerLogic:
         task, seen = self._task, self._monitor.object
         awaited = isinstance(event, JobEnded) and event.job == self._computation
         if task is None or seen is None or self.state is not S.PLANNING or not awaited:
-            return ()  # the job belongs to a goal that has already ended
+            return ()  # the decision is no longer awaited, for example because the goal has ended
         assert isinstance(event, JobEnded)
         if event.fault is not None:
             raise event.fault
@@ -853,7 +854,7 @@ class PlannerLogic:
         if self._monitor.outcome(shot.tap_id) != TapperState.NONE:
             self._take_outcome(task, shot, now)
         elif self._disturbed(shot, now):
-            # Either the object was moved before the tap, or the tap itself moved it and the
+            # Either an object was moved before the tap, or the tap itself moved the object and the
             # tapper's report has not arrived yet. In both cases, the tap is withdrawn, and the
             # tapper still reports the outcome.
             self._withdraw(shot.tap_id, now)
@@ -999,7 +1000,7 @@ class PlannerLogic:
         command.header.stamp = to_stamp(now.ros)
         command.header.frame_id = "table"
         # The command expires when the planner stops waiting, so that a late command does not move
-        # the arm.
+        # the arm. SKEW_LIMIT_S allows for the difference of the computers' clocks.
         command.expiry = to_stamp(now.ros + round((PARKING_S + SKEW_LIMIT_S) * NANOSECONDS))
         self._effects.append(Publish("tap_command", command))
 

@@ -394,8 +394,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         if new and self.state not in SERVING:
             self._last_tap_id = command.tap_id
             if self._used is not None:
-                # Until the board was read, this node does not know whether the tap was fired, by
-                # the same node before a restart or by another node that uses the board.
+                # Before the board is read, no outcome is published: the tap may have been fired by
+                # this node before a restart, or by another node that uses the board.
                 spent = command.tap_id <= self._used
                 outcome = TapperState.UNKNOWN if spent else TapperState.NOT_FIRED
                 self._set_tap(command.tap_id, outcome)
