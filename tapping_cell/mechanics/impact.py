@@ -45,7 +45,7 @@ Constraint = Literal["linear_bearings", "free"]
 
 # Maximum planned angle between the striker's axis and the contact normal. At such a grazing
 # incidence the striker usually slides during the whole impact, and the impulse is on the edge of
-# the friction cone. Plans can therefore use the whole cone.
+# the friction cone. Planned impulses can therefore have every direction inside the cone.
 LARGEST_INCIDENCE = math.radians(89.0)
 _ROOT_STEPS = 60
 _ROOT_TOLERANCE = 1e-15
@@ -252,8 +252,8 @@ class Impact:
         straight = np.zeros(slope.shape)
         e_straight = error(straight, _ALL)
         # For a sticking contact, the slope is linear in the tangent of the incidence. The other end
-        # of the bracket is 1.5 times this linear estimate of the root, or the largest incidence if
-        # the root is not between them.
+        # of the bracket has 1.5 times the tangent of this linear estimate of the root. The largest
+        # incidence replaces this end if it is smaller or if the root is not between the ends.
         b1, b2, _ = self.inverse_inertias(straight, c)
         other = np.arctan(-1.5 * (1 + self.restitution) * b1 / b2 * e_straight)
         e_other = error(other, _ALL)
@@ -262,8 +262,8 @@ class Impact:
             other = np.where(open_ended, np.copysign(LARGEST_INCIDENCE, -e_straight), other)
             e_other = np.where(open_ended, error(other, _ALL), e_other)
         # If the contact normal passes far from a polygon's centre of mass, the slope of the impulse
-        # may decrease with the incidence. The root then has the other sign, so this sign is tried
-        # too.
+        # may decrease with the incidence. The root then has the sign opposite to that of the linear
+        # estimate, so this sign is tried too.
         wrong_side = e_other * e_straight > 0
         if wrong_side.any():
             other = np.where(wrong_side, np.copysign(LARGEST_INCIDENCE, e_straight), other)
@@ -277,7 +277,7 @@ class Impact:
         a_n, a_t = np.cos(incidence), np.sin(incidence)
         b1, b2, b3 = self.inverse_inertias(incidence, contact)
         mu = self.friction
-        # First phase: friction opposes the sliding, until p_stop.
+        # First phase: friction opposes the sliding, until it ends at the normal impulse p_stop.
         direction = -np.sign(a_t)
         first = -direction * mu
         closing = direction * b3 + mu * b1

@@ -91,7 +91,8 @@ class PolygonTable:
         square = (twist * twist).sum(axis=1)
         major = np.sqrt(square)
         length = 0.5 * np.log(square / LARGEST_SIZE)
-        # The number of steps grows with the size, because the body rotates more in each step.
+        # The number of steps grows with the size, because a faster body rotates more in a step of
+        # the same length.
         steps = math.ceil(float((length * square).max()) / (LARGEST_SIZE * _STEP))
         unit, state = self._advance(twist.T / major, square, length / steps, steps)
         before, turned = square * state[:3], square * state[2]
@@ -161,8 +162,9 @@ class PolygonTable:
         sizes = _SIZE_GRADE * levels / (1.0 - levels)
         table = np.empty((4, _SIZES, _RATIOS, count))
         for index, size in enumerate(sizes.tolist()):
-            # The first two sizes are integrated until the object rests. The first size is 0, which
-            # a slide of the second size reaches only at rest.
+            # A slide is integrated until it reaches the previous size, whose values are known. For
+            # the first two sizes it is integrated until the object rests: the first size is 0 and
+            # has no previous size, and a slide of the second size reaches size 0 only at rest.
             known = table[:, index - 1] if index > 1 else None
             length = 0.5 * math.log(size / sizes[index - 1]) if index > 1 else 0.0
             level = self._level(phi, alpha, size, length, known)

@@ -14,7 +14,9 @@ from tapping_cell.mechanics.slide_table import SlideTable
 Array = NDArray[np.float64]
 
 _PROFILE_STEP = 0.04
-# ln of the remaining fraction of the duration below which the motion is less than rounding errors.
+# ln of the smallest remaining fraction of the duration for which the ratio of the velocities is
+# computed. The displacement that then remains is about the square of this fraction (4e-18) of the
+# whole, which is less than rounding errors.
 _PROFILE_END = -20.0
 
 

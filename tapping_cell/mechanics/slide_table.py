@@ -51,9 +51,9 @@ class SlideTable:
             _hermite(v, s) for v, s in zip(solution.values, solution.slopes, strict=True)
         )
         self._forward = np.ascontiguousarray(np.concatenate([x, theta, duration], axis=1).T)
-        # The inverse finds p from the ratio of the smaller travel (_minor) to the larger travel
-        # (_major). This ratio increases with p. The larger travel is x if the slide is mostly
-        # translation, and otherwise theta.
+        # The inverse finds p from the ratio of _minor to _major, which increases with p. _major is
+        # the travel that belongs to the larger of speed and rim speed: x in the translating regime,
+        # theta in the spinning regime. _minor is the other travel.
         translating = np.arange(2 * PIECES)[:, None] < PIECES
         self._minor = np.ascontiguousarray(np.where(translating, theta, x).T)
         self._major = np.ascontiguousarray(np.where(translating, x, theta).T)
@@ -230,7 +230,8 @@ class SlideTable:
             root: Array = np.sqrt(fraction)
             graded = root / (root + np.sqrt(1.0 - fraction))
             graded[-1] = 1.0
-            # Refine the knots by Newton's method on the pieces that rest() evaluates.
+            # Refine p at the knots by Newton's method on the cubic polynomials that rest()
+            # evaluates.
             first = _floats(np.interp(p, graded, p))
             values = self._solve_knots(first, grade_inverse(p), half, divide)
             slopes = _floats(np.gradient(values, p, edge_order=2))

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # The arithmetic-geometric mean converges quadratically. From a complementary modulus of 1e-12 it
-# takes eight steps; one more step is made for safety.
+# takes eight steps. The first step is made before the loop, so the nine steps of the loop include
+# two for safety.
 _AGM_STEPS = 9
 _SMALLEST_COMPLEMENT = 1e-12
 

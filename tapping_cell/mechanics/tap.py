@@ -30,7 +30,7 @@ from tapping_cell.mechanics.sliding import Sliding
 
 Array = NDArray[np.float64]
 
-# Relative tolerance for rounding errors of a displacement on the edge of the cone.
+# Relative tolerance for rounding errors of a displacement at a limit (of rotation or distance).
 _EDGE = 1e-9
 # Steps of the finite differences for the Jacobian, in m and rad.
 _LENGTH_STEP = 1e-6
@@ -328,8 +328,8 @@ class Tap:
         along = velocity / np.where(speed > 0, speed, 1.0)[..., None]
         body = self.body
         lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
-        # The line of action is treated as the path of a point, whose first contact is the contact
-        # point.
+        # The line of action is treated as the path of a point, whose first contact with the body is
+        # the contact point.
         right = np.stack([along[..., 1], -along[..., 0]], axis=-1)
         far = 2 * body.bounding_radius
         line = first_contact(body, 0.0, lever[..., None] * right - far * along, along)

@@ -42,8 +42,8 @@ class ConnectionCheck:
                 yield from self._report(info, reasons, f"nothing on {topic} reaches")
 
     def _report(self, info: Any, reasons: list[str], what: str) -> Iterator[str]:
-        # If this node has several endpoints on the topic, the other endpoint is reported only if it
-        # can connect to none of them.
+        # If this node has several endpoints on the topic, the endpoint of the other node is
+        # reported only if it can connect to none of them.
         if not all(reasons) or (endpoint := bytes(info.endpoint_gid)) in self._reported:
             return
         self._reported.add(endpoint)

@@ -248,7 +248,8 @@ class FixedTapperSession(GoalSession):
         if not np.any(allowed):
             return None
         size = np.maximum(np.hypot(expected[..., 0], expected[..., 1]), 1e-9)
-        # The error is object minus goal. The scatter is the one with which the goal was solved.
+        # ``states_after`` expects the error as object minus goal, but ``left`` is goal minus
+        # object. The scatter is the one with which the goal was solved.
         states = states_after(
             np.broadcast_to(-left, (*size.shape, 3)),
             np.arctan2(expected[..., 1], expected[..., 0]),

@@ -171,7 +171,8 @@ class _Worker:
         """Request the solutions of a goal; this goal is solved before the goals requested
         earlier."""
         self._asked[job.key] = job
-        # A job is larger than the pipe's buffer, so sending blocks while the process is busy.
+        # A job is larger than the pipe's buffer, so sending blocks while the process is busy. The
+        # thread of ``_send`` therefore sends it.
         self._unsent.put(job)
 
     def _send(self) -> None:

@@ -224,7 +224,8 @@ class Gains:
         moved = np.hypot(seen[..., 0], seen[..., 1])
         usable = np.isfinite(moved) & np.isfinite(seen[..., 2]) & np.isfinite(asked)
         usable = usable & (asked > MIN_MOVE)
-        # Standard deviations of the parts of the error that do not depend on the size of the tap.
+        # Standard deviations of the parts of a measured displacement's error that do not depend on
+        # the size of the tap.
         place = math.hypot(math.sqrt(2.0) * camera.position, scatter.position_floor)
         angle = math.hypot(math.sqrt(2.0) * camera.angle, scatter.angle_floor)
         least = np.where(usable, np.maximum(moved, max(place, MIN_MOVE)), 1.0)
@@ -287,8 +288,8 @@ class Gains:
         slope = command[..., 2] / size
         high, low = float(ndtr(deviations)), float(ndtr(-deviations))
         one = np.ones_like(slope)
-        # Without a floor, the quantile is the same for all taps of an object and is computed only
-        # once.
+        # Without a position floor, the scatter is proportional to the size. The quantile is then
+        # the same for all taps of an object and is computed only once.
         every = size if scatter.position_floor > 0.0 else np.ones(self.taken.shape)
         stretch = scatter.along(every) / every
         longest = self.distance.quantile(np.ones((*every.shape, 1)), high, stretch)

@@ -131,7 +131,8 @@ def _table_plan(run: Run) -> Plan:
     places = [pose for pose in (run.start, run.goal, *(t.measured for t in run.taps)) if pose]
     low, high = -half - 12, half + 12
     if run.goal is not None and half.any():
-        # A rejected goal may be outside the table.
+        # A rejected goal may be outside the table, so the plan is extended to the goal, up to four
+        # times the table's size.
         rim = 1000 * float(np.max(np.hypot(*_outline(run).T), initial=0.02)) + 12
         middle = 1000 * np.array([run.goal.x, run.goal.y])
         near = np.clip(middle, 4 * low, 4 * high)

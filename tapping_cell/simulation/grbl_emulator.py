@@ -334,7 +334,7 @@ class GrblEmulator:
         idle = self._shown_state(now) in ("Idle", "Alarm", "Check")
         send = self._output.put
         if text in ("$$", "$I", "$#") and not idle:
-            # While the axes move, real firmware answers only status queries and $G.
+            # While the axes move, real firmware refuses these commands, but not $G.
             raise Refused(8)
         if text == "$$":
             for number, value in sorted(self._listed().items()):

@@ -126,8 +126,8 @@ class PseudoTerminal:
             # With O_PATH, the descriptor refers to the file but does not keep the terminal open.
             self._linked = os.open(os.ttyname(slave), os.O_PATH | os.O_CLOEXEC)
             if self._reset_on_open:
-                # This process keeps no descriptor of the driver's end, so that it can detect when a
-                # driver opens the terminal.
+                # This process keeps no other descriptor of the driver's end, so that it can detect
+                # when a driver opens the terminal.
                 os.close(slave)
             else:
                 self._slave = slave

@@ -236,8 +236,8 @@ class TapperEmulator:
         while True:
             due = self._next_internal()
             if due is None or due > now:
-                # The end of a coil-driven striker's motion is not an event, so check the strikers
-                # here.
+                # Some changes of the drive's status are not events, for example the end of a
+                # coil-driven striker's motion, so take the status here.
                 if self._state == "SAFE" or (self.machine.coils and self._state in SETTLING):
                     self._settle(SETTLING[self._state], self._state)
                 return

@@ -163,7 +163,7 @@ def _unplug(cell: ControllerCell, rng: np.random.Generator) -> None:
     _expect(move, FaultReason.DISCONNECTED, "went away")
     cell.driver.connect()
     _expect(_far(cell), FaultReason.NOT_HOMED, "the arm is not homed: home it first")
-    # Meanwhile the controller finishes the move that it has received.
+    # Wait until the controller has finished the move that it received before the disconnection.
     cell.wait(10.0)
     _home_and_move(cell, rng)
 

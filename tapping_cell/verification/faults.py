@@ -584,7 +584,8 @@ def _clock_step(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
     def strike(t: FaultTarget) -> None:
         t.clocks[node].offset += step
-        # The clock of another node is estimated from the messages of the last ``WINDOW_S``.
+        # A node estimates the clock of another node from the messages of the last ``WINDOW_S``, so
+        # its estimate is still wrong for this time after the clock was set back.
         t.disturbed_until = max(t.disturbed_until, t.scheduler.now + lasting + WINDOW_S)
         t.scheduler.after(lasting, back(t))
 
@@ -666,8 +667,8 @@ def _camera(rng: np.random.Generator, trial: FaultTarget) -> Made:
         elif which == "hidden":
             t.hide_object(lasting)
         else:
-            # Only one frame has a wrong pose. The fusion of frames gives a single outlier little
-            # weight, but it could not detect an error of several frames.
+            # Only one frame has a wrong pose. A single outlier gets little weight when frames are
+            # fused, but the same error in several frames could not be detected.
             faults.wrong_until, faults.wrong_by = t.scheduler.now + 1 / 15, off
 
     return strike, f"frames {which} for {lasting:.2f} s"

@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 _LENGTHS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14)}
-# For lenses with a field of view of up to 100 degrees, fixed-point undistortion gains at least one
-# decimal digit per iteration. Newton's method handles the rays that do not converge.
+# The 60 fixed-point iterations reduce the error by 12 decimal digits if every iteration reduces it
+# to 63 %. With the radial coefficient k1 = -0.2, this holds for fields of view of up to about 95
+# degrees. Newton's method finds the rays that do not converge in time.
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
 _FOUND = 1e-6
 """Maximum reprojection error, in pixels, at which a ray counts as found."""
@@ -197,8 +198,9 @@ class CameraModel:
         for _ in range(_NEWTON_STEPS):
             points = np.column_stack([rays[left], np.ones(len(left))])
             seen, slopes = cv2.projectPoints(points, zero, zero, self.matrix, self.coefficients)
-            # Columns 3 and 4: derivatives with respect to the point's x and y, here at a depth of
-            # 1.
+            # Columns 3 and 4: derivatives with respect to the translation along x and y, which
+            # equal those with respect to the point's x and y. The depth is 1, so x and y are the
+            # ray.
             matrix = np.asarray(slopes, dtype=float)[:, 3:5].reshape(-1, 2, 2)
             error = pixels[left] - seen.reshape(-1, 2)
             forward = np.linalg.det(matrix) > 0

@@ -182,7 +182,7 @@ class Track:
         if _distance(pose, covariance, fused, spread) > self.settings.leave:
             return False
         # A motion may be too slow to exceed the noise of one frame. To detect it, compare the mean
-        # of the last few frames with the mean of all frames.
+        # of the last few frames with the mean of all frames of the rest.
         if len(self._resting) < 12:
             return True
         poses, information = self._resting.last(4)

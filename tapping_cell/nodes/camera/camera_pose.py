@@ -437,8 +437,8 @@ class CameraPose(CellNode[Parameters]):
         if not self.active or silent <= self.settings.silence_limit:
             self._missed = 0
             return
-        # The first check without a new image is not reported: if this process itself was delayed,
-        # an image is already queued and is processed before the next check.
+        # The first check that finds the limit exceeded does not report it: if this process itself
+        # was delayed, an image is already queued and is processed before the next check.
         self._missed += 1
         if self._missed % MISSED_LOG_PERIOD == 2:
             empty = Image()

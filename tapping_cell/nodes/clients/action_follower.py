@@ -85,8 +85,8 @@ class ActionFollower(ClientNode, Generic[Event]):
             result = done.result().result
             if number == self._sent or result.error_code != ErrorCode.GOAL_REPLACED:
                 self._on_result(result)
-            # Otherwise, the goal was sent again because the response to the first request was
-            # late. The second request then replaced the first, whose result this is.
+            # Otherwise, this is the result of an earlier request, whose response was late. The goal
+            # was therefore sent again, and the later request replaced the earlier one.
 
         handle.get_result_async().add_done_callback(end)
 

@@ -184,8 +184,8 @@ class RosTrajectoryLink(RosLink):
             )
         message = self._message(points)
         with self._lock:
-            # A stop that arrives now waits for the lock and therefore takes effect after this
-            # trajectory has been sent, never before it.
+            # A stop that arrives now waits for the lock, so it also ends this trajectory: ``brake``
+            # replaces it, and a goal that is not sent or accepted yet is dropped or cancelled.
             self._require()
             self._goal += 1
             self._course = Course(self.samples[-1].positions, points)
@@ -214,7 +214,7 @@ class RosTrajectoryLink(RosLink):
         handle = answer.result()
         with self._lock:
             if number != self._goal:
-                # A stop arrived while the goal was being sent.
+                # A stop or another trajectory arrived while the goal was being sent.
                 if handle.accepted:
                     handle.cancel_goal_async()
                 return

@@ -233,8 +233,9 @@ class SimWorld(CellNode[Parameters]):
             )
             contacts = self._world.take_contacts()
         if taken == now:
-            # The offset between the two clocks is not updated during a slide, because a task switch
-            # between reading the clocks would shift the stamps of the images.
+            # Most images of a slide are not taken at the present time, so they keep the previous
+            # offset between the two clocks. A new offset would shift their stamps relative to each
+            # other if a task switch occurred between reading the clocks.
             self._world_began = Time(nanoseconds=clock - round(1e9 * now))
         stamp = self._world_began + Duration(seconds=taken - camera.exposure / 2)
         self._publish_truth(middle, stamp)

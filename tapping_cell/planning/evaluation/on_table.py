@@ -41,7 +41,8 @@ def run_table_trials(
     tasks = draw_tasks(evaluation, count, rng)
     true_gains = draw_gains(evaluation, count, rng)
     rows = []
-    # Each trial has its own random stream, so that all methods get the same tasks.
+    # Each trial has its own random stream, so that all methods get the same starts: the number of
+    # values drawn in a trial depends on the method.
     for index, own in enumerate(rng.spawn(count)):
         start = _draw_start(space, free, own)
         goal = start + tasks[index]

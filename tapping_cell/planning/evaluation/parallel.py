@@ -40,7 +40,8 @@ def evaluate(
         UnknownPlannerError: unknown method.
         PlanningError: the method rejects the settings.
     """
-    # Solve the plan once here; the processes then load it from the cache.
+    # Creating the planner solves its policy once and stores it in the cache, from which the
+    # processes then load it.
     make_planner(evaluation.planner, evaluation.settings)
     chunk = OPEN_CHUNK if evaluation.space is None else TABLE_CHUNK
     sizes = [chunk] * (evaluation.trials // chunk)

@@ -100,8 +100,9 @@ def _parameters(effort: Effort) -> Any:
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     # Detect both copies of a repeated marker, so that the duplicate is reported instead of dropped.
     parameters.minMarkerDistanceRate = 0.05
-    # Two windows detect as many markers as OpenCV's three (benchmarks/vision.py) in less time.
-    # Three narrower windows detect more of the small and oblique markers of real photographs.
+    # Two sizes of the threshold window detect as many markers as OpenCV's three
+    # (benchmarks/vision.py) in less time. Three smaller sizes detect more of the small and oblique
+    # markers of real photographs.
     low, high, step, perimeter = {
         Effort.QUICK: (5, 21, 16, 0.04),
         Effort.THOROUGH: (3, 19, 8, 0.02),

@@ -276,8 +276,8 @@ def _edges(samples: _EdgeSamples) -> MarkerEdges:
         spread=spread,
         black=black.reshape(count, 4).mean(axis=1),
         white=white.reshape(count, 4).mean(axis=1),
-        # The pull is 1 for a ramp over the whole window: its slope is 1 / (2 half_width - 1) per
-        # pixel.
+        # If the levels are means of two pixels (see _outermost), the pull is 1 for a ramp over the
+        # whole window: the slope of this ramp is 1 / (2 half_width - 1) per pixel.
         pull=samples.soft * (2 * samples.half_width - 1),
         good=samples.good & (spread < 0.6),
     )

@@ -156,8 +156,9 @@ def _covariance(
 ) -> Array:
     """Covariance (3, 3) of the object's pose for these errors of the marker's shape."""
     away = stretch * (pose[:2] - view.pose.position[:2])
-    # A tilted object touches the table at its rim, about one marker side from its centre, so its
-    # centre is lifted and appears displaced.
+    # An object with the tilt t touches the table at its rim, about one marker side from its centre.
+    # The centre is therefore lifted by t times this side and appears displaced by r / h times the
+    # lift, which is twice the strain t r / (2 h) times the side (see the module's docstring).
     lifted = 2.0 * strain * marker.size
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = np.outer(away, away) + lifted**2 * np.eye(2)

@@ -187,7 +187,7 @@ def _model(seen: Array, matrix: Array, blur: float, black: Array) -> tuple[Array
     boxes, changes, widths = [], [], []
     for axis in (0, 1):
         sigma = blur * scales[axis]
-        # The error of single precision is a millionth of the contrast.
+        # Single precision is sufficient: its error is a millionth of the contrast.
         z = ((0.5 * modules * (places[:, axis, None] + 1.0) - steps) / sigma).astype(np.float32)
         bell = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
         boxes.append(-np.diff(0.5 * np.tanh(z * (_TANH[0] + _TANH[1] * z**2)), axis=1))

@@ -102,8 +102,8 @@ class TableTracker:
         disturbed = self._disturbed(rays, rows)
         known = (self._seen[rows] > 0) & ~self._moved_markers[rows]
         apart = int((disturbed & known).sum())
-        # If other markers are seen too, a single disturbed marker does not indicate a motion of the
-        # camera: this marker was moved or is partly occluded.
+        # On a table with three or more markers, a single disturbed marker does not indicate a
+        # motion of the camera: this marker was moved or is partly occluded.
         moving = apart >= min(2, len(self.ids) - 1) and 2 * apart >= known.sum() > 0
         if self.pose is not None and (moving or self._too_many_moved(rows, disturbed)):
             self._suspects += 1
@@ -164,8 +164,8 @@ class TableTracker:
         self, rays: Array, noise: Array, rows: NDArray[np.intp], disturbed: NDArray[np.bool_]
     ) -> None:
         self._disturbed_frames[rows] = np.where(disturbed, self._disturbed_frames[rows] + 1, 0)
-        # A single marker that remains away from its average was moved. It is ignored until it is
-        # back at its place.
+        # A marker that remains away from its average for more than ``confirm_frames`` frames was
+        # moved. It is ignored until it is back at its place.
         self._moved_markers[rows] = disturbed & (
             self._disturbed_frames[rows] > self.settings.confirm_frames
         )
@@ -183,8 +183,9 @@ class TableTracker:
         side = float(np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).mean())
         limit = max(s.bloom, s.bloom_share * side)
         two = len(self.used) <= 2
-        # If two markers move relative to each other, their apparent size or the error of the fit
-        # changes. A motion of the camera changes neither.
+        # With only two markers, the motion of one of them is difficult to distinguish from a motion
+        # of the camera. It changes their apparent size or the error of the fit, but a motion of the
+        # camera changes neither.
         self.apart = False
         if two and self._before is not None:
             bloom, error = self._before
