@@ -100,8 +100,8 @@ class Pair:
         now = at(START)
         joints = Joints(*CELL.file.arm.park)
         here = Reading(True, joints, False, now.steady)
-        # The arm assumes that an earlier process of it may have promised to stand still. Start the
-        # arm 10 s earlier, so that such a promise has expired.
+        # When the arm node starts, it assumes that its previous process may have promised to stand
+        # still. Start the node 10 s earlier, so that such a promise has expired.
         early = at(START - 10.0)
         self.arm.on_lifecycle(Configured(CELL, here), early)
         self.tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), early)

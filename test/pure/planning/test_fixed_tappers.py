@@ -134,8 +134,7 @@ def test_the_grading_is_monotone_and_its_steps_are_limited(
     assert grading.steps(grading.value(steps)) == pytest.approx(steps, rel=1e-6, abs=1e-6)
     whole = grading.value(np.arange(-30, 31))
     assert np.all(np.diff(whole) > 0.0)
-    # A step of the asinh grading exceeds the step given by the slope at its start by at most the
-    # factor sinh(step) / step.
+    # The slope of the distance over the number of steps is nowhere larger than ``widest``.
     assert np.all(np.diff(whole) <= grading.widest * math.cosh(step) * (1.0 + 1e-9))
 
 
