@@ -166,7 +166,8 @@ def test_no_release_falls_into_a_motion_of_the_arm(
     if not jobs(made):
         return
     sampled = received + to_check
-    # The arm and the planner keep publishing, so only the permit can cause a refusal.
+    # The arm keeps publishing. The planner's state and the images are never sent, so their timeouts
+    # do not apply. Therefore, only the permit can cause a refusal.
     pair.arm_state.header.stamp = to_stamp(at(sampled).ros)
     pair.tapper.on_message("arm_state", pair.arm_state, at(sampled))
     release_by = sampled + (WINDOW_S + LONGEST_PULSE) * 1.01

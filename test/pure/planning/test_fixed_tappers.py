@@ -134,7 +134,8 @@ def test_the_grading_is_monotone_and_its_steps_are_limited(
     assert grading.steps(grading.value(steps)) == pytest.approx(steps, rel=1e-6, abs=1e-6)
     whole = grading.value(np.arange(-30, 31))
     assert np.all(np.diff(whole) > 0.0)
-    # The slope of the distance over the number of steps is nowhere larger than ``widest``.
+    # The distance never grows by more than ``widest`` per step. The factor cosh(step) is only a
+    # tolerance.
     assert np.all(np.diff(whole) <= grading.widest * math.cosh(step) * (1.0 + 1e-9))
 
 
