@@ -116,8 +116,8 @@ def test_a_tap_command_brings_the_tip_to_the_strike_pose_and_back(cell: Cell) ->
     tip = from_message(cell.last.tip_pose)
     assert tip.distance_to(STRIKE) < 0.0005 and abs(tip.rotation_to(STRIKE)) < 0.002
     assert cell.last.tip_pose.position.z == pytest.approx(0.006, abs=2e-4)
-    # Compute the arm's true pose from the emulator by forward kinematics, not from the node's
-    # messages.
+    # Compute the arm's true pose by forward kinematics from the emulator's joints, independently of
+    # the node's messages.
     configuration = load_cell()
     joints = cell.device.joints(cell.now())
     true = configuration.file.arm.geometry().forward(joints)

@@ -197,7 +197,7 @@ def test_every_object_is_brought_to_its_goal_and_reported(cell: Table) -> None:
         assert from_message(one.goal_pose).distance_to(goals[one.object_id]) < 1e-9
         assert one.residual_distance < 0.001
         assert cell.poses[one.object_id].distance_to(goals[one.object_id]) < 0.001
-    # Each tap names its object, starts at the object's pose, and is counted once.
+    # Each tap names its object and is counted once.
     assert {tap.object_id for tap in cell.taps} == set(goals)
     assert len(cell.taps) == result.taps == len(result.records)
     assert sum(one.taps for one in result.objects) == result.taps
@@ -317,7 +317,7 @@ def test_an_object_moved_by_hand_before_the_tap_cancels_the_tap(cell: Table) -> 
     one, other = cell.names[:2]
     cell.send({one: moved(cell.poses[one], 0.02, 0.0)})
     cell.wait(lambda: cell.states[-1].state == PlanState.LOOKING, "it looks")
-    # From now on, the arm does not react to commands until the other object has been moved.
+    # From now on, commands are only recorded; the simulated arm and tapper do not react to them.
     cell._on_command = lambda command: cell.taps.append(command)  # type: ignore[method-assign]
     cell.wait(lambda: cell.taps, "a tap is commanded")
     cell.poses[other] = moved(cell.poses[other], 0.01, 0.0)

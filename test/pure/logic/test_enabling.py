@@ -100,7 +100,7 @@ def test_a_moving_arm_stops_when_the_key_is_released(end: str) -> None:
     assert arm.error[0] == ErrorCode.ENABLING_RELEASED
     (stop,) = messages(made, "stop_state") or messages(made, "~/stop_state")
     assert stop.stopped and enabling.SOURCE in stop.sources
-    # Holding the button again does not restart the arm; a person must clear the stop first.
+    # Holding the key again does not restart the arm; a person must clear the stop first.
     made = arm.on_message(enabling.TOPIC, HELD, at(START + 1.0))
     assert not jobs(made) and arm.state is arms.State.STOPPED
 

@@ -87,7 +87,7 @@ def test_the_node_verifies_its_mounts_and_fires_the_named_tapper(ring: Ring) -> 
         ring.wait(lambda i=tap_id: ring.last.tap_id == i and ring.last.outcome, "an outcome")
         assert (ring.last.outcome, ring.last.tapper) == (TapperState.FIRED, name)
         assert ring.device.channel == channels[name]
-        # The tapper is at rest again only when the striker has returned.
+        # The state is SAFE again only when the striker has returned.
         assert ring.last.state == TapperState.FIRING
         assert ring.device.coils.next_event() is not None
         ring.wait_state(TapperState.SAFE)

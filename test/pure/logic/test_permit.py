@@ -100,8 +100,8 @@ class Pair:
         now = at(START)
         joints = Joints(*CELL.file.arm.park)
         here = Reading(True, joints, False, now.steady)
-        # The arm assumes that an earlier process of it may have promised to stand still. Start the
-        # arm 10 s earlier, so that such a promise has expired.
+        # When the arm node starts, it assumes that its previous process may have promised to stand
+        # still. Start the node 10 s earlier, so that such a promise has expired.
         early = at(START - 10.0)
         self.arm.on_lifecycle(Configured(CELL, here), early)
         self.tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), early)
@@ -166,7 +166,8 @@ def test_no_release_falls_into_a_motion_of_the_arm(
     if not jobs(made):
         return
     sampled = received + to_check
-    # The arm and the planner keep publishing, so only the permit can cause a refusal.
+    # The arm keeps publishing. The planner's state and the images are never sent, so their timeouts
+    # do not apply. Therefore, only the permit can cause a refusal.
     pair.arm_state.header.stamp = to_stamp(at(sampled).ros)
     pair.tapper.on_message("arm_state", pair.arm_state, at(sampled))
     release_by = sampled + (WINDOW_S + LONGEST_PULSE) * 1.01

@@ -133,12 +133,13 @@ def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
         lambda: cell.outcome(100) == TapperState.FIRED, "fired", lambda: cell.publish_arm(100)
     )
     assert cell.shots() == [100]
-    # The command arrives a second time while the arm is still in position. The node answers it, but
-    # fires nothing.
+    # The command arrives a second time while the arm is still in position. The node must not fire
+    # again.
     cell.command(100)
     cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == [100]
-    # The node refuses the command before it requests charging. The board would refuse it as well.
+    # The node refuses the repeated command without requesting charging, which the board would
+    # refuse as well. The outcome of the first command stays.
     assert cell.outcome(100) == TapperState.FIRED
     assert {s.state for s in cell.states[-5:]} == {TapperState.SAFE}
 
@@ -439,7 +440,7 @@ def test_deactivation_during_charging_discharges_the_striker() -> None:
     )
     cell.process.lifecycle(Deactivated())
     cell.wait(lambda: cell.outcome(100) == TapperState.NOT_FIRED, "not fired")
-    # The cause is neither a message timeout nor the time limit for charging.
+    # The error code is that of the deactivation, not of a message timeout or a slow charge.
     assert cell.last.error_code == ErrorCode.NOT_ACTIVE
     assert cell.device.state in DISCHARGED and cell.shots() == []
 

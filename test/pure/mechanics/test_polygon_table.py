@@ -86,7 +86,7 @@ def test_a_launch_beyond_the_tabulated_range_slides_into_it(body: Polygon) -> No
         true * scale, axis=1
     )
     assert error.max() < 1.5e-3
-    # The result is continuous at the limit of the table.
+    # The result is continuous at the limit of the tabulated range.
     edge = math.sqrt(LARGEST_SIZE * MU * G * rho) * np.array([[0.8, 0.0, 0.6 / rho]])
     below, above = (exact.tabulated().displace(edge * (1.0 + e)) for e in (-1e-9, 1e-9))
     assert above == pytest.approx(below, rel=1e-6)

@@ -125,7 +125,7 @@ def test_the_page_is_served_with_headers_that_allow_nothing_foreign(site: Site) 
         assert "frame-ancestors 'none'" in policy
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert "Tornado" not in headers["Server"]
-        # the page loads nothing from other servers and contains no inline scripts or styles
+        # the page loads nothing from other servers
         assert b"//cdn" not in body and b"https://" not in body
     assert b"onclick" not in site.get("")[2] and b"style=" not in site.get("")[2]
 
@@ -137,7 +137,7 @@ def test_every_colour_of_the_page_comes_from_the_palette(site: Site) -> None:
     used = set(re.findall(r"var\(--([a-z-]+)\)", style))
     declared = set(re.findall(r"--([a-z-]+):", palette.decode() + style.replace(": ", ":")))
     assert used <= declared
-    shades = {"#fff", "#000", "#000a", "#000b", "#000c"}  # on top of the camera image
+    shades = {"#fff", "#000", "#000a", "#000b", "#000c"}  # white, black and translucent black
     assert set(re.findall(r"#[0-9a-f]{3,8}\b", style)) <= shades
 
 

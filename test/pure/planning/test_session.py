@@ -349,7 +349,7 @@ def test_the_tap_after_an_unexplained_slide_is_short(planner, space, free, known
     usual = session.decide(pose)
     assert isinstance(usual, Strike)
     short = replace(usual, commanded=Pose(0.03, 0, 0), wanted=Pose(0.03, 0, 0))
-    session.observe(short, pose, (-0.06, 0.0, 0.0))  # three times as far as after any tap before
+    session.observe(short, pose, (-0.06, 0.0, 0.0))  # three times as far as commanded
     after = session.decide((-0.15, 0.0, 0.0))
     assert isinstance(after, Strike)
     assert math.hypot(after.wanted.x, after.wanted.y) < 0.5 * math.hypot(

@@ -96,7 +96,7 @@ def test_the_page_lists_each_object_and_each_reason(run: ArrangementRun) -> None
     shown = text.replace("\u00a0", " ")
     assert "-100.0 mm, 0.0 mm, 0.0 deg" in shown and "100.0 mm, 0.0 mm, 28.6 deg" in shown
     assert "<b> 2" not in text, "a name is text, not HTML"
-    # views before, between and after the moves, and one per move
+    # the table before, half-way through and after the moves, and one drawing per move
     assert len(re.findall("<svg", text)) == 3 + 3
     assert "http" not in text
 

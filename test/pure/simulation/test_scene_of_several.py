@@ -59,7 +59,7 @@ def test_two_objects_moving_side_by_side_are_both_rendered() -> None:
     both = renderer.render(close, close + step).astype(float)
     alone = [renderer.render(pose, pose + step).astype(float) for pose in close[:1]]
     rows, columns = np.nonzero(np.abs(both - alone[0]) > 20)
-    # Without the second object, only the image at its place differs.
+    # The images with and without the second object differ only where this object is.
     where = renderer.view.project(np.array([[0.105, 0.0]]), SQUARE.height)[0]
     assert abs(np.mean(columns) - where[0]) < 40 and abs(np.mean(rows) - where[1]) < 40
 
@@ -86,7 +86,7 @@ def test_an_object_placed_by_hand_is_found_again() -> None:
     moved[1] = [-0.2, -0.1, -2.0]
     found = []
     for frame in range(60):
-        # The object is measured only in its turn, as in the node.
+        # The square is measured only in every sixth frame, because in the node, objects take turns.
         due = [0] if frame % 6 == 0 else []
         _, others = tracker.update_several(renderer.render(moved), 1.2 + frame / 30, due)
         found += [one.pose for one in others.values() if one.visible]
@@ -141,7 +141,7 @@ def test_an_object_at_rest_is_reported_at_rest_however_rarely_it_is_measured(
     seen = [CELL.object.seen(), SQUARE.seen()]
     settings = TrackerSettings(other_ids=marker_ids(seen))
     tracker = PoseTracker(CELL.camera, CELL.references, seen[0], settings, seen[1:])
-    turns = RoundRobin(turn)  # only object 0 of these is on the table
+    turns = RoundRobin(turn)  # of these objects, only number 0 is on the table
     settled, since = [], set()
     for frame in range(round(12 + 4 * rate)):
         stamp = 1.0 + frame / rate

@@ -146,8 +146,7 @@ def test_sharp_images_made_by_brute_force_are_measured_without_bias(outline, pos
     d = fit.pose - pose
     # A pixel is 0.6 mm.
     assert np.all(np.abs(d) < [2e-5, 2e-5, 6e-4])
-    # Even without noise, the fitted size deviates slightly, because each pixel averages over its
-    # area.
+    # The fitted size is relative to that of the outline. Even without noise, it is not exactly 1.
     assert abs(fit.size - 1.0) < 5e-4 and fit.seen > 0.7
 
 

@@ -101,7 +101,7 @@ def test_another_pattern_or_half_of_it_is_not_accepted():
     covered = image.copy()
     covered[:, 82:] = 110
     assert fit_pattern(covered, corners, pattern) is None
-    # A dark strip as wide as the margin along one side.
+    # Cover the pattern's white margin along one side with a dark strip.
     covered = picture(pattern, corners, noise=0.0)
     outside = [np.rint(corners[1] + t * (corners[1] - corners[0]) / 8) for t in (0.1, 1.2)]
     along = corners[2] - corners[1]
