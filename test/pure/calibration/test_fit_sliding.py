@@ -105,7 +105,7 @@ def test_noise_of_the_velocities_does_not_bias_the_torque_factor():
     launches = random.uniform((0.2, 1.0), (0.4, 4.0), (400, 2))
     motions = [motion(v, w, sliding, (0.04, 0.15), random) for v, w in launches.tolist()]
     fit = fit_slides(motions, DISK.body(), 9.81)
-    # Standard errors with 400 taps: 0.4 % and 1.2 %.
+    # Standard errors with 400 taps: 0.4 % (friction) and 1.2 % (torque factor).
     assert fit.friction == pytest.approx(0.2, rel=0.016)
     assert fit.torque_factor == pytest.approx(2.0, rel=0.05)
 
@@ -121,7 +121,8 @@ def test_intervals_have_their_stated_coverage():
         estimate = seen.mean()
         width = spread((estimate - seen)[:, None], np.ones((40, 1, 1)), runs, seed, 400)
         covered += estimate + width.low[0] <= 4.0 <= estimate + width.high[0]
-    # Bounds of the count for a true coverage of 91 % and 98.5 %, each at four standard deviations.
+    # If the true coverage is 91 % to 98.5 %, the count is outside a bound with a probability of at
+    # most 1e-4 per bound.
     assert binom.ppf(1e-4, trials, 0.91) < covered < binom.ppf(1 - 1e-4, trials, 0.985)
 
 
