@@ -46,13 +46,13 @@ def test_states_match_the_mechanics_model(body, speed, ratio, factor, share):
     state, _ = curves.at(
         launch, np.array([time]), np.zeros(1, dtype=int), np.array([0.17]), math.log(factor)
     )
-    # The fit interpolates between two tabulated torque factors, so it is not exact.
+    # SlideCurves interpolates between two tabulated torque factors, so it is not exact.
     size = float(rest.distance) + body.support_radius * abs(float(rest.rotation))
     assert state.distance[0] == pytest.approx(float(exact.distance[0]), abs=1e-3 * size)
     turned = body.support_radius * (state.rotation[0] - float(exact.rotation[0]))
     assert abs(turned) < 1e-3 * size
-    # The slides with these two torque factors stop at slightly different times. Between these
-    # times, the interpolated speed is inaccurate.
+    # The slides with the two tabulated torque factors stop at slightly different times. Between
+    # these times, the interpolated speed is inaccurate.
     if abs(share - 1.0) > 0.02:
         assert state.speed[0] == pytest.approx(float(exact.speed[0]), abs=2e-3 * speed)
 
