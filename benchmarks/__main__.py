@@ -22,9 +22,9 @@ from types import ModuleType
 
 # A section is a module with ``measure() -> dict`` (printed by --json) and ``lines(report) ->
 # list[str]`` (the report as text). If a module defines ``DEFAULT_COUNT``, its ``measure(count)``
-# takes the number of experiments, scenes, frames or seconds. A module may define
-# ``partial_reports(count)`` in place of ``measure``. This function yields a report after each part,
-# so that --write stores the completed parts.
+# takes a number of goals, images, seconds or other items, depending on the module. A module may
+# define ``partial_reports(count)`` in place of ``measure``. ``partial_reports`` yields a report
+# after each part, so that --write stores the completed parts.
 SECTIONS = ("calibrate", "drivers", "emergency_stop", "mechanics", "vision")
 
 # Long sections, which run only if they are named.

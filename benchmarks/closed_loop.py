@@ -29,7 +29,7 @@ from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTrut
 TRUTHS = (
     (1.2, 0.8, 0.8, 1.2),
     (1.2, 1.2, 0.8, 0.8),
-    (0.8, 1.2, 1.15, 0.8),  # 1.2 times the configured restitution of 0.86 would exceed 1
+    (0.8, 1.2, 1.15, 0.8),  # 1.15, because 1.2 times the configured 0.86 would exceed 1
     (0.8, 0.8, 1.15, 1.2),
     (0.8, 1.2, 0.8, 1.2),
     (1.2, 0.8, 1.15, 0.8),

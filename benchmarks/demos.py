@@ -54,8 +54,8 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
         old = _demos(configured, configured.object, truth, count)
         fitted = replace(configured, object=_fitted(configured, truth, seed))
         new = _demos(fitted, configured.object, truth, count)
-        # `calibrate tapper` corrects the tapper's speed curve, so that the true speed equals the
-        # commanded speed.
+        # Simulate a cell after `calibrate tapper`, which corrects the tapper's speed curve, so that
+        # the true speed of the striker equals the commanded speed.
         nominal = replace(truth, impact=replace(truth.impact, striker_speed_factor=1.0))
         both = _demos(fitted, configured.object, nominal, count)
         saved = np.array(old) - np.array(new)

@@ -114,8 +114,8 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         cell.tapper.charge(shot, energy)
         cell.tapper.fire(shot, WINDOW, cell.allowed)
         to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
-        # The node makes this query while it waits for the end of firing. The duration of the query
-        # is therefore measured separately.
+        # The node reads the joints while it waits for the end of firing. Here they are read after
+        # firing, so the duration of the reading is not counted as a delay.
         reading = cell.clock.now
         here = cell.arm.read_joints()
         readings.append(cell.clock.now - reading)

@@ -50,7 +50,7 @@ class Computer:
     def __init__(self, name: str, address: str) -> None:
         self.name = name
         self.address = address
-        # The mount hides the shared memory of the other computers, as on a real network.
+        # Computers on a real network share no memory, so the mount hides the host's shared memory.
         script = "mount -t tmpfs shm /dev/shm && ip link set lo up && echo up && exec sleep inf"
         self._holder = subprocess.Popen(
             ["unshare", "--net", "--mount", "--uts", "sh", "-c", f"hostname {name} && {script}"],
@@ -73,8 +73,8 @@ class Computer:
         self, words: Sequence[str], environment: Mapping[str, str], **options: Any
     ) -> subprocess.Popen[str]:
         """Start a program on this computer; its nodes discover other nodes over the network."""
-        # Entering the namespaces changes the working directory. PYTHONPATH therefore contains the
-        # folder of the benchmarks.
+        # Entering the namespaces changes the working directory. Therefore, PYTHONPATH contains the
+        # folder from which the package `benchmarks` can be imported.
         path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
         own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "PYTHONPATH": path}
         return subprocess.Popen(

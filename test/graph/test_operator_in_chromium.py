@@ -195,8 +195,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 def test_an_idle_cell_is_shown_with_its_camera_image_and_nodes(page: Page) -> None:
     page.ready()
     names = ("sim_world", "camera_pose", "tap_planner", "scara_arm", "tapper_trigger")
-    # On a busy machine a node may warn that it cannot keep up. The page must show the node's own
-    # message.
+    # On a busy machine, a node may report a warning instead of "ok". The page must show the same
+    # message as the node's diagnostics.
     logged: dict[str, set[tuple[str, str]]] = {name: set() for name in names}
 
     def on_diagnostics(message: DiagnosticArray) -> None:
@@ -412,8 +412,8 @@ def test_a_lost_server_is_reported_and_reconnected_automatically(page: Page) -> 
     while page.mode() != "lost":
         assert time.monotonic() < end
         time.sleep(0.1)
-    # Buttons whose requests would not be received are disabled. STOP stays enabled: it has its own
-    # connection.
+    # Buttons whose requests would not be received are disabled. STOP has its own process and is
+    # checked every 2 s. The process ends with the server, so STOP is disabled a little later.
     for name in ("send", "cancel", "goal-x", "home-ghost"):
         assert not page.element(name).is_enabled(), name
     end = time.monotonic() + 90

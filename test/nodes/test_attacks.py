@@ -38,7 +38,7 @@ from tapping_cell.simulation.spring_drive import SpringMechanism
 from tapping_cell.simulation.tapper_emulator import TapperEmulator, TapperMachine
 from tapping_cell.simulation.truth import ArmTruth
 
-# a hundred messages per second would delay tests that run in parallel
+# These tests publish 100 messages per second, which would delay tests that run in parallel.
 pytestmark = pytest.mark.alone
 STRIKE = Pose(-0.08, 0.02, 0.3)
 RATE_HZ = 100.0

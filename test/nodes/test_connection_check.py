@@ -85,8 +85,9 @@ CASES: list[tuple[Callable[[Node], Any], str]] = [
         "nothing on /markers reaches the node /probe: the publisher has the type "
         "visualization_msgs/msg/MarkerArray, but the subscription has std_msgs/msg/String",
     ),
-    # No message is expected in the following cases. The planner has two subscriptions on each of
-    # the topics goal_pose and emergency_stop, and one of them is compatible.
+    # No message is expected in the following cases. The planner has several subscriptions on each
+    # of the topics goal_pose and emergency_stop, and at least one of them is compatible. A
+    # best-effort subscription to plan_state is compatible with the planner's reliable publisher.
     (lambda probe: probe.create_publisher(PoseStamped, "goal_pose", BEST_EFFORT), ""),
     (lambda probe: probe.create_publisher(PoseStamped, "goal_pose", RELIABLE), ""),
     (lambda probe: probe.create_publisher(Bool, "emergency_stop", RELIABLE), ""),

@@ -73,8 +73,8 @@ def test_a_goal_cancelled_in_the_terminal_makes_no_tap() -> None:
 
 def test_resending_a_goal_does_not_end_the_wait_for_it() -> None:
     with acted(), client_of_a_cell() as client:
-        # session.send itself sends a second request like this one if the response to the first is
-        # late.
+        # The goal is sent twice: here and by session.send. In operation, session.send itself sends
+        # a goal again if the response to it is late.
         client.send(GOAL)
         session.send(client, GOAL, (0.0, 0.0), Console(quiet=True))
         finished = session.follow(client, lambda: None, Console(quiet=True))

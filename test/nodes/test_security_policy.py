@@ -29,7 +29,8 @@ SENT = ("feedback", "status")
 DISCOVERY_S = 60.0
 
 OPENED_LATER: dict[str, dict[str, set[str]]] = {
-    # Opened only with image_transport:=compressed, or in a cell with an arm.
+    # The first is opened only with image_transport:=compressed, the others only when the node is
+    # configured to search for unknown objects in a cell with an arm.
     "camera_pose": {"subscribe": {"/camera/image_raw/compressed", "/arm_state", "/joint_states"}},
     # Opened only while a browser shows the page.
     "operator_page": {

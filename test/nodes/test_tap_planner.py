@@ -174,8 +174,8 @@ def actors() -> Iterator[Actors]:
 
 
 def test_a_planner_that_has_ended_serves_nothing() -> None:
-    # If services of a planner stayed visible after its end, new clients would wait for its action
-    # server.
+    # If services of a planner stayed visible after its end, new clients would wait for this
+    # planner's action server.
     context = Context()
     rclpy.init(context=context)
     watcher = Node("watcher", context=context)

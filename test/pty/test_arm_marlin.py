@@ -115,7 +115,8 @@ def test_stop_is_unnumbered_and_acts_at_once(plug: Plug, parser: bool) -> None:
     here = cell.truth()
     assert here.shoulder < 1.4
     time.sleep(0.2)
-    # M112 switches the motors off, so the quill sinks.
+    # Without the emergency parser, the stop is M112, which switches the motors off, so that the
+    # quill sinks. M410 keeps them on.
     assert cell.truth()[:2] == here[:2] and (cell.truth() == here) is parser
     # Without the emergency parser the firmware stays halted until the port's DTR signal resets the
     # board.

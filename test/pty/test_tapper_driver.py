@@ -234,7 +234,8 @@ def test_a_fire_command_delayed_after_the_last_check_does_not_fire(
     took = time.monotonic() - began
     assert result.outcome is FireOutcome.NOT_FIRED and result.released_by is None
     assert cell.shots() == []
-    # On a busy machine the delay can reach the 0.5 s after which the board discharges.
+    # The board discharges after 0.5 s without a frame. On a busy machine, a short delay can take
+    # that long, and then the reason for not firing is not checked.
     if held_up > 0.5 or took < 0.45:
         assert ("after its deadline" in result.sentence) == (held_up < 0.5)
         assert driver.counters.late == (held_up < 0.5)
@@ -378,7 +379,7 @@ def test_set_up_mode_limits_the_energy_unless_the_switch_is_held(
     assert caught.value.reason is FaultReason.NOT_ENABLED
     driver.charge(1, 0.005)
     assert fire(driver, 1).outcome is FireOutcome.FIRED
-    # The driver sets the mode again in a new session, because the board does not keep it.
+    # The board starts every session in set-up mode, and the driver then sets its own last mode.
     driver.close()
     assert driver.connect().mode is Mode.SETUP
     with cell.port.lock:
@@ -470,7 +471,7 @@ def test_another_session_takes_over(plug: Callable[..., PseudoTerminal]) -> None
     driver = cell.connected()
     driver.charge(5, 0.01)
     with cell.port.lock:
-        # The expected checksum is computed independently: binascii.crc_hqx(b"77,0,HELLO", 0xFFFF).
+        # Another program opens session 77. The frame is built without tapper_protocol.
         check = binascii.crc_hqx(b"77,0,HELLO", 0xFFFF)
         cell.emulator.receive(b"@77,0,HELLO*%04X\n" % check, time.monotonic())
     with pytest.raises(HardwareFault, match="another session") as caught:

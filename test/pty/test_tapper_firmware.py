@@ -182,7 +182,7 @@ class BoardPair:
                 self.library.host_enabling(held)
                 self.emulator.set_enabling_switch(bool(held), now)
             case ("motor" | "switch" | "lose", _) if self.emulator.drive.status is Status.MOVING:
-                pass  # skipped: both detect a failure during a motion, but not at the same step
+                pass  # firmware and emulator both detect a failure in motion, but at other steps
             case ("motor", powered):
                 self.library.host_motor(powered)
                 self.emulator.drive.set_power(bool(powered), now)
@@ -518,7 +518,7 @@ def test_the_real_firmware_keeps_shot_numbers_until_an_operator_resets_them(boar
     with fault(FaultReason.SHOT_SPENT):
         second.charge(8, 0.002)
     press_clear(board, 5.2)
-    board.rest(1.5)  # time to write 320 bytes of EEPROM
+    board.rest(1.5)  # time to clear the shot numbers, which are 320 bytes of EEPROM
     with fault(FaultReason.BOARD_RESET):
         second.status()
     assert second.connect().boot == first + 2

@@ -71,7 +71,7 @@ def test_inconsistent_views_are_named_with_their_reason() -> None:
 
 def test_a_lens_that_needs_it_gets_the_rational_model() -> None:
     random = np.random.default_rng(5)
-    # Coefficients of an equidistant lens: its arc tangent is approximated with the quotient
+    # Coefficients of an equidistant lens, whose factor atan(r) / r is approximated by the quotient
     # (15 + 4 r^2) / (15 + 9 r^2).
     lens = (4 / 15, 0.0, 0.0, 0.0, 0.0, 0.6, 0.0, 0.0)
     wide = CameraModel(1280, 960, 750.0, 750.0, 640.0, 480.0, lens, "rational_polynomial")

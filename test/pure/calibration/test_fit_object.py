@@ -46,6 +46,7 @@ def test_the_simulated_parameters_are_recovered(records, fit):
     assert friction.fitted
     assert friction.value == pytest.approx(true["contact_friction"], rel=0.15)
     # From 32 taps, the scatter is known to within a quarter of its value (two standard deviations).
+    # True values: 0.05 and 0.15.
     assert 0.03 < fit.estimate("scatter_speed").value < 0.075
     assert 0.09 < fit.estimate("scatter_spin").value < 0.23
 
@@ -133,7 +134,8 @@ def test_small_incidences_do_not_determine_the_contact_friction(tmp_path):
     assert "contact friction" in output
     advised = [s for s in fit.sentences if "the uncertainty of the contact friction" in s]
     assert len(advised) == 1
-    # Contacts of this disk slide at incidences above atan(0.24 / 0.36) = 33 degrees.
+    # With the assumed contact friction of 0.20 and the restitution of 0.75, the contact slides
+    # during the whole impact at incidences above 29 degrees.
     assert float(advised[0].split("incidence of ")[1].split()[0]) >= 30
 
 

@@ -46,13 +46,13 @@ def test_states_match_the_mechanics_model(body, speed, ratio, factor, share):
     state, _ = curves.at(
         launch, np.array([time]), np.zeros(1, dtype=int), np.array([0.17]), math.log(factor)
     )
-    # The fit interpolates between two tabulated torque factors, so it is not exact.
+    # SlideCurves interpolates between two tabulated torque factors, so it is not exact.
     size = float(rest.distance) + body.support_radius * abs(float(rest.rotation))
     assert state.distance[0] == pytest.approx(float(exact.distance[0]), abs=1e-3 * size)
     turned = body.support_radius * (state.rotation[0] - float(exact.rotation[0]))
     assert abs(turned) < 1e-3 * size
-    # The slides with these two torque factors stop at slightly different times. Between these
-    # times, the interpolated speed is inaccurate.
+    # The slides with the two tabulated torque factors stop at slightly different times. Between
+    # these times, the interpolated speed is inaccurate.
     if abs(share - 1.0) > 0.02:
         assert state.speed[0] == pytest.approx(float(exact.speed[0]), abs=2e-3 * speed)
 
@@ -105,7 +105,7 @@ def test_noise_of_the_velocities_does_not_bias_the_torque_factor():
     launches = random.uniform((0.2, 1.0), (0.4, 4.0), (400, 2))
     motions = [motion(v, w, sliding, (0.04, 0.15), random) for v, w in launches.tolist()]
     fit = fit_slides(motions, DISK.body(), 9.81)
-    # Standard errors with 400 taps: 0.4 % and 1.2 %.
+    # Standard errors with 400 taps: 0.4 % (friction) and 1.2 % (torque factor).
     assert fit.friction == pytest.approx(0.2, rel=0.016)
     assert fit.torque_factor == pytest.approx(2.0, rel=0.05)
 
@@ -121,7 +121,8 @@ def test_intervals_have_their_stated_coverage():
         estimate = seen.mean()
         width = spread((estimate - seen)[:, None], np.ones((40, 1, 1)), runs, seed, 400)
         covered += estimate + width.low[0] <= 4.0 <= estimate + width.high[0]
-    # Bounds of the count for a true coverage of 91 % and 98.5 %, each at four standard deviations.
+    # If the true coverage is 91 % to 98.5 %, the count is outside a bound with a probability of at
+    # most 1e-4 per bound.
     assert binom.ppf(1e-4, trials, 0.91) < covered < binom.ppf(1 - 1e-4, trials, 0.985)
 
 

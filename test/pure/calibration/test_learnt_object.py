@@ -47,8 +47,8 @@ def learnt(seed: int, count: int = 16, bumps: int = 0) -> tuple[LearntObject, fl
     tap = replace(content.tap(STRIKER), smallest_distance=0.0)
     asked = np.empty((0, 3))
     while len(asked) < count:
-        # Use a single call for many taps, because each call integrates the slides of a polygon
-        # again.
+        # Check 64 taps in one call of ``reachable``, because each call integrates the slides of a
+        # polygon again.
         distance, heading = random.uniform(0.004, 0.03, 64), random.uniform(-3, 3, 64)
         turn = random.uniform(-0.9, 0.9, 64) * tap.cone_slope * distance
         some = np.column_stack([distance * np.cos(heading), distance * np.sin(heading), turn])

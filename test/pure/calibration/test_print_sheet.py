@@ -91,8 +91,8 @@ def test_reference_markers_are_at_the_positions_of_the_table_file(
     corners = references.corners()
     for row, marker in enumerate(references.markers):
         edges = refine(image, found[marker.id].corners[None], 8)
-        # Convert dots to the page's frame: origin in the middle, y upwards, corners at integer
-        # dots.
+        # Convert dots (centres of dots at integers) to metres in the page's frame (origin in the
+        # middle of the page, y upwards).
         seen = (edges.corners[0] + 0.5 - np.array([1485.0, 1050.0])) * [1e-4, -1e-4]
         assert np.abs(seen - corners[row]).max() < 5e-5
 

@@ -32,8 +32,8 @@ def changed(taps: TapRecord, distances: np.ndarray) -> TapRecord:
 def test_the_travel_without_rotation_matches_the_textbook_formula() -> None:
     energies = np.geomspace(1e-3, 5e-2, 12)
     speeds = np.sqrt(2 * energies / 0.1)
-    # Central impact of two free bodies: v0 = (1 + e) m_s / (m + m_s) v. Then the object slides with
-    # Coulomb friction.
+    # Central impact of two free bodies: v0 = (1 + e) m_s / (m + m_s) v, with the striker's mass
+    # m_s = 0.1 kg and speed v. Then the object slides with Coulomb friction.
     ratio = (1 + CELL.object.restitution) * 0.1 / (0.1 + CELL.object.mass)
     travel = (ratio * speeds) ** 2 / (2 * CELL.object.friction * 9.81)
     zero = np.zeros(12)

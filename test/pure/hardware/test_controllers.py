@@ -310,7 +310,7 @@ def test_a_controller_that_connects_in_a_locked_state_can_be_cleared(state: str)
     with pytest.raises(HardwareFault, match=words) as caught:
         driver.connect(2.0)
     assert caught.value.reason is FaultReason.REJECTED
-    # A person who clears resets the controller, which ends the state.
+    # Clearing by a person resets the controller, which ends the feed hold or the sleep.
     driver.clear_fault()
     assert driver.connected and not driver.homed
     driver.home(HomingStrategy.FIRMWARE)

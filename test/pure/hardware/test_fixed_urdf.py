@@ -32,6 +32,7 @@ def test_every_tapper_has_a_mount_and_a_striker_that_travels_along_its_line() ->
         assert limit is not None
         assert float(limit.attrib["upper"]) == cell.tapper_of(entry).stroke
         assert float(limit.attrib["lower"]) == 0.0
-        # The origin of the striker's frame is the tip; the line points into the working area.
+        # The mount's origin is the striker's resting tip, which is outside the circular working
+        # area.
         area = cell.fixed_tappers.working_area
         assert math.hypot(x - area[0], y - area[1]) > area[2]

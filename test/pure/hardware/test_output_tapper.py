@@ -270,7 +270,8 @@ def test_no_failure_causes_a_second_shot_or_a_false_report(
             assert not new, "told as not fired, but it was"
         for _, off in new:
             if off > promised[0]:
-                # The output stayed on longer than the driver had stated. Nothing may be fired until
-                # the output is proven off, unless there is neither a read-back nor an answer.
+                # The output stayed on longer than the driver had stated. The driver must notice
+                # this and disconnect, so that nothing is fired until the output is proven off. It
+                # can notice this only by a read-back or by an answer of the service.
                 blind = interface != "service" and not reads_back
                 assert blind or not cell.driver.connected or fault in ("lost_answers", "gone")
