@@ -386,8 +386,8 @@ MUTANTS: tuple[Mutant, ...] = (
     Mutant(
         "waits for the arm without a limit",
         "tapping_cell.logic.planner",
-        "        elif self._late(now):\n            self._fail(code, sentence",
-        "        elif False:\n            self._fail(code, sentence",
+        "        elif self._late(now):\n            device =",
+        "        elif False:\n            device =",
         kinds=("unreported trajectory",),
     ),
     Mutant(

@@ -39,7 +39,7 @@ def test_the_opposite_sense_of_rotation_is_the_mirror_image(capsys):
 def test_sensitivity_prints_readable_text_and_figures(capsys, tmp_path):
     assert main(["sensitivity", "--figures", str(tmp_path / "new")]) == 0
     out, err = capsys.readouterr()
-    assert "norm 0.24" in out and "degrees/mm" in out
+    assert "norm of the Jacobian 0.24" in out and "degrees/mm" in out
     assert err.count("wrote") == 2
     assert {f.name for f in (tmp_path / "new").iterdir()} == {
         "mechanics_cone.png",
