@@ -88,8 +88,9 @@ def _shape(shape: str, count: int) -> dict[str, Any]:
 
 def trial(shape: str, seed: int) -> dict[str, Any]:
     """Run one experiment and return, for each parameter, its relative error, the relative half
-    width of its interval, and whether the interval contains the true value. Every fourth experiment
-    also returns the errors of predicted taps."""
+    width of its interval, and whether the interval contains the true value. If ``seed`` is a
+    multiple of 4, also return the errors with which the fit predicts the taps of a new experiment.
+    """
     content, truth, true = draw(shape, seed)
     experiment = _experiment(content, truth, 2 * seed)
     began = time.process_time()

@@ -104,7 +104,7 @@ def _pictures(case: Case, path: Path) -> list[Image]:
     renderer = make_renderer(cell, CameraTruth(), cell.outline(), 1)
     made = []
     for number in range(PICTURES):
-        # The object moves along a circle in two seconds, with a speed of 0.3 m/s. The motion blur
+        # The object moves once around a circle in two seconds, at 0.3 m/s. The motion blur
         # lasts a fifth of the frame period.
         turns = np.array([number, number + 0.2]) / PICTURES if case.moving else np.full(2, 0.1)
         start, end = (

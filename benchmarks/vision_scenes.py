@@ -103,7 +103,8 @@ def error_of(observation: Observation, true: np.ndarray) -> np.ndarray:
 
 @dataclass(slots=True)
 class Score:
-    """Errors and normalised errors of many observations."""
+    """Errors and squared normalised errors (squared Mahalanobis distances) of many observations,
+    and the number of missed ones."""
 
     errors: list[np.ndarray]
     normalised: list[float]

@@ -125,8 +125,8 @@ def travel_direction(place: Pose, number: int) -> float:
 
 
 def contact_of(tap: Tap, start: Pose, tip: Pose, striker_speed: float) -> tuple[float, float]:
-    """Compute the incidence and the contact angle (rad) of a strike that starts at the tip pose
-    ``tip``; both are NaN if the strike misses."""
+    """Compute the incidence and the contact angle (rad) of a strike on an object at ``start``. The
+    tip is at ``tip`` when the strike begins. Both angles are NaN if the strike misses."""
     hit = tap.strike(start, tip, striker_speed)
     if bool(hit.missed):
         return math.nan, math.nan

@@ -90,8 +90,8 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
     given = [name for name, is_set in without_meaning.items() if is_set]
     if given:
         raise PlanningError(
-            f"{', '.join(given)}: not supported for a cell with fixed tappers; leave it out, "
-            "or give a cell file with an arm"
+            f"a cell with fixed tappers does not support {', '.join(given)}: remove what is named "
+            "here, or give a cell file with an arm"
         )
     rows = []
     for angle in arguments.start_angles:

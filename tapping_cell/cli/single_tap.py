@@ -293,7 +293,8 @@ def _measure(
 def _graph(
     arguments: argparse.Namespace, cell: Cell, logs: Path, seed: int, console: Console
 ) -> Iterator[Callable[[], None]]:
-    """Start or attach to the graph. Yield a function that raises an exception if a node died."""
+    """Start the graph or attach to a running one. Yield a function that raises an exception if a
+    node died."""
     parameters = node_parameters(argparse.Namespace(**{**vars(arguments), "seed": seed}), cell)
     parameters["sim_world"] |= {
         "frame_rate": arguments.camera_rate,

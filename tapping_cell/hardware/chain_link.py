@@ -283,9 +283,9 @@ class ChainLink:
         if not found:
             return near, problem or (
                 f"the striker is at x {tip[0] * 1e3:.0f} mm, y {tip[1] * 1e3:.0f} mm from "
-                "arm_base, out of reach of the SCARA in the cell file: move it there with "
-                "the arm's own panel, or correct arm.upper_arm, arm.forearm and "
-                "arm.ros2_control.chain"
+                "arm_base, where the SCARA of the cell file cannot reach: with the arm's own "
+                "panel, move the striker to a place that this SCARA can reach, or correct "
+                "arm.upper_arm, arm.forearm and arm.ros2_control.chain"
             )
         return min(found, key=lambda place: float(np.sum(np.abs(place - near)))), problem
 

@@ -206,9 +206,9 @@ class OutputTapperDriver:
         """Switch the output on once, for the pulse of ``shot``.
 
         ``window`` is ignored; it applies only to boards that have a clock. ``still_allowed``
-        is called with the latest time, on the steady clock, at which the output is off again. This
-        time assumes that every switching of the output takes effect within ``latency``. The call
-        returns UNKNOWN only after this time.
+        is called with the time, on the steady clock, by which the output is off again at the
+        latest. This time assumes that every switching of the output takes effect within
+        ``latency``. The call returns UNKNOWN only after this time.
         """
         self._require()
         self._refuse_spent(shot)

@@ -164,7 +164,9 @@ class SerialChain:
         if stopped:
             return f"{where}: these joints would exceed their limits: {', '.join(stopped)}"
         left = float(np.linalg.norm(goal[:3, 3] - self.forward(nearest)[:3, 3]))
-        return f"{where}: the nearest pose found is {left * 1e3:.0f} mm away"
+        return (
+            f"{where}: in the nearest pose found, the striker is {left * 1e3:.0f} mm away from it"
+        )
 
 
 def pose_matrix(pose: ArrayLike) -> Array:

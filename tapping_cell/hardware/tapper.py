@@ -229,7 +229,8 @@ class TapperDriver:
         """Send HELLO until the board answers; return its reply."""
         self._buffer = b""
         self._begin_exchange()
-        # The session number is random, so that a stray frame of an old session cannot match it.
+        # The session number is random, so that a stray frame of an old session is very unlikely to
+        # match it.
         self._session = self._draw_number(0xFFFF) + 1
         while True:
             self._sequence = (self._sequence + 1) & 0xFFFF
@@ -498,7 +499,7 @@ class TapperDriver:
             )
 
     def wait_for_return(self, go_on: Callable[[], bool] = lambda: True) -> Reply:
-        """Wait until the board is at rest after a release and return its reply.
+        """After a release, wait until the board is at rest. Return its last reply.
 
         The state is SAFE when the striker is back, or UNHOMED when the board has stopped waiting
         for the striker. Any other state means that ``go_on`` returned False or the wait timed out.

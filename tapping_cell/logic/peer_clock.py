@@ -46,7 +46,8 @@ class PeerClock:
         return to_seconds(stamp) + self._delays[0][1]
 
     def age(self, stamp: Time, now: Now) -> float:
-        """Return the age of a message in s, at least 0 for a message that was received."""
+        """Return the age of a message in s. It is not negative if ``receive`` was called with its
+        stamp on arrival."""
         return now.steady - self.to_steady(stamp, now)
 
     def skew(self, now: Now) -> float:

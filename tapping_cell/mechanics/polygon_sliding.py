@@ -72,7 +72,8 @@ class PolygonSlide:
         self._points, self._weights = _quadrature(polygon)
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
-        """Compute the end of launches, with the drift to the left of ``direction``."""
+        """Compute where and when slides with these launch velocities end, with the drift to the
+        left of ``direction``."""
         v, w, a = _broadcast(("speed", speed), ("spin", spin), ("direction", direction))
         moved, duration = self._slide(_twists(v.ravel(), w.ravel(), a.ravel()))
         along, left = _turned(moved, -a.ravel())

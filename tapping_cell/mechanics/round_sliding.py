@@ -31,7 +31,8 @@ class RoundSlide:
         self._radius = radius
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
-        """Compute the end of launches; the direction does not matter."""
+        """Compute where and when slides with these launch velocities end. ``direction`` is ignored,
+        because the friction is isotropic."""
         del direction
         if isinstance(speed, (float, int)) and isinstance(spin, (float, int)):
             v, w = float(speed), float(spin)

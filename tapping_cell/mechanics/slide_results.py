@@ -54,7 +54,7 @@ class SlideModel(Protocol):
     """
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike) -> Rest:
-        """Compute the end of a launch."""
+        """Compute where and when the slide with these launch velocities ends."""
 
     def launch(self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike) -> Launch:
         """Compute the launch that ends after this displacement."""

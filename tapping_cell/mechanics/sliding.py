@@ -104,7 +104,8 @@ class Sliding:
         return fast
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
-        """Compute the end of a launch with ``speed`` in m/s and ``spin`` in rad/s, of either sign.
+        """Compute where and when a slide ends that is launched with ``speed`` in m/s and ``spin``
+        in rad/s, of either sign.
 
         Arguments broadcast; scalars give floats. ``direction`` (rad) is that of the launch in the
         body's frame. It matters only for polygons, whose result also drifts sideways (``lateral``).

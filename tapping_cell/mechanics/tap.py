@@ -376,7 +376,9 @@ class Tap:
 def _poses(name: str, values: ArrayLike) -> Array:
     array = finite(name, values)
     if array.ndim == 0 or array.shape[-1] != 3:
-        raise InvalidParameterError(f"{name} has shape {array.shape}; the last axis must be 3.")
+        raise InvalidParameterError(
+            f"{name} has shape {array.shape}; the last axis must have length 3."
+        )
     return array
 
 

@@ -1,4 +1,5 @@
-"""Exceptions of planning. A refused goal or tap raises no exception; it returns a ``Refusal``."""
+"""Exceptions of planning. If a goal or a tap is refused, no exception is raised; the result is a
+``Refusal``."""
 
 from __future__ import annotations
 

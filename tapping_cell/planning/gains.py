@@ -275,8 +275,8 @@ class Gains:
         )
 
     def spread(self, commanded: ArrayLike, scatter: Scatter, deviations: float) -> Spread:
-        """Return bounds of the deviation of true displacements from ``predict``, for commands (...,
-        3).
+        """Return, for each command (..., 3), bounds of the true displacement relative to the
+        displacement that ``predict`` returns.
 
         The bounds include the scatter, the uncertainty of the gains and a possible change of the
         object at the last tap. ``deviations``: size of the bounds, as the number of standard

@@ -145,8 +145,9 @@ class PrescribedSession:
         off = np.abs(wrap_angle(np.arctan2(moved[:, 1], moved[:, 0]) - wanted))
         order = np.argsort(off, kind="stable")
         order = order[(off <= self.prescription.slack + 1e-9)[order]]
-        # Before the first measured tap, the scatter of the strike space is used, which should
-        # include ``MODEL_DEVIATION``. Afterwards, the spread of the learnt gains is used.
+        # Before the first measured tap, the slide checks use the scatter of the strike space; the
+        # caller must pass a space whose scatter includes ``MODEL_DEVIATION``. Afterwards, they use
+        # the spread of the learnt gains.
         spread = None
         if float(self.gains.taken + self.gains.outliers) > 0:
             spread = self.gains.spread(

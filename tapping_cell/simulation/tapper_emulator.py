@@ -237,7 +237,8 @@ class TapperEmulator:
             due = self._next_internal()
             if due is None or due > now:
                 # Some changes of the drive's status are not events, for example the end of a
-                # coil-driven striker's motion, so take the status here.
+                # coil-driven striker's motion. Therefore update the state from the drive's status
+                # here.
                 if self._state == "SAFE" or (self.machine.coils and self._state in SETTLING):
                     self._settle(SETTLING[self._state], self._state)
                 return

@@ -989,8 +989,8 @@ class Trial:
             and message.request == TapCommand.TAP
         ):
             if self._taken.get(message.tap_id) != message.header.stamp:
-                # A tap with this id may already be recorded as ended. That was another command with
-                # the same id, which was refused; the tap of this command has not ended.
+                # A tap with this id may already be recorded as ended, namely another command with
+                # the same id that was refused. The tap of this command has not ended.
                 self.checker.ended_taps.pop(message.tap_id, None)
             self._taken[message.tap_id] = message.header.stamp
             self.checker.planner_waits = False

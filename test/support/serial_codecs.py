@@ -68,8 +68,8 @@ def _incoming(decode: Callable[[bytes], object], longest: int, data: bytes) -> N
     cut = data.rfind(b"\n", 0, len(data) // 2 + 1) + 1
     first, held = _decode_all(decode, data[:cut])
     second, _ = _decode_all(decode, held + data[cut:])
-    # Noise between the valid frames may be decoded to other invalid frames than without the split,
-    # but the valid frames must be the same.
+    # Splitting the input may change the invalid frames that are decoded from noise, but not the
+    # valid frames.
     if [f for f in first + second if not _is_bad(f)] != [f for f in whole if not _is_bad(f)]:
         raise Broken(f"{data!r} is decoded differently in two parts")
 

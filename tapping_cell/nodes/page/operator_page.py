@@ -481,7 +481,7 @@ class OperatorPage(CellNode[Parameters]):
         elif isinstance(request, Confirm):
             self._do(self._confirm, request, who, answer)
         elif isinstance(request, SetAsk):
-            text = f"asking before every tap is {'on' if request.ask else 'off'}"
+            text = f"'Ask before every tap' is {'on' if request.ask else 'off'}"
             self._do(self._set_parameter, "ask", request.ask, text, who, answer)
         elif isinstance(request, SetPlanner):
             text = f"planning method {request.planner} from the next goal on"

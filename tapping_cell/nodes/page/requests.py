@@ -62,7 +62,8 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Query the position in the image of the ghost at this pose on the table."""
+    """Query how the ghost (the outline of the object at its goal) at this pose on the table is
+    drawn in the image."""
 
     number: int
     pose: Pose

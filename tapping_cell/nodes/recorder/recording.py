@@ -100,8 +100,9 @@ def check_disk_space(folder: Path, least_free: float) -> None:
     free = shutil.disk_usage(folder).free
     if free < least_free:
         raise CannotRecord(
-            f"the disk of {folder} has {free / MEGABYTE:.0f} MB free, and least_free is "
-            f"{least_free / MEGABYTE:.0f} MB: move old runs to another disk"
+            f"the disk of {folder} has only {free / MEGABYTE:.0f} MB free, but "
+            f"{least_free / MEGABYTE:.0f} MB are needed: move old runs to another disk, or reduce "
+            "the parameter least_free"
         )
 
 

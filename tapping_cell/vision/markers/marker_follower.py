@@ -170,7 +170,8 @@ class MarkerFollower(ObjectFollower):
         if others:
             return (
                 Problem.WRONG_MARKER,
-                f"the object's marker {self.marker.id} is not seen but marker "
-                f"{', '.join(map(str, others))} is; check the object file",
+                f"the object's marker {self.marker.id} is not seen, but unexpected markers are "
+                f"seen ({', '.join(map(str, others))}); compare the marker's id with the object "
+                "file",
             )
         return None

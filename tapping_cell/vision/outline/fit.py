@@ -98,9 +98,9 @@ class OutlineFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """Constants of a fit. ``pixel`` is the size of a pixel in m at the top, ``step`` (2,) the
-    motion between frames in pixels, which causes motion blur, and ``with_dot`` states whether the
-    dot is fitted."""
+    """Constants of a fit. ``pixel`` is the size of a pixel in m at the height of the object's top,
+    ``step`` (2,) the object's motion since the last frame in pixels, which causes motion blur, and
+    ``with_dot`` states whether the dot is fitted."""
 
     outline: ObjectOutline
     pixel: float

@@ -33,7 +33,7 @@ def test_an_existing_file_is_neither_overwritten_nor_mixed(tmp_path: Path) -> No
         GrowingCsv(path, HEADER, resume=False)
     with pytest.raises(RecordError, match="another name"):
         GrowingCsv(path, ("energy", "travel"), resume=True)
-    # An incomplete last line is terminated before a new row is added.
+    # If the last line has no newline, one is added before the new row.
     GrowingCsv(path, HEADER, resume=True).append((0.3, 0.4))
     assert len(read_csv(path, COLUMNS).rows) == 2
     with pytest.raises(ValueError, match="2 columns"):

@@ -1,4 +1,5 @@
-"""The emulated Marlin answers incorrect lines as real firmware does (measured)."""
+"""The emulated Marlin behaves as real firmware does. The expected answers to incorrect lines were
+measured on real firmware."""
 
 from __future__ import annotations
 
