@@ -134,7 +134,7 @@ def test_a_blocked_write_ends_at_its_deadline(terminal: RawTerminal) -> None:
     transport = SerialTransport(str(terminal.link))
     transport.open(1)
     before = time.monotonic()
-    with pytest.raises(HardwareFault, match="accepted no byte for 0.2 s") as caught:
+    with pytest.raises(HardwareFault, match="accepted no data for 0.2 s") as caught:
         transport.write(bytes(1_000_000), timeout=0.2)
     assert caught.value.reason is FaultReason.TIMEOUT
     assert 0.19 < time.monotonic() - before < 20
