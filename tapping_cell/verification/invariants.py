@@ -110,8 +110,8 @@ class InvariantChecker:
     """Time since which the panel's emergency stop has been held."""
     planner_gone_since: float = math.inf
     """Time since which the planner's process has not existed."""
-    promises: dict[int, float] = field(default_factory=dict)
-    """End of the arm's promise to stand still, by tap id."""
+    promises: dict[tuple[int, int], float] = field(default_factory=dict)
+    """End of each of the arm's promises to stand still, by the tap id and key of the request."""
     keys_of_tapper: set[int] = field(default_factory=set)
     """Keys that the tapper has drawn. Only a request with one of them can end the arm's promise
     early."""
@@ -284,7 +284,12 @@ class InvariantChecker:
             )
 
     def _check_permit(self, release: Release) -> None:
-        end = self.promises.get(release.shot, -math.inf)
+        ends = [
+            end
+            for (tap_id, key), end in self.promises.items()
+            if tap_id == release.shot and key in self.keys_of_tapper
+        ]
+        end = max(ends, default=-math.inf)
         if self._struck_until + PULSE_S > end:
             self.violate(
                 "outside the permit",
@@ -412,7 +417,7 @@ class InvariantChecker:
                     " can have completed its stroke",
                 )
             self._check_striker()
-            for tap_id, end in self.promises.items():
+            for (tap_id, _), end in self.promises.items():
                 if now < end - ROUNDING_S:
                     self.violate(
                         "broken promise",
@@ -492,10 +497,11 @@ class InvariantChecker:
             return
         if isinstance(response, HoldStill.Response) and response.granted:
             end = self.scheduler.now + request.duration
-            before = self.promises.get(request.tap_id, -math.inf)
+            promise = request.tap_id, request.key
+            before = self.promises.get(promise, -math.inf)
             if end <= before or request.duration <= 0:
                 if request.key in self.keys_of_tapper:
-                    self.promises[request.tap_id] = min(end, before)
+                    self.promises[promise] = min(end, before)
                 return
             if self._arm != (ArmState.IN_POSITION, request.tap_id):
                 self.violate(
@@ -503,7 +509,7 @@ class InvariantChecker:
                     f"the arm promised to stand still for tap {request.tap_id} while it was in"
                     f" state {_ARM_STATES.get(self._arm[0], self._arm[0])} for tap {self._arm[1]}",
                 )
-            self.promises[request.tap_id] = end
+            self.promises[promise] = end
 
     def on_asked(self, process: str, job: str, answer: object | None) -> None:
         """Process the answer that a state machine gives to its running job."""
