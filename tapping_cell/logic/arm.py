@@ -504,9 +504,9 @@ class ArmLogic(DeviceLogic[State, Event]):
         return key > 0 and self._key_digests == {permit.key_digest(key)}
 
     def _on_tapper_state(self, message: TapperState, now: Now) -> None:
-        if message.tap_id == self._last_tap_id and message.key_digest:
-            self._key_digests.add(message.key_digest)
         ours = message.tap_id == self._last_tap_id
+        if ours and message.key_digest:
+            self._key_digests.add(message.key_digest)
         released = message.tap_id == self._released_tap and len(self._key_digests) == 1
         if ours and not released and message.state in CHARGED:
             # Reports that the striker is charged only make the arm wait longer, so they are used.

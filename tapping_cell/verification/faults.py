@@ -306,10 +306,7 @@ def _foreign_outcome(rng: np.random.Generator, trial: FaultTarget) -> Made:
             request = HoldStill.Request(tap_id=last, duration=0.0, key=1)
             t.network.call("hold_still", request, lambda _: None)
             return
-        forged = TapperState(state=TapperState.SAFE, tap_id=last)
-        forged.outcome = TapperState.FIRED if fired else TapperState.NOT_FIRED
-        forged.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
-        t.network.publish("somebody_else", "tapper_state", forged)
+        _send_outcome(t, last, TapperState.FIRED if fired else TapperState.NOT_FIRED)
 
     return strike, "another node ends the arm's promise to stand still" if by_service else (
         "another program publishes a tapper_state with the outcome "
@@ -325,11 +322,12 @@ def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
     later, late = draw_duration(rng, 0.001, 0.05), float(rng.uniform(0.03, 0.6))
     sends, claims = rng.random() < 0.7, bool(rng.random() < 0.3)
     outcome = TapperState.FIRED if rng.random() < 0.5 else TapperState.NOT_FIRED
+    digest = permit.key_digest(7) if claims else 0
 
     def strike(t: FaultTarget) -> None:
         number = max(max(t.checker.commands, default=0) - back, 0)
         if claims:
-            forge(t, number, TapperState.NONE)
+            _send_outcome(t, number, TapperState.NONE, digest)
         for after, asked in ((0.0, duration), (later, 0.0)):
             request = HoldStill.Request(tap_id=number, duration=asked, key=7)
             t.scheduler.after(after, partial(t.network.call, "hold_still", request, lambda _: None))
@@ -339,14 +337,8 @@ def _foreign_hold(rng: np.random.Generator, trial: FaultTarget) -> Made:
             t.scheduler.after(late, partial(t.network.end_delay, *link))
             t.scheduler.after(1.5 * later, partial(leave, t, number))
 
-    def forge(t: FaultTarget, number: int, outcome: int) -> None:
-        forged = TapperState(state=TapperState.SAFE, tap_id=number, outcome=outcome)
-        forged.key_digest = permit.key_digest(7) if claims else 0
-        forged.header.stamp = to_stamp(t.clocks["tapper_trigger"].now().ros)
-        t.network.publish("somebody_else", "tapper_state", forged)
-
     def leave(t: FaultTarget, number: int) -> None:
-        forge(t, number, outcome)
+        _send_outcome(t, number, outcome, digest)
         _send_withdrawal(t, number)
 
     return strike, (
@@ -363,6 +355,15 @@ def _foreign_withdrawal(rng: np.random.Generator, trial: FaultTarget) -> Made:
         _send_withdrawal(t, max(t.checker.commands, default=0))
 
     return strike, "another program's WITHDRAW of the current tap"
+
+
+def _send_outcome(trial: FaultTarget, tap_id: int, outcome: int, key_digest: int = 0) -> None:
+    """Publish an outcome of a tap by a node that is not part of the cell."""
+    forged = TapperState(
+        state=TapperState.SAFE, tap_id=tap_id, outcome=outcome, key_digest=key_digest
+    )
+    forged.header.stamp = to_stamp(trial.clocks["tapper_trigger"].now().ros)
+    trial.network.publish("somebody_else", "tapper_state", forged)
 
 
 def _send_withdrawal(trial: FaultTarget, tap_id: int) -> None:
