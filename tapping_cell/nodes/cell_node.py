@@ -351,18 +351,12 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
     except ConfigurationError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
-    except (RuntimeError, SystemError) as error:
+    except Exception as error:
         if refused := security.explain(error):
             print(f"error: {refused}", file=sys.stderr)
             return 1
-        # The error may be due to a signal that arrived during a call: the signal invalidates the
-        # context, or the called library reports the exception raised by it as an error of its own.
-        # The thread of the signal handler then shuts the context down soon, so wait for this.
-        deadline = time.monotonic() + SIGNAL_S
-        while rclpy.ok():
-            if time.monotonic() > deadline:
-                raise
-            time.sleep(0.01)
+        if not _due_to_signal(error):
+            raise
         return 0
     finally:
         # After Ctrl-C, the terminal and the launcher both send a signal. The first one is
@@ -376,3 +370,24 @@ def run(make_node: Callable[[], CellNode[Any]], arguments: Sequence[str] | None 
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _due_to_signal(error: Exception) -> bool:
+    """Return whether a signal caused an error.
+
+    A signal that arrives during a call of C code raises KeyboardInterrupt there, and the called
+    library reports it as an error of its own. A signal also invalidates the context of rclpy, so
+    that any further use of it fails; the thread of the signal handler then shuts the context down
+    soon, which this function waits for.
+    """
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, KeyboardInterrupt):
+            return True
+        cause = cause.__cause__ or cause.__context__
+    if isinstance(error, (RuntimeError, SystemError)):
+        deadline = time.monotonic() + SIGNAL_S
+        while rclpy.ok() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return not rclpy.ok()
+    return False
