@@ -6,6 +6,8 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
+from tapping_cell.hardware.axis_units import joints_text
+from tapping_cell.hardware.scara import Joints
 from tapping_cell.logic.clock import to_nanoseconds
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import ArmState, ErrorCode, HoldStill, PlanState, TapCommand, TapperState
@@ -66,6 +68,9 @@ CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
 the striker is charged, unless the striker has been charged for longer than ``CARRIED_S`` (s)."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
+MOVE_TOLERANCE = Joints(0.005, 0.005, 0.0005, 0.01)
+"""Maximum difference between the target of a completed move and the true joints, rad and m. It
+allows for the arm's errors."""
 STOP_MOTION_S = 1.5
 """Maximum time from a stop until the arm is at rest, s. This time includes the delivery of the stop
 to the controller and the braking."""
@@ -453,6 +458,20 @@ class InvariantChecker:
                 "carried charged",
                 f"the arm began to move {age:.2f} s after it had received the report that the"
                 " striker is charged",
+            )
+
+    def check_move(self, target: Joints) -> None:
+        """Check that the arm truly stands at the target of a move that its driver calls completed,
+        unless its board has lost its position."""
+        if math.isfinite(self.unhomed_since):
+            return
+        found = self.physical.joints(self.scheduler.now)
+        off = [abs(a - b) for a, b in zip(found, target, strict=True)]
+        if any(x > limit for x, limit in zip(off, MOVE_TOLERANCE, strict=True)):
+            self.violate(
+                "false arrival",
+                f"a move to {joints_text(target)} was called completed, but the arm is at"
+                f" {joints_text(found)}",
             )
 
     # Reports

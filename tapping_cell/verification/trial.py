@@ -47,6 +47,7 @@ from tapping_cell.se2 import Pose
 from tapping_cell.simulation.truth import TruthFile
 from tapping_cell.verification.camera import Camera
 from tapping_cell.verification.causes import COVERED, SHORT_TIME_LIMIT, explains, longest_effect
+from tapping_cell.verification.checked_arm import CheckedArm
 from tapping_cell.verification.fault_target import Maker
 from tapping_cell.verification.faults import (
     ALL,
@@ -371,11 +372,12 @@ class Trial:
             driver.connect(timeout=patience)
             return arm_jobs.reading_of(driver)
 
-        def arm() -> tuple[ArmLogic, ArmDriver]:
+        def arm() -> tuple[ArmLogic, CheckedArm]:
             arm_line.set_clock(self.clocks["scara_arm"].steady_offset)
             draw = np.random.default_rng([self.seed, 5, round(1e6 * self.scheduler.now)])
             options = ArmOptions(draw_key=lambda: int(draw.integers(1, 2**63)))
-            return ArmLogic(options), make_arm_driver(cell.arm, arm_line)
+            driver = make_arm_driver(cell.arm, arm_line)
+            return ArmLogic(options), CheckedArm(driver, self.checker.check_move)
 
         def tapper() -> tuple[TapperLogic, TapperDriver]:
             tapper_line.set_clock(self.clocks["tapper_trigger"].steady_offset)
