@@ -21,6 +21,7 @@ from tapping_cell.configuration.objects import ObjectFile
 Array = NDArray[np.float64]
 
 _MIN_SCATTER_TRIALS = 8
+_MIN_ROTATION = 0.2  # rad per m of displacement, that is 0.2 degrees for 17 mm
 _UNKNOWN = 0.5  # relative standard deviation above which a value counts as not determined
 
 
@@ -146,7 +147,7 @@ def scatter_estimates(
     if angle is not None and angle.floor > 0.0:
         expected["rotation"] = math.hypot(angle.shares[0], between.get("rotation", 0.0))
     # The relative scatter of the rotation is not defined for taps that hardly rotate the object.
-    clear = np.abs(tapped.rotation) > 0.2 * tapped.distance
+    clear = np.abs(tapped.rotation) > _MIN_ROTATION * tapped.distance
     rotation = np.where(clear, tapped.rotation, 1.0)
     columns = {
         "scatter_speed": (impact.deviations[:, 0], math.nan, impact.scatter[0]),

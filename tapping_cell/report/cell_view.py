@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
 from tapping_cell.report.run import Run
-from tapping_cell.report.words import counted
+from tapping_cell.report.words import counted, remaining_error
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_IN_WORDS = 6
@@ -38,9 +38,7 @@ def _headline(run: Run) -> str:
     result = f"goal reached in {taps}" if run.reached else f"{run.outcome} after {taps}"
     if run.start is None or run.goal is None:
         return result
-    turn = abs(math.degrees(run.start.rotation_to(run.goal)))
-    away = 1000 * run.start.distance_to(run.goal)
-    return f"started {away:.1f} mm and {turn:.1f} deg from the goal: {result}"
+    return f"started {remaining_error(run.start, run.goal)} from the goal: {result}"
 
 
 def _moves(run: Run) -> str:

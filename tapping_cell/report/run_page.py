@@ -26,7 +26,7 @@ from tapping_cell.report.run import (
 from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.report.svg import Plan, window
 from tapping_cell.report.tap_words import tap_sentence
-from tapping_cell.report.words import counted
+from tapping_cell.report.words import counted, remaining_error
 from tapping_cell.se2 import Array, Pose
 
 SHORTEST_SHOWN_S = 0.05
@@ -91,9 +91,7 @@ def headline(run: Run) -> str:
 def _task(run: Run) -> str:
     if run.start is None or run.goal is None:
         return ""
-    turn = abs(math.degrees(run.start.rotation_to(run.goal)))
-    away = 1000 * run.start.distance_to(run.goal)
-    return unbroken(f"Started {away:.1f} mm and {turn:.1f} deg from the goal.")
+    return unbroken(f"Started {remaining_error(run.start, run.goal)} from the goal.")
 
 
 def _details(run: Run) -> list[str]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tapping_cell.report.run import TapRow
-from tapping_cell.report.words import expected_effort
+from tapping_cell.report.words import expected_effort, remaining_error
 from tapping_cell.se2 import Pose, wrap_angle
 
 WITHIN_95 = 7.81
@@ -28,8 +28,8 @@ def tap_sentence(tap: TapRow, goal: Pose | None) -> str:
         parts.append(_purpose(tap, goal))
         if math.isfinite(tap.measured.x):
             parts.append(
-                f"Remaining error before the tap: {_left(tap.before, goal)}; after it: "
-                f"{_left(tap.measured, goal)}."
+                f"Remaining error before the tap: {remaining_error(tap.before, goal)}; after it: "
+                f"{remaining_error(tap.measured, goal)}."
             )
     elif tap.reason:
         parts.append(f"Chosen because {tap.reason}.")
@@ -95,8 +95,3 @@ def _purpose(tap: TapRow, goal: Pose) -> str:
 def _move(before: Pose, after: Pose) -> str:
     turn = math.degrees(before.rotation_to(after))
     return f"{1000 * before.distance_to(after):.1f} mm and {turn:+.1f} deg"
-
-
-def _left(pose: Pose, goal: Pose) -> str:
-    turn = math.degrees(abs(pose.rotation_to(goal)))
-    return f"{1000 * pose.distance_to(goal):.1f} mm and {turn:.1f} deg"

@@ -1,8 +1,10 @@
-"""Names of the numeric states in the cell's messages, and counts in words."""
+"""Names of the numeric states in the cell's messages, and counts and errors in words."""
 
 from __future__ import annotations
 
 import math
+
+from tapping_cell.se2 import Pose
 
 PHASES = (
     "idle",
@@ -41,3 +43,9 @@ def expected_effort(taps: float, seconds: float) -> str:
 def counted(number: int, thing: str) -> str:
     """Format a count, as in "1 tap" and "3 taps"."""
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def remaining_error(pose: Pose, goal: Pose) -> str:
+    """Return the distance and the angle from a pose to the goal, as text."""
+    turn = math.degrees(abs(pose.rotation_to(goal)))
+    return f"{1000 * pose.distance_to(goal):.1f} mm and {turn:.1f} deg"

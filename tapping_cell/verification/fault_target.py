@@ -35,7 +35,6 @@ class FaultTarget(Protocol):
     processes: dict[str, Process]
     camera: Camera
     joint_names: tuple[str, ...]
-    disturbed_until: float
     tapper_power_lost_at: float
 
     @property
@@ -48,6 +47,10 @@ class FaultTarget(Protocol):
 
     def note_kind(self, kind: str) -> None:
         """Record that a fault of this kind is injected now."""
+
+    def note_disturbance(self, duration: float) -> None:
+        """Record that a fault may have an effect for the next ``duration`` s, possibly on later
+        goals."""
 
     def draw_goal(self, rng: np.random.Generator) -> Pose:
         """Choose a random goal in the central area of the table."""

@@ -587,7 +587,7 @@ def _clock_step(rng: np.random.Generator, trial: FaultTarget) -> Made:
         t.clocks[node].offset += step
         # A node estimates the clock of another node from the messages of the last ``WINDOW_S``, so
         # its estimate is still wrong for this time after the clock was set back.
-        t.disturbed_until = max(t.disturbed_until, t.scheduler.now + lasting + WINDOW_S)
+        t.note_disturbance(lasting + WINDOW_S)
         t.scheduler.after(lasting, back(t))
 
     def back(t: FaultTarget) -> Callable[[], None]:

@@ -93,7 +93,7 @@ def _out_in_a_freeze(rng: np.random.Generator, trial: FaultTarget) -> Made:
         def begin() -> None:
             for kind in ("freeze at a write", "striker stays out"):
                 t.note_kind(kind)
-            t.disturbed_until = max(t.disturbed_until, t.scheduler.now + OUT_S)
+            t.note_disturbance(OUT_S)
             t.scheduler.after(later, lambda: cell.keep_out(name, True))
             t.scheduler.after(later + OUT_S, lambda: cell.keep_out(name, False))
 

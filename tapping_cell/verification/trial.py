@@ -286,7 +286,7 @@ class Trial:
             CAMERA_SIGMA,
         )
         self._hidden_until = -math.inf
-        self.disturbed_until = -math.inf
+        self._disturbed_until = -math.inf
         """Time until which a fault, possibly of an earlier goal, may have an effect."""
         self.tapper_power_lost_at = -math.inf
         self._token = 0
@@ -503,7 +503,7 @@ class Trial:
         # A fault of the previous goal may last into this one.
         quiet = not (faults or self._struck_before)
         self._struck_before = bool(faults)
-        quiet = quiet and began > self.disturbed_until
+        quiet = quiet and began > self._disturbed_until
         if self._observe(self.scheduler.now) is None:
             struck.add(COVERED)
         if self.short_time_limit and not in_time:
@@ -615,6 +615,11 @@ class Trial:
         """Record that a fault of this kind is injected now."""
         self._struck.append((self.scheduler.now, kind))
 
+    def note_disturbance(self, duration: float) -> None:
+        """Record that a fault may have an effect for the next ``duration`` s, possibly on later
+        goals."""
+        self._disturbed_until = max(self._disturbed_until, self.scheduler.now + duration)
+
     def _causes(self, code: int) -> set[str]:
         """Return the kinds of injected faults that are recent enough to be the cause of a code."""
         now = self.scheduler.now
@@ -713,7 +718,7 @@ class Trial:
         The second instance finds its device's port in use. Only the first instance answers service
         requests.
         """
-        self.disturbed_until = max(self.disturbed_until, self.scheduler.now + lasting)
+        self.note_disturbance(lasting)
         program = replace(self._programs(*self._busy_lines())[node], services=())
         second = Process(
             f"{node} (second)",
