@@ -670,6 +670,8 @@ class TapperLogic(DeviceLogic[State, Event]):
         self._see_stop(result.reply)
         if self.state is S.SAFE:
             self._see_mounts()
+        elif self.state is S.CHARGED and result.reply.state is not BoardState.CHARGED:
+            self._discharge(_why_not_charged(result.reply))
 
     def _see_return(self, reply: Reply) -> None:
         """Handle the end of the wait for a released striker, which has returned or is overdue."""
@@ -872,3 +874,19 @@ class TapperLogic(DeviceLogic[State, Event]):
         reported = self._reported
         state, code = WIRE[self.state], self._error[0]
         return state, reported.tap_id, reported.outcome, code, self._mounts_proven()
+
+
+def _why_not_charged(reply: Reply) -> CodedError:
+    """Return why a board that was charged reports another state."""
+    if not reply.interlock_closed:
+        return (
+            ErrorCode.TAPPER_INTERLOCK_OPEN,
+            "the guard was opened while the tapper was charged, so the tapper discharged itself;"
+            " close the guard",
+        )
+    return (
+        ErrorCode.TAPPER_FAULT,
+        f"the tapper was charged, but its board is now in state {reply.state.value}: it discharged"
+        " itself because it received no request for 0.5 s, the guard was opened briefly, or its"
+        " supply failed",
+    )

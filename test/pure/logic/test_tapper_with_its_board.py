@@ -557,3 +557,37 @@ def test_a_shot_refused_by_the_board_is_reported_with_the_boards_reason(cell: Ce
     assert cell.last.error_code == ErrorCode.TAPPER_INTERLOCK_OPEN
     assert "close the guard" in cell.last.error_msg
     assert cell.shots() == []
+
+
+def test_a_guard_opened_while_charged_is_named_as_the_cause(cell: Cell) -> None:
+    cell.command(100)
+    cell.publish_until(
+        lambda: cell.last.state == TapperState.CHARGED,
+        "charged",
+        lambda: cell.publish_arm(100, ArmState.MOVING),
+    )
+    cell.device.set_interlock(False, cell.now())
+    cell.keep_publishing(0.3, tap_id=100, state=ArmState.MOVING)
+    # The guard is closed again before the arm is in position.
+    cell.device.set_interlock(True, cell.now())
+    cell.keep_publishing(0.5, tap_id=100)
+    assert cell.shots() == []
+    assert cell.outcome(100) == TapperState.NOT_FIRED
+    assert cell.last.error_code == ErrorCode.TAPPER_INTERLOCK_OPEN, cell.last.error_msg
+    cell.fire(101)
+    assert cell.shots() == [101]
+
+
+def test_a_charge_lost_for_another_reason_ends_the_tap_at_once(cell: Cell) -> None:
+    cell.command(100)
+    cell.publish_until(
+        lambda: cell.last.state == TapperState.CHARGED,
+        "charged",
+        lambda: cell.publish_arm(100, ArmState.MOVING),
+    )
+    cell.device.set_interlock(False, cell.now())
+    cell.run(0.02)
+    cell.device.set_interlock(True, cell.now())
+    cell.keep_publishing(0.3, tap_id=100, state=ArmState.MOVING)
+    assert cell.outcome(100) == TapperState.NOT_FIRED
+    assert cell.last.error_code in (ErrorCode.TAPPER_FAULT, ErrorCode.TAPPER_INTERLOCK_OPEN)
