@@ -6,6 +6,7 @@ import math
 
 from tapping_cell.logic import enabling
 from tapping_cell.logic.clock import Now
+from tapping_cell.logic.device import LONGEST_TIMEOUT_S
 from tapping_cell.logic.peer_clock import SKEW_LIMIT_S, PeerClock, skewed_clock
 from tapping_cell.logic.poses import from_message
 from tapping_cell.messages import ArmState, ErrorCode, ObjectState, ObjectStates, TapperState
@@ -163,7 +164,9 @@ class CellMonitor:
         of_arm = self._arm_missing(arm, now) if self.has_arm else None
         if of_arm is not None:
             return of_arm
-        if tapper is None or self.silent("tapper", now):
+        if tapper is None or (
+            self.silent("tapper", now) and not self._connecting("tapper", tapper, now)
+        ):
             return ErrorCode.TAPPER_SILENT, self._silence("tapper", now)
         if tapper.state != TapperState.SAFE:
             code = tapper.error_code or ErrorCode.TAPPER_BUSY
@@ -191,7 +194,7 @@ class CellMonitor:
         )
 
     def _arm_missing(self, arm: ArmState | None, now: Now) -> CodedError | None:
-        if arm is None or self.silent("arm", now):
+        if arm is None or (self.silent("arm", now) and not self._connecting("arm", arm, now)):
             return ErrorCode.ARM_SILENT, self._silence("arm", now)
         if arm.set_up and not arm.enabled:
             return enabling.RELEASED
@@ -199,6 +202,16 @@ class CellMonitor:
             doing = DOING.get(arm.state, "busy")
             return arm.error_code or ErrorCode.ARM_BUSY, arm.error_msg or f"the arm is {doing}"
         return None
+
+    def _connecting(self, name: str, state: ArmState | TapperState, now: Now) -> bool:
+        """Return whether a silent driver's last message is an error of its connection that is still
+        valid: a driver publishes nothing while it tries to connect."""
+        disconnected = state.state == (
+            ArmState.DISCONNECTED if name == "arm" else TapperState.DISCONNECTED
+        )
+        attempt = LONGEST_TIMEOUT_S + self._silence_limit
+        age = now.steady - self._received[name]
+        return disconnected and state.error_code != ErrorCode.NONE and age <= attempt
 
     def fault(self) -> CodedError | None:
         """Return a fault of arm or tapper that a person must clear, or None."""

@@ -198,6 +198,8 @@ class Process:
         self._tick: Timer | None = None
         self._life = 0
         self._connected = self._configured = False
+        self._connecting = False
+        """Whether the node tries to connect to its device and therefore handles no timer."""
         self._stop_publishers: set[str] = set()
         for line in program.lines:
             line.before_write = self._before_write
@@ -214,7 +216,7 @@ class Process:
         self._life += 1
         life = self._life
         self.alive, self.active, self.frozen_until = True, False, 0.0
-        self._connected = self._configured = False
+        self._connected = self._configured = self._connecting = False
         self.logic, self._driver = self._program.make()
         self._jobs.clear()
         self._abandoned.clear()
@@ -227,6 +229,7 @@ class Process:
         for service in self._program.services:
             self._network.serve(self.name, service, self._serve(service))
         delay = self._draw(*START_S)
+        self._tick = self._scheduler.after(delay, lambda: self._on_tick(life))
         if not self._program.lines:
             self._scheduler.after(delay, lambda: self._configure(life))
             return
@@ -462,7 +465,6 @@ class Process:
 
         self._when_awake(handle)
         self.lifecycle(Activated())
-        self._tick = self._scheduler.after(0.0, lambda: self._on_tick(life))
 
     def _on_tick(self, life: int) -> None:
         if life != self._life:
@@ -470,7 +472,8 @@ class Process:
         if self._scheduler.now < self.frozen_until:
             self._tick = self._scheduler.at(self.frozen_until, lambda: self._on_tick(life))
             return
-        self._handle(self.logic.on_tick)
+        if not self._connecting:
+            self._handle(self.logic.on_tick)
         period = self.logic.tick_period
         self._tick = self._scheduler.after(period, lambda: self._on_tick(life))
 
@@ -482,11 +485,14 @@ class Process:
         worker.wait_until(self._scheduler.now + delay)
         while True:
             try:
+                self._connecting = True
                 patience = self.logic.patience
                 self.logic.before_connect(self._driver)
                 connected = self._program.connect(self._driver, patience, self._clock.now())
+                self._connecting = False
                 break
             except HardwareFault as fault:
+                self._connecting = False
                 self._report_unreachable(fault)
                 worker.wait_until(self._scheduler.now + RETRY_S)
         self._finish_start(connected, self._life)
