@@ -215,8 +215,6 @@ def _deactivate(rng: np.random.Generator, trial: FaultTarget) -> Made:
     node, away = _pick(rng, trial.nodes), draw_duration(rng, 0.05, 5.0)
 
     def strike(t: FaultTarget) -> None:
-        # Several goals may be refused, each at once, before the node is active again.
-        t.note_disturbance(away)
         t.processes[node].lifecycle(Deactivated())
         t.scheduler.after(away, lambda: t.processes[node].lifecycle(Activated()))
 

@@ -476,6 +476,7 @@ class Trial:
         planner = self.processes["tap_planner"]
         starts = planner.starts
         began = self.scheduler.now
+        active = planner.active
         self._result = None
         self._note(f"goal {number}: {goal}")
         self.send_goal(goal)
@@ -500,10 +501,11 @@ class Trial:
         last = max((fault.time for fault in faults if fault.moment is None), default=0.0)
         self.scheduler.run(max(self.scheduler.now, began + last) + 0.5)
         result = self._result
-        # A fault of the previous goal may last into this one.
+        # A fault of the previous goal may last into this one. An inactive planner refuses goals at
+        # once, so several goals may end before it is active again.
         quiet = not (faults or self._struck_before)
         self._struck_before = bool(faults)
-        quiet = quiet and began > self._disturbed_until
+        quiet = quiet and active and began > self._disturbed_until
         if self._observe(self.scheduler.now) is None:
             struck.add(COVERED)
         if self.short_time_limit and not in_time:
