@@ -23,10 +23,10 @@ from scipy.special import ndtr
 
 Array = NDArray[np.float64]
 
-CONFIDENCE = 0.995
+CONFIDENCE = 0.999
 """Minimum probability of being within the tolerance for stopping."""
 
-MARGIN = 2.5758293035489004
+MARGIN = 3.090232306167813
 """Quantile of the standard normal distribution for the probability ``CONFIDENCE``."""
 
 LONG_OBSERVATION = 9

@@ -221,7 +221,7 @@ def test_plans_use_the_stopping_box_of_a_long_observation(tap, space, free):
     settings = PlannerSettings.for_tap(tap, camera=CameraNoise(1e-4, math.radians(0.1)))
     session = PositioningSession((0.0, 0.0, 0.0), make_planner("exact", settings), space, free)
     assert session.stopping(settings.camera.covariance / LONG_OBSERVATION) == settings.stopping
-    assert settings.stopping.distance == pytest.approx(0.00091, abs=1e-5)
+    assert settings.stopping.distance == pytest.approx(0.000897, abs=1e-6)
 
 
 def with_friction(strike, pose, friction, rng):
