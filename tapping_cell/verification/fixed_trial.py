@@ -225,6 +225,5 @@ class FixedTrial(Trial):
                 self.checker.moved_by_hand = (self.scheduler.now, Pose(0.0, 0.0, 0.0))
             elif tapper.state in (TapperState.STOPPED, TapperState.FAULT):
                 self.physical.press_clear_button()
-                self._clear_stop("tapper_trigger")
-                self.call_service("tapper_trigger", "~/clear_fault")
+                self._ask_to_clear("tapper_trigger")
         self.checker.violate("no way back", f"tapper {self._last('tapper_state')}")

@@ -8,9 +8,19 @@ from dataclasses import dataclass, field
 
 from tapping_cell.hardware.axis_units import joints_text
 from tapping_cell.hardware.scara import Joints
-from tapping_cell.logic.clock import to_nanoseconds
+from tapping_cell.logic.clock import to_nanoseconds, to_seconds
+from tapping_cell.logic.peer_clock import SKEW_LIMIT_S
 from tapping_cell.logic.poses import from_message
-from tapping_cell.messages import ArmState, ErrorCode, HoldStill, PlanState, TapCommand, TapperState
+from tapping_cell.logic.tap_commands import CLOCK_TOLERANCE_S
+from tapping_cell.messages import (
+    ArmState,
+    ErrorCode,
+    HoldStill,
+    PlanState,
+    TapCommand,
+    TapperState,
+    Time,
+)
 from tapping_cell.se2 import Pose
 from tapping_cell.verification.host import HostClock
 from tapping_cell.verification.physical_cell import PhysicalCell, Release
@@ -61,6 +71,13 @@ HOMED_S = 3.0
 """Maximum time for which the arm may still be reported as homed after it has lost its reference, s.
 This maximum allows for bytes that arrive late on the line. If the arm's process is frozen
 meanwhile, the time begins at the end of the freeze."""
+ARM_SILENCE_S = 0.3
+"""Maximum time from the last arm_state that the tapper received to a release, s. The check adds
+``WINDOW_S``."""
+FUTURE_S = 9.0
+"""Time for which the tapper must not fire after it has received a stamp that is more than
+``SKEW_LIMIT_S`` ahead of its clock, s. It estimates the clocks from the messages of the last
+10 s."""
 WAIT_SLACK_S = 1.0
 """Maximum time by which the planner may exceed the time limit of a waiting state, s."""
 CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
@@ -145,6 +162,18 @@ class InvariantChecker:
     received the last TAP."""
     camera_received: float = math.inf
     """Time at which the tapper's process last received a usable observation."""
+    planner_gave_up: float = math.inf
+    """Time since which the messages of the planner that the tapper's process received say that it
+    no longer waits for its tap; inf while it waits or has never waited."""
+    future_commands: set[int] = field(default_factory=set)
+    """Ids of the TAP commands whose stamp was too far in the future when the tapper's process
+    received them."""
+    arm_received: float = math.inf
+    """Time at which the tapper's process last received ``arm_state``; inf in a cell without an
+    arm."""
+    future_received: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """For each topic, the time at which the tapper's process last received a stamp too far in the
+    future, and the offset of its clock at that time, s."""
     seen_moving: bool = False
     """Whether the object moved in the last observation that the planner's process received."""
     deadlines: dict[int, float] = field(default_factory=dict)
@@ -245,7 +274,59 @@ class InvariantChecker:
                 f"shot {shot} was released {blind:.2f} s after the last camera message that the"
                 f" tapper received (limit {HEARTBEAT_S + WINDOW_S:g} s)",
             )
+        deaf = release.time - self.arm_received
+        if deaf > ARM_SILENCE_S + WINDOW_S:
+            self.violate(
+                "arm silent",
+                f"shot {shot} was released {deaf:.2f} s after the last arm_state that the tapper"
+                f" received (limit {ARM_SILENCE_S + WINDOW_S:g} s)",
+            )
+        given_up = release.time - self.planner_gave_up
+        if given_up > WINDOW_S:
+            self.violate(
+                "planner gave up",
+                f"shot {shot} was released {given_up:.2f} s after the tapper had received that the"
+                " planner no longer waits for its tap",
+            )
+        if shot in self.future_commands:
+            self.violate(
+                "future command", f"shot {shot} was released, but its command came from the future"
+            )
+        self._check_stamps(release)
         self._check_scene(release, command)
+
+    def on_tap_received(self, command: TapCommand) -> None:
+        """Process a TAP command that the tapper's process received."""
+        self.planner_waits, self.planner_gave_up = False, math.inf
+        self.taken_by_tapper.setdefault(command.tap_id, []).append(command)
+        ahead = to_seconds(command.header.stamp) - 1e-9 * self.tapper_clock.now().ros
+        if ahead > CLOCK_TOLERANCE_S + ROUNDING_S:
+            self.future_commands.add(command.tap_id)
+
+    def on_plan_state_received(self, tapping: bool) -> None:
+        """Process a message of the planner that the tapper's process received. ``tapping``: whether
+        the planner says that it waits for its tap."""
+        if tapping:
+            self.planner_waits, self.planner_gave_up = True, math.inf
+        elif self.planner_waits:
+            self.planner_gave_up = min(self.planner_gave_up, self.scheduler.now)
+
+    def on_stamp_received(self, topic: str, stamp: Time) -> None:
+        """Process the stamp of a message that the tapper's process received."""
+        ahead = to_seconds(stamp) - 1e-9 * self.tapper_clock.now().ros
+        if ahead > SKEW_LIMIT_S + ROUNDING_S:
+            self.future_received[topic] = self.scheduler.now, self.tapper_clock.offset
+
+    def _check_stamps(self, release: Release) -> None:
+        for topic, (received, offset) in self.future_received.items():
+            # After a step of the tapper's own clock, the stamp may no longer be in the future.
+            if release.time < received + FUTURE_S and offset == self.tapper_clock.offset:
+                self.violate(
+                    "future stamp",
+                    f"shot {release.shot} was released {release.time - received:.2f} s after the"
+                    f" tapper had received a message on {topic} whose stamp was more than"
+                    f" {SKEW_LIMIT_S:g} s ahead of its clock",
+                )
 
     def _command_of(self, release: Release) -> TapCommand | None:
         """Return the command that caused a release. If several commands have its id (two planners

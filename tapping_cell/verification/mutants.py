@@ -128,6 +128,26 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("kill", "freeze", "camera"),
     ),
     Mutant(
+        "fires although the planner no longer waits for the tap",
+        "tapping_cell.logic.tapper_peers",
+        "if self._planners_tap and self._phase not in TAPPING:",
+        "if False:",
+        kinds=("restart", "deactivate", "foreign state", "received by one", "slow topic"),
+    ),
+    Mutant(
+        "fires although the clocks differ",
+        "tapping_cell.logic.tapper_peers",
+        "        if skewed is None:\n",
+        "        if True:\n",
+        kinds=("clock step",),
+    ),
+    Mutant(
+        "accepts a command from the future",
+        "tapping_cell.logic.tap_commands",
+        "if ahead > CLOCK_TOLERANCE_S:",
+        "if False:",
+    ),
+    Mutant(
         "fires although the object is no longer visible",
         "tapping_cell.logic.tapper_peers",
         "if seen is None or unseen > limits.unseen:",
@@ -186,6 +206,12 @@ MUTANTS: tuple[Mutant, ...] = (
         "        if False:\n            self._asserted = True\n",
         "S4",
         kinds=("emergency stop",),
+    ),
+    Mutant(
+        "clears a stop that was pressed during the request to clear",
+        "tapping_cell.logic.stops",
+        "if self._received != self._asked:",
+        "if False:",
     ),
     Mutant(
         "an outdated job changes the state",
@@ -322,6 +348,12 @@ MUTANTS: tuple[Mutant, ...] = (
         "        if False:\n",
         "",
         kinds=("foreign hold",),
+    ),
+    Mutant(
+        "stays at the strike pose of an expired tap",
+        "tapping_cell.logic.arm",
+        "if self.state is S.IN_POSITION and now.ros > self._expiry:",
+        "if False:",
     ),
     Mutant(
         "leaves with a charged striker",

@@ -134,6 +134,14 @@ SHARE_OF_CONFLICTS = 0.1
 """A program commands taps after each goal. For this fraction of them, a second program commands
 another tap with the same id."""
 PROGRAM_TIMEOUT_S, PROGRAM_EXPIRY_S = 12.0, 10.0
+SHARE_OF_STOPS_AT_A_CLEAR, STOP_AT_A_CLEAR_S = 0.1, 0.5
+"""Fraction of the requests to clear a node during which somebody stops it again, and the maximum
+time from the request to the stop, s."""
+SHARE_OF_SHORT_EXPIRIES, SHORT_EXPIRY_S = 0.1, (0.2, 4.0)
+"""Fraction of the taps of other programs that expire soon, and the range of their expiry, s."""
+SHARE_OF_FUTURE_STAMPS, FUTURE_STAMP_S = 0.05, (1.5, 3600.0)
+"""Fraction of the taps of other programs with a stamp in the future, and the range by which it lies
+ahead, s."""
 """Time for which the program waits for the outcome of its tap, and time until the tap expires."""
 GOAL_SLACK_S = 5.0
 """Maximum time from a goal's time limit to its end, if the planner's process is alive."""
@@ -588,17 +596,22 @@ class Trial:
         model = self.checker.commands[last]
         there = from_message(seen.pose.pose) @ from_message(model.object_pose).inverse()
         now = self.clocks["tap_planner"].now().ros
+        expiry, ahead, share = PROGRAM_EXPIRY_S, 0.0, float(self.rng.random())
+        if self._faulty and share < SHARE_OF_SHORT_EXPIRIES:
+            expiry = float(self.rng.uniform(*SHORT_EXPIRY_S))
+        elif self._faulty and share > 1.0 - SHARE_OF_FUTURE_STAMPS:
+            ahead = float(self.rng.uniform(*FUTURE_STAMP_S))
         command = TapCommand(
             request=TapCommand.TAP,
             tap_id=max(last + 1, now // NANOSECONDS),
             tapper=model.tapper,
             striker_speed=model.striker_speed,
-            expiry=to_stamp(now + round(PROGRAM_EXPIRY_S * NANOSECONDS)),
+            expiry=to_stamp(now + round((ahead + expiry) * NANOSECONDS)),
             object_pose=seen.pose.pose,
         )
         self._fit_to_object(command, model, there)
         command.header.frame_id = "table"
-        command.header.stamp = to_stamp(now)
+        command.header.stamp = to_stamp(now + round(ahead * NANOSECONDS))
         return command
 
     def _fit_to_object(self, command: TapCommand, model: TapCommand, there: Pose) -> None:
@@ -703,6 +716,8 @@ class Trial:
         self.note_kind(f"end of {node}")
         if node == "scara_arm":
             self.checker.motion_allowed = False
+        if node == "tapper_trigger":
+            self.checker.future_received.clear()
         if node == "tap_planner":
             self.checker.planner_gone_since = self.scheduler.now
         if node == "tap_planner" and self._result is None:
@@ -879,17 +894,23 @@ class Trial:
                 return
             if tapper.state in (tapper_states.STOPPED, tapper_states.FAULT):
                 self.physical.press_clear_button()
-                self._clear_stop("tapper_trigger")
-                self.call_service("tapper_trigger", "~/clear_fault")
+                self._ask_to_clear("tapper_trigger")
             locked = arm.state == arm_states.DISCONNECTED and arm.error_code == ErrorCode.ARM_ALARM
             if arm.state in (arm_states.STOPPED, arm_states.FAULT) or locked:
-                self._clear_stop("scara_arm")
-                self.call_service("scara_arm", "~/clear_fault")
+                self._ask_to_clear("scara_arm")
             elif arm.state == arm_states.NOT_HOMED:
                 self.checker.motion_allowed = True
                 self.call_service("scara_arm", "~/home")
         arm, tapper = self._last("arm_state"), self._last("tapper_state")
         self.checker.violate("no way back", f"arm {arm}, tapper {tapper}")
+
+    def _ask_to_clear(self, node: str) -> None:
+        """Ask a node to clear its stop or fault. Sometimes somebody stops it again meanwhile."""
+        self._clear_stop(node)
+        self.call_service(node, "~/clear_fault")
+        if self._faulty and self.rng.random() < SHARE_OF_STOPS_AT_A_CLEAR:
+            within = float(self.rng.uniform(0.0, STOP_AT_A_CLEAR_S))
+            self.scheduler.after(within, partial(self.call_stop, node), in_main=True)
 
     def _clear_stop(self, node: str) -> None:
         self.checker.stopped_at.pop(node, None)
@@ -972,12 +993,16 @@ class Trial:
         now = self.scheduler.now
         if process == "scara_arm" and self._may_move_arm(topic, message):
             self.checker.ask_to_move()
+        if process == "tapper_trigger" and topic == "arm_state":
+            self.checker.arm_received = now
+            self.checker.on_stamp_received(topic, message.header.stamp)
         if process == "tapper_trigger" and topic == "plan_state":
+            self.checker.on_stamp_received(topic, message.header.stamp)
             self.checker.planner_received = now
-            if message.state in TAPPING:
-                self.checker.planner_waits = True
+            self.checker.on_plan_state_received(message.state in TAPPING)
         if process == "tapper_trigger" and topic == "object_state":
             if message.error_code not in BLIND:
+                self.checker.on_stamp_received(topic, message.header.stamp)
                 self.checker.camera_received = now
             if message.visible:
                 self.checker.seen_by_tapper.append((now, from_message(message.pose.pose)))
@@ -1002,8 +1027,7 @@ class Trial:
                 # the same id that was refused. The tap of this command has not ended.
                 self.checker.ended_taps.pop(message.tap_id, None)
             self._taken[message.tap_id] = message.header.stamp
-            self.checker.planner_waits = False
-            self.checker.taken_by_tapper.setdefault(message.tap_id, []).append(message)
+            self.checker.on_tap_received(message)
         withdrawn = topic == "tap_command" and message.request == TapCommand.WITHDRAW
         if withdrawn and process == "tapper_trigger" and message.tap_id in self._taken:
             self.checker.ended_taps.setdefault(message.tap_id, now)
