@@ -111,7 +111,8 @@ class TapperPeers:
         self._arm: ArmState | None = None
         self._arm_received = -math.inf
         self._arm_keys: set[int] = set()
-        """Keys of the arms that have reported that they serve a tap, since the tap began."""
+        """Keys of the arms that have reported that they serve a tap since the tap began, and of the
+        arm that published last before the tap: an arm that appears with the tap is another one."""
         self._clocks = {"arm": PeerClock(), "planner": PeerClock(), "camera": PeerClock()}
         self._plan_received: float | None = None
         self._phase = PlanState.IDLE
@@ -131,7 +132,7 @@ class TapperPeers:
         The following messages of the planner show whether the planner commanded this tap.
         """
         self._planners_tap = False
-        self._arm_keys.clear()
+        self._arm_keys = set() if self._arm is None else {self._arm.arm_key}
         self._object = object_id
 
     def on_arm_state(self, message: ArmState, now: Now) -> None:

@@ -506,16 +506,18 @@ def _shot_cable(rng: np.random.Generator, trial: FaultTarget) -> Made:
 
 def _foreign_state(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """Another node publishes that the arm is in position, or that the planner waits for a shot."""
-    of_arm = bool(rng.random() < 0.5)
+    of_arm, copies_key = bool(rng.random() < 0.5), bool(rng.random() < 0.5)
 
     def strike(t: FaultTarget) -> None:
         last = max(t.checker.commands, default=0)
+        arm_states = t.network.history.get("arm_state", ())
         node = "scara_arm" if of_arm else "tap_planner"
         message: ArmState | PlanState = (
             ArmState(
                 state=ArmState.IN_POSITION,
                 tap_id=last,
                 homed=True,
+                arm_key=arm_states[-1].arm_key if copies_key and arm_states else 0,
                 tip_pose=t.checker.commands[last].strike_pose if last else Pose3(),
             )
             if of_arm
@@ -531,13 +533,14 @@ def _second_arm(rng: np.random.Generator, trial: FaultTarget) -> Made:
     """The arm of another cell in the same ROS domain also offers ``hold_still`` and grants every
     request. The process of the cell's own arm may end at the same time."""
     lasting, alone = draw_duration(rng, 0.2, 6.0), bool(rng.random() < 0.3)
+    key = int(rng.integers(1, 2**63))
 
     def strike(t: FaultTarget) -> None:
         if alone:
             t.kill("scara_arm", lasting)
 
         def grant(request: HoldStill.Request, answer: Callable[[HoldStill.Response], None]) -> None:
-            answer(HoldStill.Response(granted=True, duration=request.duration))
+            answer(HoldStill.Response(granted=True, duration=request.duration, arm_key=key))
 
         t.network.serve("scara_arm of another cell", "hold_still", grant)
         t.scheduler.after(lasting, partial(t.network.leave, "scara_arm of another cell"))

@@ -120,6 +120,9 @@ class FixedTrial(Trial):
     def _covers(self) -> bool:
         return False
 
+    def _lines_by_device(self) -> list[tuple[str, SerialLine]]:
+        return [("tapper", line) for line in self.physical.lines]
+
     def _lines(self) -> tuple[SerialLine, ...]:
         return tuple(self.physical.lines)
 

@@ -83,6 +83,9 @@ WAIT_SLACK_S = 1.0
 CHARGE_AGE_S, CARRIED_S = 0.65, 2.5
 """The arm must not begin to move within ``CHARGE_AGE_S`` (s) after it has received a report that
 the striker is charged, unless the striker has been charged for longer than ``CARRIED_S`` (s)."""
+CONTINUED_S = 0.05
+"""Maximum time for which the arm may still begin a part of its way to a strike pose after it has
+taken in that the tap was withdrawn, s."""
 ROUNDING_S = 1e-6
 """Tolerance for the rounding of times on the processes' clocks."""
 MOVE_TOLERANCE = Joints(0.005, 0.005, 0.0005, 0.01)
@@ -199,6 +202,8 @@ class InvariantChecker:
     """Stamp of the arm's last reading, ns."""
     _arm: tuple[int, int] = (ArmState.DISCONNECTED, 0)
     """State and tap id in the arm's last message."""
+    _placed_until: float = -math.inf
+    """Time at which the arm last ceased to move to a strike pose."""
 
     def violate(self, name: str, sentence: str) -> None:
         """Record a violation of an invariant."""
@@ -217,6 +222,8 @@ class InvariantChecker:
         elif isinstance(message, TapperState) and node == "tapper_trigger":
             self._on_tapper_state(message)
         elif isinstance(message, ArmState) and node == "scara_arm":
+            if self._arm[0] == ArmState.MOVING:
+                self._placed_until = self.scheduler.now
             self._arm = message.state, message.tap_id
             self._check_reference(message)
             if message.state == ArmState.IDLE or message.error_code == ErrorCode.NOT_ACTIVE:
@@ -331,17 +338,17 @@ class InvariantChecker:
     def _command_of(self, release: Release) -> TapCommand | None:
         """Return the command that caused a release. If several commands have its id (two planners
         were started by mistake), return the command whose strike pose and energy are closest to
-        those of the release."""
+        those of the release; of several for the same strike, the one that expires last."""
 
-        def distance(command: TapCommand) -> float:
+        def difference(command: TapCommand) -> tuple[float, int]:
             pose = from_message(command.strike_pose)
             turn = abs(pose.rotation_to(release.tip))
             excess = abs(release.energy / self.physical.energy_for(command.striker_speed) - 1.0)
             place = pose.distance_to(release.tip) / STRIKE_POSITION_M + turn / STRIKE_ANGLE_RAD
-            return place + excess / ENERGY_SHARE
+            return round(place + excess / ENERGY_SHARE, 6), -to_nanoseconds(command.expiry)
 
         variants = self.taken_by_tapper.get(release.shot)
-        return min(variants, key=distance) if variants else None
+        return min(variants, key=difference) if variants else None
 
     def _check_energy(self, release: Release, command: TapCommand) -> None:
         asked = self.physical.energy_for(command.striker_speed)
@@ -530,9 +537,12 @@ class InvariantChecker:
     def _check_striker(self) -> None:
         """Check that the arm begins no motion with a charged striker, except a motion to a strike
         pose."""
-        if self._charged_since is None or self._arm[0] == ArmState.MOVING:
-            return
         now = self.scheduler.now
+        # The arm may still send the next part of its way to the strike pose while it takes in that
+        # the tap was withdrawn.
+        placing = self._arm[0] == ArmState.MOVING or now <= self._placed_until + CONTINUED_S
+        if self._charged_since is None or placing:
+            return
         age = now - self.charge_received
         if age < CHARGE_AGE_S and now - self._charged_since < CARRIED_S:
             self.violate(

@@ -637,8 +637,22 @@ class Trial:
 
     def _causes(self, code: int) -> set[str]:
         """Return the kinds of injected faults that are recent enough to be the cause of a code."""
+        # A fault of a line happens at a certain byte, long after it was injected if the line rests.
+        happened = [
+            (at, f"serial line of the {device}")
+            for device, line in self._lines_by_device()
+            for at, _ in line.layer.happened
+        ]
         now = self.scheduler.now
-        return {kind for at, kind in self._struck if now - at <= longest_effect(kind, code)}
+        return {
+            kind
+            for at, kind in (*self._struck, *happened)
+            if now - at <= longest_effect(kind, code)
+        }
+
+    def _lines_by_device(self) -> list[tuple[str, SerialLine]]:
+        """Return the serial lines, each with its device."""
+        return [("arm", self.physical.arm_line), ("tapper", self.physical.tapper_line)]
 
     def _strike(self, fault: Fault) -> None:
         self._note(f"FAULT {fault.description}")

@@ -95,6 +95,10 @@ class Pair:
         state = messages(self.tapper.on_tick(at(steady + 0.1)), "tapper_state")[-1]
         self.arm.on_message("tapper_state", replace(state, state=TapperState.SAFE), at(steady))
 
+    def configure_tapper(self, now: Now) -> None:
+        self.tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), now)
+        self.tapper.on_lifecycle(Activated(), now)
+
     def begin_charging(self) -> int:
         """Return the number of the tapper's job that charges the striker."""
         now = at(START)
@@ -104,9 +108,8 @@ class Pair:
         # still. Start the node 10 s earlier, so that such a promise has expired.
         early = at(START - 10.0)
         self.arm.on_lifecycle(Configured(CELL, here), early)
-        self.tapper.on_lifecycle(Configured(CELL, board(BoardState.SAFE)), early)
         self.arm.on_lifecycle(Activated(), early)
-        self.tapper.on_lifecycle(Activated(), early)
+        self.configure_tapper(early)
         tap = self.command(TapCommand.TAP, now)
         self.tapper.on_message("tap_command", tap, now)
         (place,) = jobs(self.arm.on_message("tap_command", tap, now))
@@ -381,6 +384,28 @@ def test_the_answer_of_another_arm_is_no_promise() -> None:
     state = messages(pair.tapper.on_tick(at(START + 1.0)), "tapper_state")[-1]
     assert state.outcome == TapperState.NOT_FIRED
     assert state.error_code == ErrorCode.CONFIGURATION_CONFLICT
+
+
+def test_an_arm_that_appears_with_the_tap_is_not_the_cells_own() -> None:
+    """The cell's own arm ends when the tap is commanded. Another program publishes that the arm is
+    in position, and the arm of another cell grants hold_still; both state no key."""
+    pair = Pair()
+    idle = ArmState(state=ArmState.IDLE, homed=True, arm_key=7)
+    idle.header.stamp = to_stamp(at(START - 0.1).ros)
+    pair.configure_tapper(at(START - 10.0))
+    pair.tapper.on_message("arm_state", idle, at(START - 0.1))
+    tap = pair.command(TapCommand.TAP, at(START))
+    pair.tapper.on_message("tap_command", tap, at(START))
+    forged = ArmState(state=ArmState.IN_POSITION, tap_id=TAP, homed=True)
+    forged.tip_pose = tap.strike_pose
+    forged.header.stamp = to_stamp(at(START).ros)
+    (charge,) = jobs(pair.tapper.on_message("arm_state", forged, at(START)))
+    charged = ChargeEnd(Status(board(BoardState.CHARGED, TAP), 0), True, None)
+    made = pair.tapper.on_job(JobEnded(charge, charged), at(START + 0.1))
+    (call,) = [effect for effect in made if isinstance(effect, Call)]
+    other = HoldStill.Response(granted=True, duration=call.request.duration)
+    made = pair.tapper.on_answer(call.token, other, at(START + 0.11))
+    assert [effect.job.name for effect in made if isinstance(effect, RunJob)] == ["discharge"]
 
 
 def not_before(pair: Pair, time: float) -> float:
