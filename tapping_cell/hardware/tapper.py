@@ -625,7 +625,7 @@ class TapperDriver:
         """Send a frame once; return its reply within ``timeout`` s, or None."""
         self._transport.write(frame)
         self._sends += 1
-        damaged = self.counters.damaged_frames
+        damaged = self._damaged_frames()
         until = self._transport.now() + timeout
         while (left := until - self._transport.now()) > 0:
             for reply in self._receive(left):
@@ -633,8 +633,16 @@ class TapperDriver:
                     self.last_reply = reply
                     return reply
         self.counters.timeouts += 1
-        self._damaged += self.counters.damaged_frames > damaged
+        self._damaged += self._damaged_frames() > damaged
         return None
+
+    def _damaged_frames(self) -> int:
+        """Return the number of frames so far that the tapper sent and the line damaged.
+
+        In a session, all unreadable bytes come from the tapper, even if neither the beginning nor
+        the end of a frame can be recognized. Before, another device may have sent them.
+        """
+        return self.counters.bad_frames if self.connected else self.counters.damaged_frames
 
     def _receive(self, wait: float) -> list[Reply]:
         """Wait up to ``wait`` s for bytes, and return the replies that they complete."""

@@ -95,11 +95,12 @@ def test_interference_on_the_line_of_a_connected_arm_is_reported(dialect: str) -
     assert "lines from the arm's controller on the port were unreadable" in str(caught.value)
 
 
-def test_interference_on_the_line_of_a_connected_tapper_is_reported() -> None:
+@pytest.mark.parametrize("every", [3, 5, 7])
+def test_interference_on_the_line_of_a_connected_tapper_is_reported(every: int) -> None:
     line = Line(TapperEmulator())
     driver = TapperDriver(line.transport)
     driver.connect()
-    line.disturb(7)
+    line.disturb(every)
     with pytest.raises(HardwareFault) as caught:
         driver.status()
     assert of_tapper(caught.value) == ErrorCode.TAPPER_REPLY_GARBLED
