@@ -8,13 +8,15 @@ parallel with the other rings. The rings of the drivers and of the nodes mostly 
 them distributes its tests to several processes. Tests of nodes that are marked ``alone`` publish or
 process images at the camera's frame rate, and the graph tests run all nodes in real time. These
 tests run one after the other. The graph tests run after the pure ring has ended. Every ring runs
-even if an earlier ring failed. The last line contains the counts of all rings.
+even if an earlier ring failed. At the end, the duration and the processor time of each ring are
+printed. The last line contains the counts of all rings.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -66,6 +68,20 @@ def started(ring: str, options: Sequence[str], output: int | IO[str]) -> subproc
     return subprocess.Popen(command, cwd=ROOT, stdout=output, text=True)
 
 
+def ended(ring: str, process: subprocess.Popen[str], began: float) -> str:
+    """Wait for the tests of a ring, and return a line with their duration and processor time, s."""
+    before = processor_time()
+    process.wait()
+    used = processor_time() - before
+    return f"{ring:<14} {time.monotonic() - began:6.0f} s, processor time {used:6.0f} s"
+
+
+def processor_time() -> float:
+    """Return the processor time in s of all child processes that have been waited for."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
 def count_outcomes(ring: str, lines: Iterable[str]) -> Counter[str]:
     """Print the output of a ring and return its counts."""
     print(f"---- ring {ring}", flush=True)
@@ -77,9 +93,12 @@ def count_outcomes(ring: str, lines: Iterable[str]) -> Counter[str]:
 
 
 def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
-    """Run every ring. Return the names of the failed rings and the counts of all rings."""
+    """Run every ring, and print its duration. Return the names of the failed rings and the counts
+    of all rings."""
     total: Counter[str] = Counter()
     failed: list[str] = []
+    durations: list[str] = []
+    began = time.monotonic()
 
     def judge(ring: str, status: int) -> None:
         # A selection (-k, -m) may leave a ring without tests. Without a selection, each ring must
@@ -101,15 +120,20 @@ def run_rings(options: Sequence[str]) -> tuple[list[str], Counter[str]]:
             if ring == BESIDE:
                 continue
             if ring == ALONE and beside is not None:
-                beside.wait()
+                durations.append(ended(BESIDE, beside, began))
+            ring_began = time.monotonic()
             with started(ring, options, subprocess.PIPE) as process:
                 assert process.stdout is not None
                 total += count_outcomes(ring, process.stdout)
+                durations.append(ended(ring, process, ring_began))
             judge(ring, process.returncode)
         if beside is not None:
-            judge(BESIDE, beside.wait())
+            if beside.returncode is None:
+                durations.append(ended(BESIDE, beside, began))
+            judge(BESIDE, beside.returncode)
             log.seek(0)
             total += count_outcomes(BESIDE, log)
+    print("---- durations", *durations, sep="\n", flush=True)
     return failed, total
 
 
