@@ -40,7 +40,7 @@ from tapping_cell.planning.stopping import (
     StoppingBox,
 )
 from tapping_cell.planning.strike import BoolArray
-from tapping_cell.se2 import wrap_angle
+from tapping_cell.se2 import difference, unit_vectors
 
 METHOD = "fixed tappers"
 """Name of the planning method, for records."""
@@ -141,8 +141,7 @@ class FixedTapperSession(GoalSession):
         """Learn from a tap that was fired; see ``PositioningSession.observe``."""
         self.taps += 1
         before = np.asarray(pose_before, dtype=float)
-        moved = np.asarray(pose_after, dtype=float) - before
-        moved[2] = wrap_angle(moved[2])
+        moved = difference(before, pose_after)
         asked = math.hypot(strike.wanted.x, strike.wanted.y)
         index = self._index(strike)
         missed = math.hypot(moved[0], moved[1]) < MISSED * asked
@@ -302,15 +301,9 @@ class FixedTapperSession(GoalSession):
         heading = np.arctan2(expected[..., 1], expected[..., 0])
         longest = size * (spread.longest if self._adapt else 1.0)
         aside = np.concatenate([spread.aside, np.zeros_like(spread.aside[..., :1])], axis=-1)
-        rays = heading[..., None] + aside
-        way = longest[..., None, None] * WAY
-        return np.stack(
-            [
-                pose[0] + way * np.cos(rays)[..., None],
-                pose[1] + way * np.sin(rays)[..., None],
-            ],
-            axis=-1,
-        )
+        rays = unit_vectors(heading[..., None] + aside)[..., None, :]
+        way = longest[..., None, None, None] * WAY[:, None]
+        return np.asarray(pose[:2] + way * rays)
 
 
 def check_fixed_goal(goal_pose: ArrayLike, space: FixedStrikeSpace) -> Refusal | None:

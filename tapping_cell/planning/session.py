@@ -28,7 +28,7 @@ from tapping_cell.planning.stopping import (
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.planning.visited import VisitedPoses
-from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.se2 import Pose, difference, displaced, wrap_angle
 
 MAX_TAPS = 100
 """Maximum number of taps of a run. More taps indicate a fault that the planner cannot detect."""
@@ -198,9 +198,7 @@ class GoalSession(ABC):
     def residual(self, object_pose: ArrayLike) -> Array:
         """Return goal minus object: (dx, dy, dtheta) in `table`, with the rotation in the shorter
         sense."""
-        left: Array = self.goal - np.asarray(object_pose, dtype=float)
-        left[2] = wrap_angle(left[2])
-        return left
+        return difference(object_pose, self.goal)
 
     def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
         """Return the stopping box for an observation with this covariance, (3, 3) in m and rad."""
@@ -319,12 +317,10 @@ class GoalSession(ABC):
         expected: Expected = UNKNOWN_EFFORT,
     ) -> Strike:
         wanted = self.gains.predict(commanded, pose[2])
-        after = pose + wanted
-        after[2] = wrap_angle(after[2])
         return Strike(
             commanded=Pose(*commanded.tolist()),
             wanted=Pose(*wanted.tolist()),
-            predicted=Pose(*after.tolist()),
+            predicted=Pose(*displaced(pose, wanted).tolist()),
             residual=Pose(*left.tolist()),
             plan=plan,
             method=self.method,
@@ -431,8 +427,7 @@ class PositioningSession(GoalSession):
         self.taps += 1
         self._probes_left = max(0, self._probes_left - 1)
         settings = self.planner.settings
-        moved = np.asarray(pose_after, dtype=float) - np.asarray(pose_before, dtype=float)
-        moved[2] = wrap_angle(moved[2])
+        moved = difference(pose_before, pose_after)
         asked = math.hypot(strike.wanted.x, strike.wanted.y)
         missed = math.hypot(moved[0], moved[1]) < MISSED * asked
         heading = math.atan2(strike.commanded.y, strike.commanded.x)

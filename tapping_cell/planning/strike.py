@@ -21,7 +21,7 @@ from tapping_cell.planning.gains import Spread
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import Scatter
 from tapping_cell.planning.workspace import KeepOut, Workspace
-from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.se2 import Pose, transform_points, unit_vectors
 
 BoolArray = NDArray[np.bool_]
 
@@ -161,16 +161,9 @@ class StrikeSpace:
         heading = np.arctan2(moved[..., 1], moved[..., 0])
         right, left = spread.aside[..., :1], spread.aside[..., 1:]
         turned = np.concatenate([right, right / 2, np.zeros_like(left), left / 2, left], axis=-1)
-        rays = heading[..., None] + turned
-        share = np.linspace(0.0, 1.0, PATH_POINTS)
-        along = length[..., None, None] * share
-        return np.stack(
-            [
-                start[..., 0, None, None] + along * np.cos(rays)[..., None],
-                start[..., 1, None, None] + along * np.sin(rays)[..., None],
-            ],
-            axis=-1,
-        )
+        rays = unit_vectors(heading[..., None] + turned)[..., None, :]
+        along = length[..., None, None, None] * np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
+        return np.asarray(start[..., None, None, :2] + along * rays)
 
     def slide_is_safe(
         self, object_pose: ArrayLike, displacement: ArrayLike, spread: Spread | None = None
@@ -219,16 +212,9 @@ class StrikeSpace:
 
     def rest_pose(self, contact_pose: ArrayLike) -> Array:
         """Return the tip poses ``standoff`` before the contact, (..., 3)."""
-        contact = np.asarray(contact_pose, dtype=float)
-        back = self.settings.standoff
-        return np.stack(
-            [
-                contact[..., 0] - back * np.cos(contact[..., 2]),
-                contact[..., 1] - back * np.sin(contact[..., 2]),
-                contact[..., 2],
-            ],
-            axis=-1,
-        )
+        rest = np.array(contact_pose, dtype=float)
+        rest[..., :2] -= self.settings.standoff * unit_vectors(rest[..., 2])
+        return rest
 
     def strike_poses(self, object_pose: Array, displacements: Array) -> tuple[BoolArray, Array]:
         """Return which displacements (n, 3) are possible with some contact, (n,), and the poses (n,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.worlds import AbstractWorld, World
 from tapping_cell.planning.interface import Array
-from tapping_cell.planning.session import Strike
+from tapping_cell.planning.session import Decision, Done, GoalSession, Strike
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.planning.tap_times import OBJECTIVES, TapTimes
@@ -149,6 +149,36 @@ class Results(NamedTuple):
     rotation: Array
     over_edge: NDArray[np.bool_]
     seconds: Array
+
+    @classmethod
+    def of_trials(cls, rows: Sequence[TrialResult]) -> Results:
+        """Return the results of trials that were run one after another."""
+        return cls(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+TrialResult = tuple[int, int, bool, float, float, bool, float]
+"""Result of one trial: one entry of each array of ``Results``."""
+
+
+def trial_result(
+    session: GoalSession,
+    decision: Decision,
+    pose: Array,
+    most_taps: int,
+    over_edge: bool,
+    seconds: float,
+) -> TrialResult:
+    """Return the result of a session that ended with ``decision``; ``pose``: true pose (3,)."""
+    if isinstance(decision, Done):
+        end = End.DONE
+    elif session.taps >= most_taps:
+        end = End.ENDLESS
+    else:
+        end = End.REFUSED_BEFORE if session.taps == 0 else End.REFUSED_LATER
+    error, settings = session.residual(pose), session.settings
+    distance, rotation = math.hypot(error[0], error[1]), float(error[2])
+    within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
+    return session.taps, int(end), within, distance, rotation, over_edge, seconds
 
 
 def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
