@@ -36,9 +36,6 @@ from tapping_cell.planning.session import (
     noise_of,
 )
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.stopping import (
-    StoppingBox,
-)
 from tapping_cell.planning.strike import BoolArray
 from tapping_cell.se2 import difference, unit_vectors
 
@@ -93,13 +90,9 @@ class FixedTapperSession(GoalSession):
         adapt: bool = True,
         most_taps: int = MAX_TAPS,
     ) -> None:
-        self.goal = np.asarray(goal_pose, dtype=float)
+        super().__init__(goal_pose, gains, adapt, most_taps)
         self._settings = settings
-        self.gains = Gains.start() if gains is None else gains
         self.mounts = MountBelief.start(len(space.tappers)) if mounts is None else mounts
-        self.taps = 0
-        self._adapt = adapt
-        self._most_taps = most_taps
         self._missed: frozenset[int] = frozenset()
         self._skipped: frozenset[int] = frozenset()
         self._solver = GoalSolver() if solver is None else solver
@@ -182,10 +175,7 @@ class FixedTapperSession(GoalSession):
         names = [tapper.name for tapper in self._nominal.tappers]
         return names.index(strike.plan.tapper)
 
-    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        coarse = self._camera_refusal(left, box)
-        if coarse is not None:
-            return coarse
+    def _place_refusal(self, pose: Array) -> Refusal | None:
         clearance = float(self._space.area.clearance(pose[:2]))
         if clearance < -OUTER:
             return Refusal(
@@ -194,13 +184,14 @@ class FixedTapperSession(GoalSession):
                 f"outside the working area (limit {1e3 * OUTER:.0f} mm); put the object back by "
                 "hand",
             )
-        if self.taps >= self._most_taps:
-            return Refusal(
-                RefusalReason.TOO_MANY_TAPS,
-                f"{self.taps} taps did not bring the object to the goal (limit "
-                f"{self._most_taps}); check the strikers, the camera and the object's file",
-            )
         return None
+
+    @property
+    def _too_many_taps(self) -> str:
+        return (
+            f"{self.taps} taps did not bring the object to the goal (limit "
+            f"{self._most_taps}); check the strikers, the camera and the object's file"
+        )
 
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
         return self._strike(pose, left, self._missed | self._skipped)

@@ -7,12 +7,12 @@ import threading
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tapping_cell.planning.exact import ExactPlanner
 from tapping_cell.planning.expected_taps import expected_taps
 from tapping_cell.planning.interface import Array, Planner, Taps
 from tapping_cell.planning.lookup import Indices, bracket
 from tapping_cell.planning.policy_cache import keep_policy, load_policy
 from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.two_tap import ExactPlanner
 from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35

@@ -140,12 +140,18 @@ class GoalSession(ABC):
     one kind of cell.
     """
 
-    goal: Array
-    gains: Gains
-    taps: int
     arm: ArrayLike | None = None
     """Pose of the arm's tip in `table`: x, y, height (m) and yaw (rad); None if unknown."""
     _goal_refusal: Refusal | None
+
+    def __init__(
+        self, goal_pose: ArrayLike, gains: Gains | None, adapt: bool, most_taps: int
+    ) -> None:
+        self.goal: Array = np.asarray(goal_pose, dtype=float)
+        self.gains = Gains.start() if gains is None else gains
+        self.taps = 0
+        self._adapt = adapt
+        self._most_taps = most_taps
 
     @property
     @abstractmethod
@@ -178,8 +184,13 @@ class GoalSession(ABC):
         """Name of the planning method, for records."""
 
     @abstractmethod
-    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        """Return the reason why no tap may be made, or None."""
+    def _place_refusal(self, pose: Array) -> Refusal | None:
+        """Return the reason why no tap may be made from this pose, or None."""
+
+    @property
+    @abstractmethod
+    def _too_many_taps(self) -> str:
+        """Message if the goal is not reached after the maximum number of taps."""
 
     @abstractmethod
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
@@ -241,7 +252,9 @@ class GoalSession(ABC):
             return arrived
         left, box = self.residual(pose), self.stopping(covariance)
         return (
-            self._refusal_before_tap(pose, left, box)
+            self._camera_refusal(left, box)
+            or self._place_refusal(pose)
+            or self._count_refusal()
             or self._rotation_refusal(left, box)
             or self._next_tap(pose, left)
         )
@@ -284,6 +297,11 @@ class GoalSession(ABC):
                 "rest for longer, calibrate the camera or widen the tolerance",
             )
         return None
+
+    def _count_refusal(self) -> Refusal | None:
+        if self.taps < self._most_taps:
+            return None
+        return Refusal(RefusalReason.TOO_MANY_TAPS, self._too_many_taps)
 
     def _rotation_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
         """Return a refusal if the angle must be corrected but taps cannot turn the object, else
@@ -363,17 +381,13 @@ class PositioningSession(GoalSession):
         probe: bool = False,
         most_taps: int = MAX_TAPS,
     ) -> None:
-        self.goal = np.asarray(goal_pose, dtype=float)
+        super().__init__(goal_pose, gains, adapt, most_taps)
         self.planner = planner
-        self.gains = Gains.start() if gains is None else gains
-        self.taps = 0
         self._missed: tuple[float, ...] = ()  # headings of consecutive missed taps
         self._skipped: tuple[float, ...] = ()  # headings that the operator rejected
         self._times = times
         self._objective = objective
-        self._adapt = adapt
         self._probes_left = MAX_PROBES if probe else 0
-        self._most_taps = most_taps
         self._visited = VisitedPoses(self.goal)
         self.use_free_space(space, FreeSpace(space) if free is None else free)
 
@@ -445,10 +459,7 @@ class PositioningSession(GoalSession):
         """Return a warning if the object is close to an edge or over it, else an empty string."""
         return edge_warning(pose, self._space)
 
-    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        coarse = self._camera_refusal(left, box)
-        if coarse is not None:
-            return coarse
+    def _place_refusal(self, pose: Array) -> Refusal | None:
         edge = float(self._space.workspace.edge_distance(pose[:2]))
         if edge < 0.0:
             return Refusal(
@@ -463,13 +474,14 @@ class PositioningSession(GoalSession):
                 f"{place_text(self.goal)} along which the object can be tapped; remove a "
                 "keep-out or choose another goal" + others_text(self._space),
             )
-        if self.taps >= self._most_taps:
-            return Refusal(
-                RefusalReason.TOO_MANY_TAPS,
-                f"the object is not at the goal after {self.taps} taps (limit {self._most_taps});"
-                " raise the limit, or check the striker, the camera and the object's file",
-            )
         return None
+
+    @property
+    def _too_many_taps(self) -> str:
+        return (
+            f"the object is not at the goal after {self.taps} taps (limit {self._most_taps});"
+            " raise the limit, or check the striker, the camera and the object's file"
+        )
 
     def _strike(self, pose: Array, left: Array, missed: tuple[float, ...]) -> Strike | Refusal:
         probe = self._probe(pose, left)
@@ -583,12 +595,9 @@ class PositioningSession(GoalSession):
         ``own``: the tap chosen by the method."""
         if self._objective != "time" or self._times is None or self.arm is None:
             return None
-        if self._blocked(pose):
-            return None
-        if not isinstance(self.planner, TapValues):
-            return None
-        if isinstance(self._space.tap.body, Polygon):
-            # the expected times ignore that a polygon can be tapped in only a few directions
+        # The expected times ignore that a polygon can be tapped in only a few directions.
+        polygon = isinstance(self._space.tap.body, Polygon)
+        if polygon or self._blocked(pose) or not isinstance(self.planner, TapValues):
             return None
         taps = near_taps(pose, left, own, self.gains, self.planner, self.settings)
         if taps is None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.mechanics import Tap
+from tapping_cell.mechanics.tap import TapPlan
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.gains import Spread
 from tapping_cell.planning.interface import Array
@@ -238,15 +239,14 @@ class StrikeSpace:
         known = np.flatnonzero(found)
         if known.size == 0:
             return None
-        contact = np.asarray(plan.strike_pose, dtype=float)
-        speed = np.asarray(plan.striker_speed, dtype=float)
-        usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
-        usable &= self.tool_fits(object_pose, contact)
+        usable = self._usable(object_pose, plan)
         if not np.any(usable):
             return None
         index = int(np.argmax(usable))
         return int(known[index]), self.plan_at(
-            float(np.asarray(plan.contact_angle)[index]), contact[index], float(speed[index])
+            float(np.asarray(plan.contact_angle)[index]),
+            np.asarray(plan.strike_pose)[index],
+            float(np.asarray(plan.striker_speed)[index]),
         )
 
     def strikeable(self, object_poses: Array, displacements: Array) -> BoolArray:
@@ -260,10 +260,14 @@ class StrikeSpace:
         found, plan = self.tap.plan_reachable(displacements, object_poses)
         possible = found.copy()
         if np.any(found):
-            speed = np.asarray(plan.striker_speed, dtype=float)
-            usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
-            possible[found] = usable & self.tool_fits(object_poses[found], plan.strike_pose)
+            possible[found] = self._usable(object_poses[found], plan)
         return found, possible
+
+    def _usable(self, object_pose: ArrayLike, plan: TapPlan) -> BoolArray:
+        """Return which planned taps are possible for the striker, the arm and the tool."""
+        speed = np.asarray(plan.striker_speed, dtype=float)
+        usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
+        return usable & self.tool_fits(object_pose, plan.strike_pose)
 
     def tool_fits(self, object_pose: ArrayLike, contact_poses: ArrayLike) -> BoolArray:
         """Return whether the arm reaches the rest poses of these contacts and the tool has

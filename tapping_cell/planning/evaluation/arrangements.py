@@ -42,7 +42,6 @@ from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.refusal import Refusal
-from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.planning.workspace import CircleArea, KeepOut, PolygonArea
 from tapping_cell.se2 import Pose, difference, displaced, transform_points
@@ -321,9 +320,8 @@ def _longer(
 
 
 def _inside(body: Body, true: Array) -> bool:
-    assert body.goal is not None
-    settings: PlannerSettings = body.planner.settings
-    x, y, turn = difference(true, body.goal).tolist()
+    settings = body.planner.settings
+    x, y, turn = difference(true, body.target).tolist()
     away = math.hypot(x, y)
     return away <= settings.tolerance_position and abs(turn) <= settings.tolerance_angle
 
