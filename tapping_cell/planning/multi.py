@@ -137,8 +137,8 @@ class MultiPlanner:
         return taps[index, best], turn[index, best]
 
     def _taps_at(self, r: Array) -> Array:
-        """Return the taps that are compared at distances r (n,), (n, taps): the tap to the goal, and
-        taps of a geometric progression of sizes."""
+        """Return the taps that are compared at distances r (n,), (n, taps): the tap to the goal,
+        and taps of a geometric progression of sizes."""
         own = np.clip(r, self.settings.smallest_distance, self.settings.largest_distance)
         return np.column_stack([own, np.broadcast_to(self._taps, (r.size, self._taps.size))])
 
