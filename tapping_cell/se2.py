@@ -28,14 +28,14 @@ def unit_vectors(angle: ArrayLike) -> Array:
 
 def difference(start: ArrayLike, end: ArrayLike) -> Array:
     """Return ``end`` minus ``start``, poses (..., 3), with the rotation wrapped to [-pi, pi)."""
-    moved = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
+    moved: Array = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
     moved[..., 2] = wrap_angle(moved[..., 2])
     return moved
 
 
 def displaced(start: ArrayLike, moved: ArrayLike) -> Array:
     """Return ``start`` plus the displacement ``moved``, both (..., 3), with theta in [-pi, pi)."""
-    end = np.asarray(start, dtype=float) + np.asarray(moved, dtype=float)
+    end: Array = np.asarray(start, dtype=float) + np.asarray(moved, dtype=float)
     end[..., 2] = wrap_angle(end[..., 2])
     return end
 

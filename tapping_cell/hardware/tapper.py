@@ -723,10 +723,9 @@ class TapperDriver(RecordingTapper):
         elif reply.result is Result.LATE:
             reason, text = (
                 FaultReason.TIMEOUT,
-                "FIRE reached the tapper after its deadline, so the striker was not fired: "
-                "this computer"
-                " or the line was too slow; reduce the computer's load or use a longer firing"
-                " window",
+                "FIRE reached the tapper after its deadline, so the striker was not fired: this"
+                " computer or the line was too slow; reduce the computer's load or use a longer"
+                " firing window",
             )
         elif reply.result is Result.SPENT:
             reason, text = (

@@ -210,12 +210,11 @@ class FixedStrikeSpace:
         """Group the indices of tappers with the same mechanics, which are computed together."""
         groups: list[list[int]] = []
         for index, tapper in enumerate(self.tappers):
-            for group in groups:
-                if self.tappers[group[0]].tap == tapper.tap:
-                    group.append(index)
-                    break
-            else:
+            alike = (group for group in groups if self.tappers[group[0]].tap == tapper.tap)
+            if (group := next(alike, None)) is None:
                 groups.append([index])
+            else:
+                group.append(index)
         return groups
 
     def _lines_of(self, group: list[int], poses: Array) -> Lines:

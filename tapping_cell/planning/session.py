@@ -509,6 +509,14 @@ class PositioningSession(GoalSession):
             )
         if missed and self._skipped and "skipped" not in detour:
             detour += "; another tap was skipped"
+        return self._alternative(pose, left, first, detour, missed)
+
+    def _alternative(
+        self, pose: Array, left: Array, first: Array, detour: str, missed: tuple[float, ...]
+    ) -> Strike | Refusal:
+        """Return the best tap other than ``first``, which was rejected because of ``detour``."""
+        # Whether some slide is safe, some contact allows a safe slide, and some slide would be safe
+        # if the object's file were exact.
         allowed = struck = trusted = False
 
         def safe(candidates: Array) -> BoolArray:

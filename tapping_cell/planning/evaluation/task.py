@@ -18,7 +18,7 @@ from tapping_cell.planning.session import Decision, Done, GoalSession, Strike
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.planning.tap_times import OBJECTIVES, TapTimes
-from tapping_cell.se2 import Pose
+from tapping_cell.se2 import Pose, unit_vectors
 
 
 class End(IntEnum):
@@ -188,10 +188,8 @@ def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> 
     far, turn = evaluation.random_tasks
     distance = rng.uniform(0.0, far, count)
     heading = rng.uniform(-np.pi, np.pi, count)
-    return np.stack(
-        [distance * np.cos(heading), distance * np.sin(heading), rng.uniform(-turn, turn, count)],
-        axis=-1,
-    )
+    moved = distance[:, None] * unit_vectors(heading)
+    return np.column_stack([moved, rng.uniform(-turn, turn, count)])
 
 
 def draw_gains(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
