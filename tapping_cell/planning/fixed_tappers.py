@@ -114,7 +114,7 @@ class Lines(NamedTuple):
 
     def of(self, rows: NDArray[np.intp]) -> Lines:
         """Return the lines of the poses in ``rows``."""
-        return Lines(*(part[rows] for part in self))
+        return Lines._make(part[rows] for part in self)
 
 
 class FixedStrikeSpace:
