@@ -21,6 +21,25 @@ def wrap_angle(angle: ArrayLike) -> Array:
     return np.asarray((np.asarray(angle, dtype=float) + math.pi) % (2 * math.pi) - math.pi)
 
 
+def unit_vectors(angle: ArrayLike) -> Array:
+    """Return the unit vectors (..., 2) in the directions of angles (...), in radians."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def difference(start: ArrayLike, end: ArrayLike) -> Array:
+    """Return ``end`` minus ``start``, poses (..., 3), with the rotation wrapped to [-pi, pi)."""
+    moved: Array = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
+    moved[..., 2] = wrap_angle(moved[..., 2])
+    return moved
+
+
+def displaced(start: ArrayLike, moved: ArrayLike) -> Array:
+    """Return ``start`` plus the displacement ``moved``, both (..., 3), with theta in [-pi, pi)."""
+    end: Array = np.asarray(start, dtype=float) + np.asarray(moved, dtype=float)
+    end[..., 2] = wrap_angle(end[..., 2])
+    return end
+
+
 class Pose(NamedTuple):
     """The pose of one frame in another: x and y in m, theta in rad, counter-clockwise."""
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.hardware.scara import ScaraGeometry
+from tapping_cell.se2 import unit_vectors
 
 Array = NDArray[np.float64]
 
@@ -49,10 +50,10 @@ def arm_bars(geometry: ScaraGeometry, shape: ArmShape, joints: ArrayLike) -> Bar
     q = given + geometry.joint_offset
     reach = q[:, 0] + q[:, 1]
     shoulder = np.zeros((len(q), 2))
-    elbow = geometry.upper_arm * _direction(q[:, 0])
-    wrist = elbow + geometry.forearm * _direction(reach)
+    elbow = geometry.upper_arm * unit_vectors(q[:, 0])
+    wrist = elbow + geometry.forearm * unit_vectors(reach)
     tip = geometry.forward_many(given)
-    back = tip[:, :2] - shape.tool_length * _direction(tip[:, 3])
+    back = tip[:, :2] - shape.tool_length * unit_vectors(tip[:, 3])
     low = geometry.tip_height + shape.link_clearance
     levels = np.linspace(low, low + shape.link_thickness, _levels(shape))
     bars = [
@@ -70,10 +71,6 @@ def _levels(shape: ArmShape) -> int:
     """Return how many bars to stack over the thickness of a link, so that their spacing is at most
     half the link's width."""
     return 2 + int(shape.link_thickness / shape.link_half_width)
-
-
-def _direction(angle: Array) -> Array:
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def _at(place: Array, height: ArrayLike) -> Array:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
+from tapping_cell.hardware.urdf import add_joint, add_origin, urdf_text
 from tapping_cell.se2 import Pose
 
 STRIKER_RADIUS = 0.004
@@ -49,17 +50,14 @@ def mounted_tappers_urdf(tappers: Sequence[MountedTapper], name: str = "position
         link = ElementTree.SubElement(robot, "link", name=mount)
         behind = -tapper.body_start - tapper.body_length / 2
         _rod(link, tapper.body_length, tapper.body_radius, behind)
-        joint = _joint(robot, mount, "fixed", "table", mount)
-        place = (pose.x, pose.y, tapper.height)
-        ElementTree.SubElement(
-            joint, "origin", xyz=_numbers(*place), rpy=_numbers(0.0, 0.0, pose.theta)
-        )
+        joint = add_joint(robot, mount, "fixed", "table", mount)
+        add_origin(joint, (pose.x, pose.y, tapper.height), (0.0, 0.0, pose.theta))
         striker = f"{tapper.name}_striker"
         length = tapper.body_start + tapper.body_length
         link = ElementTree.SubElement(robot, "link", name=striker)
         _rod(link, length, STRIKER_RADIUS, -length / 2)
         _inertia(link, tapper.mass, length)
-        joint = _joint(robot, tapper.name, "prismatic", mount, striker)
+        joint = add_joint(robot, tapper.name, "prismatic", mount, striker)
         ElementTree.SubElement(joint, "axis", xyz="1 0 0")
         ElementTree.SubElement(
             joint,
@@ -69,26 +67,14 @@ def mounted_tappers_urdf(tappers: Sequence[MountedTapper], name: str = "position
             velocity=repr(tapper.fastest),
             effort=repr(round(tapper.mass * PULSE_ACCELERATION, 6)),
         )
-    ElementTree.indent(robot)
-    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def _joint(
-    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str
-) -> ElementTree.Element:
-    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
-    ElementTree.SubElement(joint, "parent", link=parent)
-    ElementTree.SubElement(joint, "child", link=child)
-    return joint
+    return urdf_text(robot)
 
 
 def _rod(link: ElementTree.Element, length: float, radius: float, centre: float) -> None:
     """Add a cylinder along x to a link. ``centre``: x of the cylinder's centre, m."""
     for use in ("visual", "collision"):
         element = ElementTree.SubElement(link, use)
-        ElementTree.SubElement(
-            element, "origin", xyz=_numbers(centre, 0.0, 0.0), rpy=_numbers(0.0, math.pi / 2, 0.0)
-        )
+        add_origin(element, (centre, 0.0, 0.0), (0.0, math.pi / 2, 0.0))
         shape = ElementTree.SubElement(element, "geometry")
         ElementTree.SubElement(shape, "cylinder", length=repr(length), radius=repr(radius))
 
@@ -96,12 +82,9 @@ def _rod(link: ElementTree.Element, length: float, radius: float, centre: float)
 def _inertia(link: ElementTree.Element, mass: float, length: float) -> None:
     """Add the inertia of a thin rod along x whose front end is the link's origin."""
     inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=_numbers(-length / 2, 0.0, 0.0), rpy="0 0 0")
+    place = f"{-length / 2!r} 0.0 0.0"
+    ElementTree.SubElement(inertial, "origin", xyz=place, rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=repr(mass))
     along, across = mass * STRIKER_RADIUS**2 / 2, mass * length**2 / 12
     values = {"ixx": along, "iyy": across, "izz": across, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
     ElementTree.SubElement(inertial, "inertia", {key: repr(v) for key, v in values.items()})
-
-
-def _numbers(*values: float) -> str:
-    return " ".join(repr(float(value)) for value in values)

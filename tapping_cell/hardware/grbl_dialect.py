@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, grbl
-from tapping_cell.hardware.axis_units import TO_UNITS, check_letters
+from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds
-from tapping_cell.hardware.dialect import (
-    AXIS_COUNT,
-    Axes,
-    AxisReading,
-    Firmware,
-    LineCounters,
-    StraightMove,
-)
+from tapping_cell.hardware.dialect import AXIS_COUNT, Axes, AxisReading, Firmware
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.finding import Finding
 from tapping_cell.hardware.grbl_controllers import GRBL, ORIGIN_BIT, GrblController, identify
-from tapping_cell.hardware.text_line import Bad
+from tapping_cell.hardware.line_dialect import LineDialect
 from tapping_cell.hardware.transport import Transport
 
 REPLY_TIMEOUT = 0.5
@@ -87,15 +79,12 @@ class GrblSettings:
         check_letters(self.letters)
 
 
-class GrblDialect:
+class GrblDialect(LineDialect[grbl.Frame]):
     """Driver of one Grbl controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
 
     def __init__(self, transport: Transport, settings: GrblSettings | None = None) -> None:
-        self._transport = transport
+        super().__init__(transport, grbl.decode)
         self._settings = settings or GrblSettings()
-        self.counters = LineCounters()
-        self._buffer = b""
-        self._frames: deque[grbl.Frame] = deque()
         self._offset: tuple[float, ...] | None = None
         self._known = False
         self._marked = False
@@ -111,11 +100,6 @@ class GrblDialect:
         self._marker = MARKERS[0]
         self._asked = 0.0
         self._since = 0.0
-
-    @property
-    def units(self) -> Sequence[float]:
-        """Degrees and mm."""
-        return TO_UNITS
 
     @property
     def stop_bytes(self) -> bytes:
@@ -168,11 +152,6 @@ class GrblDialect:
             if last is not None and self._agree(last, status):
                 return self._reading(status)
             last = status
-
-    def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
-        """Send one line per move."""
-        for move in moves:
-            self._start_move(move.target, move.feed, deadline)
 
     def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
         """Send one move. If the answer is lost, the position read back shows whether the move was
@@ -299,23 +278,7 @@ class GrblDialect:
         self._offset, self._frozen = None, False
         self._unanswered = False
 
-    def _pump(self, wait: float) -> bool:
-        """Read for up to ``wait`` s and decode the data; return False if nothing was received."""
-        data = self._transport.read(wait)
-        self.counters.received.take(data)
-        self._buffer += data
-        while True:
-            decoded = grbl.decode(self._buffer)
-            self._buffer = decoded.rest
-            if decoded.frame is None:
-                return bool(data)
-            self.counters.lines += 1
-            self._sort(decoded.frame)
-
-    def _sort(self, frame: grbl.Frame) -> None:
-        if isinstance(frame, Bad):
-            self.counters.bad_lines += 1
-            return
+    def _take(self, frame: grbl.Frame) -> None:
         if isinstance(frame, grbl.Status):
             if self._count and len(frame.machine or frame.work or ()) != self._count:
                 self.counters.bad_lines += 1
@@ -337,19 +300,19 @@ class GrblDialect:
             raise self._alarm_fault(meanings.get(frame.code, "unknown to this driver"), frame.code)
         self._frames.append(frame)
 
-    def _next(self, deadline: float, waiting_for: str) -> grbl.Frame:
-        while not self._frames:
-            left = deadline - self._transport.now()
-            if left <= 0:
-                self.counters.timeouts += 1
-                raise HardwareFault(
-                    FaultReason.TIMEOUT,
-                    f"no {waiting_for} from the arm's controller on {self._transport.name} within"
-                    f" {self._transport.now() - self._since:.1f} s: check power, cable and baud"
-                    " rate",
-                )
-            self._pump(left)
-        return self._frames.popleft()
+    def _await(self, until: float) -> grbl.Frame | None:
+        """Return the next frame; count a timeout and return None if none is received by
+        ``until``."""
+        frame = self._next(until)
+        self.counters.timeouts += frame is None
+        return frame
+
+    def _silent(self, waiting_for: str) -> HardwareFault:
+        return HardwareFault(
+            FaultReason.TIMEOUT,
+            f"no {waiting_for} from the arm's controller on {self._transport.name} within"
+            f" {self._transport.now() - self._since:.1f} s: check power, cable and baud rate",
+        )
 
     def _ask_status(self, deadline: float) -> grbl.Status:
         """Query one status report, repeating lost queries; earlier answers are discarded."""
@@ -360,15 +323,12 @@ class GrblDialect:
             self._asked = self._transport.now()
             self._transport.write(grbl.STATUS_QUERY)
             until = min(deadline, self._asked + REPLY_TIMEOUT)
-            try:
-                while True:
-                    frame = self._next(until, "status report")
-                    if isinstance(frame, grbl.Status):
-                        return frame
-            except HardwareFault as fault:
-                if fault.reason is not FaultReason.TIMEOUT or until >= deadline:
-                    raise
-                self.counters.retries += 1
+            while (frame := self._await(until)) is not None:
+                if isinstance(frame, grbl.Status):
+                    return frame
+            if until >= deadline:
+                raise self._silent("status report")
+            self.counters.retries += 1
 
     def _command(self, line: bytes, deadline: float) -> list[grbl.Frame]:
         """Send one line, wait for its ``ok``, and return the frames received before it.
@@ -384,8 +344,7 @@ class GrblDialect:
         self._unanswered = True
         self._transport.write(line)
         frames: list[grbl.Frame] = []
-        while True:
-            frame = self._next(deadline, f"answer to {line.decode().strip()!r}")
+        while (frame := self._await(deadline)) is not None:
             if isinstance(frame, grbl.Ok):
                 self._unanswered = False
                 return frames
@@ -399,6 +358,7 @@ class GrblDialect:
                     f" {meaning}",
                 )
             frames.append(frame)
+        raise self._silent(f"answer to {line.decode().strip()!r}")
 
     def _resynchronise(self, deadline: float) -> None:
         """Wait until the controller has processed every line sent before.
@@ -414,26 +374,28 @@ class GrblDialect:
             self._marker = self._marker + 1 if self._marker < last else first
             self._transport.write(grbl.marker_lines(self._marker))
             until = min(deadline, self._transport.now() + REPLY_TIMEOUT)
-            locked = False
-            try:
-                while True:
-                    frame = self._next(until, "answer to its lines")
-                    if isinstance(frame, grbl.Error):
-                        locked = locked or frame.code == 9
-                    elif isinstance(frame, grbl.Message) and frame.kind == "GC":
-                        if locked:
-                            raise self._alarm_fault("it accepts no lines")
-                        if grbl.modal_feed(frame.text) == self._marker:
-                            break
-                while not isinstance(self._next(until, "answer to its lines"), grbl.Ok):
-                    pass
-            except HardwareFault as fault:
-                if fault.reason is not FaultReason.TIMEOUT or until >= deadline:
-                    raise
-                self.counters.retries += 1
-            else:
+            if self._marker_arrives(until):
                 self._unanswered = False
                 return
+            if until >= deadline:
+                raise self._silent("answer to its lines")
+            self.counters.retries += 1
+
+    def _marker_arrives(self, until: float) -> bool:
+        """Return whether the mode report with the marker, and then its ``ok``, arrive by
+        ``until``."""
+        locked = reported = False
+        while (frame := self._await(until)) is not None:
+            if reported:
+                if isinstance(frame, grbl.Ok):
+                    return True
+            elif isinstance(frame, grbl.Error):
+                locked = locked or frame.code == 9
+            elif isinstance(frame, grbl.Message) and frame.kind == "GC":
+                if locked:
+                    raise self._alarm_fault("it accepts no lines")
+                reported = grbl.modal_feed(frame.text) == self._marker
+        return False
 
     def _await_first_status(self, deadline: float) -> grbl.Banner | None:
         """Query until a status report arrives. Return the banner that was received before this
@@ -442,24 +404,19 @@ class GrblDialect:
         while True:
             self._transport.write(grbl.STATUS_QUERY)
             until = min(deadline, self._transport.now() + 0.2)
-            try:
-                while True:
-                    frame = self._next(until, "status report")
-                    if isinstance(frame, grbl.Banner):
-                        banner = frame
-                    elif isinstance(frame, grbl.Status):
-                        return banner
-            except HardwareFault as fault:
-                if fault.reason is not FaultReason.TIMEOUT:
-                    raise
-                if until >= deadline:
-                    raise HardwareFault(
-                        FaultReason.UNKNOWN_FIRMWARE,
-                        f"nothing on {self._transport.name} answers like a Grbl controller"
-                        f" ({self.counters.bad_lines} unreadable lines): check the port, the baud"
-                        " rate and the dialect parameter",
-                    ) from fault
-                self.counters.retries += 1
+            while (frame := self._await(until)) is not None:
+                if isinstance(frame, grbl.Banner):
+                    banner = frame
+                elif isinstance(frame, grbl.Status):
+                    return banner
+            if until >= deadline:
+                raise HardwareFault(
+                    FaultReason.UNKNOWN_FIRMWARE,
+                    f"nothing on {self._transport.name} answers like a Grbl controller"
+                    f" ({self.counters.bad_lines} unreadable lines): check the port, the baud"
+                    " rate and the dialect parameter",
+                )
+            self.counters.retries += 1
 
     def _await_answerable(self, deadline: float) -> None:
         """Wait for the end of a motion; raise if the controller is in a state in which it refuses
@@ -488,23 +445,19 @@ class GrblDialect:
 
     def _await_banner(self, until: float) -> bool:
         """Wait for the greeting after a reset; return whether it was received."""
-        while self._transport.now() < until:
-            self._pump(until - self._transport.now())
-            while self._frames:
-                if isinstance(self._frames.popleft(), grbl.Banner):
-                    return True
+        while (frame := self._next(until)) is not None:
+            if isinstance(frame, grbl.Banner):
+                return True
         return False
 
     def _drain(self) -> grbl.Banner | None:
         """Read until the line is silent, so that old answers are not mistaken for new answers."""
         banner: grbl.Banner | None = None
         for _ in range(DRAIN_ROUNDS):
-            frames = self._pump(DRAIN_SILENCE)
-            while self._frames:
-                frame = self._frames.popleft()
-                if isinstance(frame, grbl.Banner):
-                    banner = frame
-            if not frames:
+            received = self._pump(DRAIN_SILENCE)
+            banner = next((f for f in reversed(self._frames) if isinstance(f, grbl.Banner)), banner)
+            self._frames.clear()
+            if not received:
                 break
         return banner
 
@@ -598,6 +551,7 @@ class GrblDialect:
         frames = self._retried(b"$$\n", deadline)
         found = {frame.number: frame.value for frame in frames if isinstance(frame, grbl.Setting)}
         controller, settings = self._controller, self._settings
+        shown = {number: f"{value:g}" for number, value in found.items()}
         findings: list[Finding] = []
         if controller.has_files:
             self._learn_homed_place_by_name(deadline)
@@ -615,7 +569,7 @@ class GrblDialect:
             )
         else:
             self._learn_homed_place(found)
-            held = f"{found[1]:g}" if 1 in found else "missing"
+            held = shown.get(1, "missing")
         findings.append(
             Finding(
                 controller.hold_setting,
@@ -631,7 +585,7 @@ class GrblDialect:
         findings.append(
             Finding(
                 "$10",
-                "missing" if mask is None else f"{mask:g}",
+                shown.get(10, "missing"),
                 "must be odd, so that reports contain the machine position",
                 mask is not None and int(mask) % 2 == 1,
                 f"$10={int(mask or 0) | 1}",
@@ -642,7 +596,7 @@ class GrblDialect:
             findings.append(
                 Finding(
                     "$22",
-                    f"{found[22]:g}" if 22 in found else "missing",
+                    shown.get(22, "missing"),
                     "must be 1: this arm finds its position by homing",
                     int(found.get(22, 0)) % 2 == 1,
                     "" if controller.has_files else f"$22={int(found.get(22, 0)) | 1}",
@@ -657,7 +611,7 @@ class GrblDialect:
             findings.append(
                 Finding(
                     f"${number}",
-                    "missing" if actual is None else f"{actual:g}",
+                    shown.get(number, "missing"),
                     f"must be {value:g}",
                     actual is not None
                     and abs(actual - value) <= controller_needs.TOLERANCE * max(abs(value), 1.0),

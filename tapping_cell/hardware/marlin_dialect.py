@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import secrets
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tapping_cell.hardware import controller_needs, marlin
-from tapping_cell.hardware.axis_units import TO_UNITS, check_letters
+from tapping_cell.hardware.axis_units import check_letters
 from tapping_cell.hardware.controller_needs import ControllerNeeds
-from tapping_cell.hardware.dialect import (
-    AXIS_COUNT,
-    Axes,
-    AxisReading,
-    Firmware,
-    LineCounters,
-    StraightMove,
-)
+from tapping_cell.hardware.dialect import AXIS_COUNT, Axes, AxisReading, Firmware
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.finding import Finding
-from tapping_cell.hardware.text_line import Bad
+from tapping_cell.hardware.line_dialect import LineDialect
 from tapping_cell.hardware.transport import Transport
 
 SILENCE = 2.5
@@ -75,7 +67,7 @@ class MarlinSettings:
         check_letters(self.letters)
 
 
-class MarlinDialect:
+class MarlinDialect(LineDialect[marlin.Frame]):
     """Driver of one Marlin controller; see :class:`~tapping_cell.hardware.dialect.ArmDialect`."""
 
     def __init__(
@@ -84,12 +76,9 @@ class MarlinDialect:
         settings: MarlinSettings | None = None,
         draw_number: Callable[[int], int] = secrets.randbelow,
     ) -> None:
-        self._transport = transport
+        super().__init__(transport, marlin.decode)
         self._settings = settings or MarlinSettings()
         self._draw_number = draw_number
-        self.counters = LineCounters()
-        self._buffer = b""
-        self._frames: deque[marlin.Frame] = deque()
         self._number = 0
         self._met = False
         self._beginnings = 0
@@ -101,11 +90,6 @@ class MarlinDialect:
         self._offset: dict[str, float] = {}
         """Reported position minus step counts, in axis units, while the arm is at rest. It is not 0
         if the firmware has a workspace offset (``G92``) or a home offset (``M206``)."""
-
-    @property
-    def units(self) -> Sequence[float]:
-        """Degrees and mm."""
-        return TO_UNITS
 
     @property
     def stop_bytes(self) -> bytes:
@@ -170,11 +154,6 @@ class MarlinDialect:
             # received data and query again.
             self._settle(deadline)
             self.counters.retries += 1
-
-    def start_moves(self, moves: Sequence[StraightMove], deadline: float) -> None:
-        """Send one line per move."""
-        for move in moves:
-            self._start_move(move.target, move.feed, deadline)
 
     def _start_move(self, target: Axes, feed: float, deadline: float) -> None:
         """Queue one move."""
@@ -373,39 +352,17 @@ class MarlinDialect:
         # If the board requests the query again, it has executed the line before the query.
         return outcome == number + 1
 
-    def _next(self, until: float) -> marlin.Frame | None:
-        while not self._frames:
-            left = until - self._transport.now()
-            if left <= 0:
-                return None
-            self._pump(left)
-        return self._frames.popleft()
-
-    def _pump(self, wait: float) -> bool:
-        """Read for up to ``wait`` s and decode the data; return False if nothing was received."""
-        data = self._transport.read(wait)
-        self.counters.received.take(data)
-        self._buffer += data
-        while True:
-            decoded = marlin.decode(self._buffer)
-            self._buffer = decoded.rest
-            frame = decoded.frame
-            if frame is None:
-                return bool(data)
-            self.counters.lines += 1
-            if isinstance(frame, Bad):
-                self.counters.bad_lines += 1
-            elif isinstance(frame, marlin.Halted) and self._known:
-                self._halted_why = frame.why
-                raise HardwareFault(
-                    FaultReason.ALARM,
-                    f"the arm's controller halted: {frame.why}: make the cell safe, clear the fault"
-                    " and home again",
-                )
-            elif isinstance(frame, marlin.Start) and self._known:
-                raise self._restarted()
-            else:
-                self._frames.append(frame)
+    def _take(self, frame: marlin.Frame) -> None:
+        if isinstance(frame, marlin.Halted) and self._known:
+            self._halted_why = frame.why
+            raise HardwareFault(
+                FaultReason.ALARM,
+                f"the arm's controller halted: {frame.why}: make the cell safe, clear the fault"
+                " and home again",
+            )
+        if isinstance(frame, marlin.Start) and self._known:
+            raise self._restarted()
+        self._frames.append(frame)
 
     # Connecting.
 

@@ -18,7 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.hardware.scara import Branch, Joints, ReachCode, ScaraGeometry, TipPose
+from tapping_cell.hardware.scara import (
+    JOINT_LIMITS,
+    Branch,
+    Joints,
+    ReachCode,
+    ScaraGeometry,
+    TipPose,
+)
 
 Array = NDArray[np.float64]
 
@@ -223,7 +230,7 @@ def check_limits(geometry: ScaraGeometry, joints: Sequence[float]) -> None:
         raise HardwareFault(
             FaultReason.OUT_OF_RANGE, f"joints {tuple(joints)} are not four finite numbers"
         )
-    index = code - ReachCode.SHOULDER_LIMIT
+    index = JOINT_LIMITS.index(code)
     scale, unit = (1e3, "mm") if index == 2 else (180 / math.pi, "deg")
     raise HardwareFault(
         FaultReason.OUT_OF_RANGE,

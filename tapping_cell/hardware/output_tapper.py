@@ -19,7 +19,6 @@ The driver assumes, but cannot enforce, that a request takes effect within ``lat
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -29,7 +28,7 @@ import numpy as np
 from tapping_cell.hardware import tapper_protocol as protocol
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.hardware.output_link import Answer, OutputLink
-from tapping_cell.hardware.tapper import FireOutcome, FireResult, TapperCounters
+from tapping_cell.hardware.tapper import FireOutcome, FireResult, RecordingTapper
 from tapping_cell.hardware.tapper_protocol import Mode, Reply, Result, State
 
 VERSION = "digital output"
@@ -75,7 +74,7 @@ class OutputTapperSettings:
         return float(np.interp(math.sqrt(energy), np.sqrt(self.energies), self.pulses))
 
 
-class OutputTapperDriver:
+class OutputTapperDriver(RecordingTapper):
     """Driver of one tapper on one output. All calls except ``stop`` block and must come from one
     thread."""
 
@@ -83,18 +82,14 @@ class OutputTapperDriver:
         self, link: OutputLink, settings: OutputTapperSettings, memory: ShotMemory
     ) -> None:
         self.settings = settings
-        self.counters = TapperCounters()
-        self.last_reply: Reply | None = None
+        # A pulse that an earlier process sent may still be in transmission, so assume the longest
+        # pulse.
+        super().__init__(link.now() + self._longest(max(settings.pulses)))
         self._link = link
         self._memory = memory
         self._connected = False
         self._ready: tuple[int, float] | None = None
-        self._attempted = 0
         self._last_fired = 0
-        # A pulse that an earlier process sent may still be in transmission, so assume the longest
-        # pulse.
-        self._release_by = link.now() + self._longest(max(settings.pulses))
-        self._stopped = threading.Event()
 
     @property
     def connected(self) -> bool:
@@ -106,17 +101,6 @@ class OutputTapperDriver:
     def version(self) -> str:
         """Description of the output, in place of a firmware version."""
         return f"{VERSION} by {self._link.interface}" if self._connected else ""
-
-    @property
-    def stopped(self) -> bool:
-        """True if ``stop`` is latched in this driver."""
-        return self._stopped.is_set()
-
-    @property
-    def release_impossible_after(self) -> float:
-        """Time after which no shot sent so far can still be fired, s; infinity if the output was
-        not confirmed to be off."""
-        return self._release_by
 
     def connect(self, timeout: float = 5.0) -> Reply:
         """Connect to the output, switch it off, and wait for the guard and the read-back.
@@ -243,7 +227,7 @@ class OutputTapperDriver:
         except HardwareFault as fault:
             self._connected = False
             self._sleep_until(release_by)
-            return self._unknown(shot, release_by, fault.sentence)
+            return self._unknown_result(shot, release_by, fault.sentence)
         return self._judge(shot, asked, release_by, *answers)
 
     def discharge(self) -> Reply:
@@ -332,20 +316,10 @@ class OutputTapperDriver:
             if self._link.reads_back
             else "the output is not read back"
         )
-        return self._unknown(shot, release_by, why)
+        return self._unknown_result(shot, release_by, why)
 
     def _not_fired(self, shot: int, sentence: str) -> FireResult:
         return FireResult(FireOutcome.NOT_FIRED, shot, sentence)
-
-    def _unknown(self, shot: int, release_by: float, why: str) -> FireResult:
-        self.counters.unknown += 1
-        return FireResult(
-            FireOutcome.UNKNOWN,
-            shot,
-            f"it is unknown whether shot {shot} was fired ({why}): check where the object is, "
-            "do not fire again",
-            release_by,
-        )
 
     def _refuse_spent(self, shot: int) -> None:
         if shot <= self._attempted:
@@ -445,16 +419,8 @@ class OutputTapperDriver:
             self._link.sleep(left)
 
     def _require(self) -> None:
-        if self._stopped.is_set():
-            raise self._noted(
-                FaultReason.STOPPED,
-                "the tapper is stopped: make the cell safe, then clear the fault",
-            )
+        self._require_no_stop()
         if not self.connected:
             raise self._noted(
                 FaultReason.DISCONNECTED, f"{self._link.name} is not connected: connect first"
             )
-
-    def _noted(self, reason: FaultReason, sentence: str) -> HardwareFault:
-        self.counters.last_error = sentence
-        return HardwareFault(reason, sentence)

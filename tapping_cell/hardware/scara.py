@@ -69,6 +69,15 @@ class ReachCode(IntEnum):
     TOOL_LIMIT = 8
 
 
+JOINT_LIMITS = (
+    ReachCode.SHOULDER_LIMIT,
+    ReachCode.ELBOW_LIMIT,
+    ReachCode.QUILL_LIMIT,
+    ReachCode.TOOL_LIMIT,
+)
+"""Code for each joint, in joint order."""
+
+
 @dataclass(frozen=True, slots=True)
 class IKSolution:
     """Result of :meth:`ScaraGeometry.inverse`.
@@ -217,13 +226,8 @@ class ScaraGeometry:
         q = np.asarray(joints, dtype=float)
         if q.shape != (4,) or not np.all(np.isfinite(q)):
             return ReachCode.NOT_FINITE, math.inf
-        codes = (
-            ReachCode.SHOULDER_LIMIT,
-            ReachCode.ELBOW_LIMIT,
-            ReachCode.QUILL_LIMIT,
-            ReachCode.TOOL_LIMIT,
-        )
-        for code, value, low, high in zip(codes, q.tolist(), self.lower, self.upper, strict=True):
+        limits = zip(JOINT_LIMITS, q.tolist(), self.lower, self.upper, strict=True)
+        for code, value, low, high in limits:
             excess = max(low - value, value - high)
             if excess > LIMIT_SLACK:
                 return code, excess
@@ -351,12 +355,7 @@ class ScaraGeometry:
                 " away from straight and from folded, and would be too close by"
                 f" {math.degrees(excess):.2f} deg; choose a pose away from the edge of the reach"
             )
-        joint = {
-            ReachCode.SHOULDER_LIMIT: 0,
-            ReachCode.ELBOW_LIMIT: 1,
-            ReachCode.QUILL_LIMIT: 2,
-            ReachCode.TOOL_LIMIT: 3,
-        }[code]
+        joint = JOINT_LIMITS.index(code)
         scale, unit = (1e3, "mm") if joint == 2 else (180 / math.pi, "deg")
         return (
             f"{where}: joint {Joints._fields[joint]} would be {excess * scale:.2f} {unit} outside"

@@ -125,7 +125,55 @@ class TapperCounters:
     last_error: str = ""
 
 
-class TapperDriver:
+class RecordingTapper:
+    """State that every tapper driver keeps: counters, the stop latch and the last shots."""
+
+    def __init__(self, release_by: float) -> None:
+        self.counters = TapperCounters()
+        self.last_reply: Reply | None = None
+        """Last reply of the tapper."""
+        self._attempted = 0
+        self._release_by = release_by
+        self._stopped = threading.Event()
+
+    @property
+    def stopped(self) -> bool:
+        """True if ``stop`` is latched in this driver."""
+        return self._stopped.is_set()
+
+    @property
+    def release_impossible_after(self) -> float:
+        """Time of the host's steady clock, in s, after which no shot sent so far can still be
+        fired; infinity if an output was not confirmed to be off.
+
+        The time also covers shots that an earlier process sent, and it is valid even if frames were
+        lost.
+        """
+        return self._release_by
+
+    def _unknown_result(self, shot: int, release_by: float, why: str) -> FireResult:
+        self.counters.unknown += 1
+        return FireResult(
+            FireOutcome.UNKNOWN,
+            shot,
+            f"it is unknown whether shot {shot} was fired ({why}): check where the object is, "
+            "do not fire again",
+            release_by,
+        )
+
+    def _require_no_stop(self) -> None:
+        if self._stopped.is_set():
+            raise self._noted(
+                FaultReason.STOPPED,
+                "the tapper is stopped: make the cell safe, then clear the fault",
+            )
+
+    def _noted(self, reason: FaultReason, sentence: str) -> HardwareFault:
+        self.counters.last_error = sentence
+        return HardwareFault(reason, sentence)
+
+
+class TapperDriver(RecordingTapper):
     """Driver of one tapper on one line. All calls except ``stop`` block and must come from one
     thread."""
 
@@ -135,10 +183,10 @@ class TapperDriver:
         settings: TapperSettings | None = None,
         draw_number: Callable[[int], int] = secrets.randbelow,
     ) -> None:
+        # A FIRE that an earlier process sent may still be in transmission to the board, so assume
+        # the longest window.
+        super().__init__(self._latest_release(transport.now(), protocol.LONGEST_WINDOW))
         self.settings = settings or TapperSettings()
-        self.counters = TapperCounters()
-        self.last_reply: Reply | None = None
-        """Last reply of the board."""
         self._transport = transport
         self._draw_number = draw_number
         self._buffer = b""
@@ -146,14 +194,9 @@ class TapperDriver:
         self._sequence = 0
         self._boot: int | None = None
         self._version = ""
-        self._attempted = 0
         self._channels = 1
         self._channel = 0
         self._mode = self.settings.mode
-        # A FIRE that an earlier process sent may still be in transmission to the board, so assume
-        # the longest window.
-        self._release_by = self._latest_release(transport.now(), protocol.LONGEST_WINDOW)
-        self._stopped = threading.Event()
         self._received = ReceivedBytes()
         self._sends = 0
         self._damaged = 0
@@ -184,24 +227,9 @@ class TapperDriver:
         return self._channels
 
     @property
-    def stopped(self) -> bool:
-        """True if ``stop`` is latched in this driver."""
-        return self._stopped.is_set()
-
-    @property
     def mode(self) -> Mode:
         """Mode that the board is kept in: set-up or run."""
         return self._mode
-
-    @property
-    def release_impossible_after(self) -> float:
-        """Time of the host's steady clock, in s, after which no shot sent so far can still be
-        fired.
-
-        The time also covers shots that an earlier process sent, and it is valid even if frames were
-        lost.
-        """
-        return self._release_by
 
     def connect(self, timeout: float = 5.0) -> Reply:
         """Open the line and a new session, which discharges the tapper, and set the mode.
@@ -478,14 +506,8 @@ class TapperDriver:
         frame = protocol.encode(
             self._session, sequence, Command.FIRE, shot, deadline, *_named(self._channel)
         )
-        for attempt in range(self.settings.attempts):
-            if attempt and not again():
-                break
-            self.counters.retries += attempt > 0
-            reply = self._send(frame, sequence, self.settings.fire_reply_timeout)
-            if reply is not None:
-                return reply
-        return None
+        timeout = self.settings.fire_reply_timeout
+        return self._exchange(frame, sequence, self.settings.attempts, timeout, again)
 
     def _not_fired(self, shot: int, fault: HardwareFault) -> FireResult:
         return FireResult(FireOutcome.NOT_FIRED, shot, str(fault), fault=fault)
@@ -540,17 +562,11 @@ class TapperDriver:
         return reply
 
     def _unknown(self, shot: int, release_by: float, why: str) -> FireResult:
-        self.counters.unknown += 1
+        result = self._unknown_result(shot, release_by, why)
         rest = release_by - self._transport.now()
         if rest > 0 and not self._stopped.is_set():
             self._transport.sleep(rest)
-        return FireResult(
-            FireOutcome.UNKNOWN,
-            shot,
-            f"it is unknown whether shot {shot} was fired ({why}): check where the object is, "
-            "do not fire again",
-            release_by,
-        )
+        return result
 
     def _next_sequence(self) -> int:
         self._sequence = (self._sequence + 1) & 0xFFFF
@@ -611,12 +627,26 @@ class TapperDriver:
             " tapper's",
         )
 
-    def _exchange(self, frame: bytes, sequence: int, attempts: int) -> Reply | None:
+    def _exchange(
+        self,
+        frame: bytes,
+        sequence: int,
+        attempts: int,
+        timeout: float | None = None,
+        again: Callable[[], bool] = lambda: True,
+    ) -> Reply | None:
         """Send a frame up to ``attempts`` times until its reply arrives; return None without a
-        reply."""
+        reply.
+
+        ``timeout``: longest wait for each reply, s; None uses ``reply_timeout``. ``again`` is
+        called before each repetition; if it returns False, the frame is not sent again.
+        """
+        patience = self.settings.reply_timeout if timeout is None else timeout
         for attempt in range(attempts):
+            if attempt and not again():
+                break
             self.counters.retries += attempt > 0
-            reply = self._send(frame, sequence, self.settings.reply_timeout)
+            reply = self._send(frame, sequence, patience)
             if reply is not None:
                 return reply
         return None
@@ -664,11 +694,7 @@ class TapperDriver:
                 self.counters.damaged_frames += decoded.frame.damaged
 
     def _require_session(self) -> None:
-        if self._stopped.is_set():
-            raise self._noted(
-                FaultReason.STOPPED,
-                "the tapper is stopped: make the cell safe, then clear the fault",
-            )
+        self._require_no_stop()
         if not self.connected:
             raise self._noted(
                 FaultReason.DISCONNECTED,
@@ -697,10 +723,9 @@ class TapperDriver:
         elif reply.result is Result.LATE:
             reason, text = (
                 FaultReason.TIMEOUT,
-                "FIRE reached the tapper after its deadline, so the striker was not fired: "
-                "this computer"
-                " or the line was too slow; reduce the computer's load or use a longer firing"
-                " window",
+                "FIRE reached the tapper after its deadline, so the striker was not fired: this"
+                " computer or the line was too slow; reduce the computer's load or use a longer"
+                " firing window",
             )
         elif reply.result is Result.SPENT:
             reason, text = (
@@ -757,10 +782,6 @@ class TapperDriver:
                 " opened briefly; charge again",
             )
         return self._noted(reason, text)
-
-    def _noted(self, reason: FaultReason, sentence: str) -> HardwareFault:
-        self.counters.last_error = sentence
-        return HardwareFault(reason, sentence)
 
 
 def _named(channel: int) -> tuple[int, ...]:

@@ -8,6 +8,7 @@ stretched out.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -74,15 +75,8 @@ def urdf(geometry: ScaraGeometry, name: str = "scara_arm") -> str:
     names = (*Joints._fields, "striker_mount")
     for index, (joint, frame) in enumerate(zip(names, frames, strict=True)):
         kind = {"quill": "prismatic", "striker_mount": "fixed"}.get(joint, "revolute")
-        element = ElementTree.SubElement(robot, "joint", name=joint, type=kind)
-        ElementTree.SubElement(element, "parent", link=frame.parent)
-        ElementTree.SubElement(element, "child", link=frame.link)
-        ElementTree.SubElement(
-            element,
-            "origin",
-            xyz=_numbers(frame.x, frame.y, frame.z),
-            rpy=_numbers(0, 0, frame.yaw),
-        )
+        element = add_joint(robot, joint, kind, frame.parent, frame.link)
+        add_origin(element, (frame.x, frame.y, frame.z), (0, 0, frame.yaw))
         if kind == "fixed":
             continue
         ElementTree.SubElement(element, "axis", xyz="0 0 1")
@@ -94,8 +88,7 @@ def urdf(geometry: ScaraGeometry, name: str = "scara_arm") -> str:
             velocity=repr(geometry.max_speed[index]),
             effort=repr(round(efforts[index], 6)),
         )
-    ElementTree.indent(robot)
-    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+    return urdf_text(robot)
 
 
 def _bars(geometry: ScaraGeometry) -> dict[str, _Bar]:
@@ -128,22 +121,22 @@ def _efforts(geometry: ScaraGeometry, bars: dict[str, _Bar]) -> tuple[float, flo
 
 
 def _shape(link: ElementTree.Element, bar: _Bar, inertia: bool) -> None:
-    turn = _numbers(0, 0, 0) if bar.upright else _numbers(0, math.pi / 2, 0)
+    turn = (0, 0, 0) if bar.upright else (0, math.pi / 2, 0)
     for part in ("visual", "collision", "inertial")[: 3 if inertia else 2]:
         element = ElementTree.SubElement(link, part)
-        ElementTree.SubElement(element, "origin", xyz=_numbers(*bar.centre), rpy=turn)
+        add_origin(element, bar.centre, turn)
         if part == "inertial":
             ElementTree.SubElement(element, "mass", value=repr(bar.mass))
-            ElementTree.SubElement(
-                element,
-                "inertia",
-                ixx=repr(bar.across),
-                iyy=repr(bar.across),
-                izz=repr(bar.along),
-                ixy="0",
-                ixz="0",
-                iyz="0",
-            )
+            across, along = repr(bar.across), repr(bar.along)
+            values = {
+                "ixx": across,
+                "iyy": across,
+                "izz": along,
+                "ixy": "0",
+                "ixz": "0",
+                "iyz": "0",
+            }
+            ElementTree.SubElement(element, "inertia", values)
         else:
             shape = ElementTree.SubElement(element, "geometry")
             ElementTree.SubElement(
@@ -151,5 +144,23 @@ def _shape(link: ElementTree.Element, bar: _Bar, inertia: bool) -> None:
             )
 
 
-def _numbers(*values: float) -> str:
-    return " ".join(repr(float(value)) for value in values)
+def add_joint(
+    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str
+) -> ElementTree.Element:
+    """Add a joint of this type between two links to a robot; return its element."""
+    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+    return joint
+
+
+def add_origin(element: ElementTree.Element, place: Sequence[float], turn: Sequence[float]) -> None:
+    """Add an origin: x, y, z in m; roll, pitch, yaw in rad."""
+    xyz, rpy = (" ".join(repr(float(value)) for value in values) for values in (place, turn))
+    ElementTree.SubElement(element, "origin", xyz=xyz, rpy=rpy)
+
+
+def urdf_text(robot: ElementTree.Element) -> str:
+    """Return the indented text of a robot."""
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"

@@ -257,14 +257,9 @@ class _Problem:
     ) -> Indices:
         """Return the table indices, (n, k, p), of the states after taps (n, k) of the given
         states."""
-        error = self.error[rows]
         heading = np.take_along_axis(self.heading[rows], tapper, axis=1)
         slope = np.take_along_axis(self.slope[rows], tapper, axis=1)
-        size, turned, turn = self._scattered(heading, slope, length, points)
-        x = error[:, 0, None, None] + size * np.cos(turned)
-        y = error[:, 1, None, None] + size * np.sin(turned)
-        turn += error[:, 2, None, None]
-        turn -= np.float32(2.0 * math.pi) * np.rint(turn * np.float32(0.5 / math.pi))
+        x, y, turn = self._ends(self.error[rows][:, None], heading, slope, length, points)
         entry = self._axes[0].index(x)
         entry += self._axes[1].index(y)
         entry += self._axes[2].index(turn)
@@ -282,19 +277,24 @@ class _Problem:
         reach = np.take_along_axis(self._reach[rows], tapper, axis=1)
         return (tap_seconds(travel, reach, length) / MEAN_TAP_S).astype(np.float32)
 
-    def _scattered(
-        self, heading: Singles, slope: Singles, length: Singles, points: Singles
+    def _ends(
+        self, error: Singles, heading: Singles, slope: Singles, length: Singles, points: Singles
     ) -> tuple[Singles, Singles, Singles]:
-        """Return the lengths, headings and rotations of taps (...) at every scatter point, each
-        (..., p)."""
+        """Return x, y and theta after taps (...) of states ``error`` (..., 3) at every scatter
+        point, each (..., p)."""
         turn = length * slope
         along = self.scatter.along(length).astype(np.float32)
         turning = self.scatter.turning(turn).astype(np.float32)
         across = self.scatter.across(length).astype(np.float32) / length
+        size = length[..., None] + along[..., None] * points[:, 0]
+        turned = heading[..., None] + across[..., None] * points[:, 2]
+        theta = turn[..., None] + turning[..., None] * points[:, 1]
+        theta += error[..., 2, None]
+        theta -= np.float32(2.0 * math.pi) * np.rint(theta * np.float32(0.5 / math.pi))
         return (
-            length[..., None] + along[..., None] * points[:, 0],
-            heading[..., None] + across[..., None] * points[:, 2],
-            turn[..., None] + turning[..., None] * points[:, 1],
+            error[..., 0, None] + size * np.cos(turned),
+            error[..., 1, None] + size * np.sin(turned),
+            theta,
         )
 
     def _table(self, value: Array) -> Singles:
@@ -361,12 +361,8 @@ class _Problem:
         """Return W of a fixed policy, iterated from the initial ``value``."""
         every = np.arange(self.rows.size)
         heading, slope = self.heading[every, tapper], self.slope[every, tapper]
-        size, turned, turn = self._scattered(heading, slope, length, self.points)
-        x = self.error[:, 0, None] + size * np.cos(turned)
-        y = self.error[:, 1, None] + size * np.sin(turned)
-        turn += self.error[:, 2, None]
-        turn -= np.float32(2.0 * math.pi) * np.rint(turn * np.float32(0.5 / math.pi))
-        corners, weights, beyond = self._corners(x, y, turn)
+        after = self._ends(self.error, heading, slope, length, self.points)
+        corners, weights, beyond = self._corners(*after)
         share = 1.0 / len(self.points)
         count = len(self.points) * 8
         matrix = csr_array(

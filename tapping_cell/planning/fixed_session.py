@@ -36,11 +36,8 @@ from tapping_cell.planning.session import (
     noise_of,
 )
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.planning.stopping import (
-    StoppingBox,
-)
 from tapping_cell.planning.strike import BoolArray
-from tapping_cell.se2 import wrap_angle
+from tapping_cell.se2 import difference, unit_vectors
 
 METHOD = "fixed tappers"
 """Name of the planning method, for records."""
@@ -93,13 +90,9 @@ class FixedTapperSession(GoalSession):
         adapt: bool = True,
         most_taps: int = MAX_TAPS,
     ) -> None:
-        self.goal = np.asarray(goal_pose, dtype=float)
+        super().__init__(goal_pose, gains, adapt, most_taps)
         self._settings = settings
-        self.gains = Gains.start() if gains is None else gains
         self.mounts = MountBelief.start(len(space.tappers)) if mounts is None else mounts
-        self.taps = 0
-        self._adapt = adapt
-        self._most_taps = most_taps
         self._missed: frozenset[int] = frozenset()
         self._skipped: frozenset[int] = frozenset()
         self._solver = GoalSolver() if solver is None else solver
@@ -141,8 +134,7 @@ class FixedTapperSession(GoalSession):
         """Learn from a tap that was fired; see ``PositioningSession.observe``."""
         self.taps += 1
         before = np.asarray(pose_before, dtype=float)
-        moved = np.asarray(pose_after, dtype=float) - before
-        moved[2] = wrap_angle(moved[2])
+        moved = difference(before, pose_after)
         asked = math.hypot(strike.wanted.x, strike.wanted.y)
         index = self._index(strike)
         missed = math.hypot(moved[0], moved[1]) < MISSED * asked
@@ -183,10 +175,7 @@ class FixedTapperSession(GoalSession):
         names = [tapper.name for tapper in self._nominal.tappers]
         return names.index(strike.plan.tapper)
 
-    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        coarse = self._camera_refusal(left, box)
-        if coarse is not None:
-            return coarse
+    def _place_refusal(self, pose: Array) -> Refusal | None:
         clearance = float(self._space.area.clearance(pose[:2]))
         if clearance < -OUTER:
             return Refusal(
@@ -195,13 +184,14 @@ class FixedTapperSession(GoalSession):
                 f"outside the working area (limit {1e3 * OUTER:.0f} mm); put the object back by "
                 "hand",
             )
-        if self.taps >= self._most_taps:
-            return Refusal(
-                RefusalReason.TOO_MANY_TAPS,
-                f"{self.taps} taps did not bring the object to the goal (limit "
-                f"{self._most_taps}); check the strikers, the camera and the object's file",
-            )
         return None
+
+    @property
+    def _too_many_taps(self) -> str:
+        return (
+            f"{self.taps} taps did not bring the object to the goal (limit "
+            f"{self._most_taps}); check the strikers, the camera and the object's file"
+        )
 
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
         return self._strike(pose, left, self._missed | self._skipped)
@@ -302,15 +292,9 @@ class FixedTapperSession(GoalSession):
         heading = np.arctan2(expected[..., 1], expected[..., 0])
         longest = size * (spread.longest if self._adapt else 1.0)
         aside = np.concatenate([spread.aside, np.zeros_like(spread.aside[..., :1])], axis=-1)
-        rays = heading[..., None] + aside
-        way = longest[..., None, None] * WAY
-        return np.stack(
-            [
-                pose[0] + way * np.cos(rays)[..., None],
-                pose[1] + way * np.sin(rays)[..., None],
-            ],
-            axis=-1,
-        )
+        rays = unit_vectors(heading[..., None] + aside)[..., None, :]
+        way = longest[..., None, None, None] * WAY[:, None]
+        return np.asarray(pose[:2] + way * rays)
 
 
 def check_fixed_goal(goal_pose: ArrayLike, space: FixedStrikeSpace) -> Refusal | None:

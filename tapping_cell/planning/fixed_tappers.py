@@ -23,7 +23,7 @@ from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import Scatter
 from tapping_cell.planning.strike import BoolArray, StrikePlan
 from tapping_cell.planning.workspace import KeepOut, Workspace
-from tapping_cell.se2 import Pose
+from tapping_cell.se2 import Pose, unit_vectors
 
 STEEPEST = math.radians(60.0)
 """Largest incidence of a tap. With a larger incidence, a small error of the striker's line could
@@ -80,8 +80,7 @@ class WorkingArea:
     def outline(self, edges: int = 72) -> Array:
         """Return the edges of the disc for drawing, (edges, 2 ends, 2), m in `table`."""
         angles = np.linspace(0.0, 2.0 * math.pi, edges + 1)
-        ring = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        corners = np.array([self.x, self.y]) + self.radius * ring
+        corners = np.array([self.x, self.y]) + self.radius * unit_vectors(angles)
         return np.stack([corners[:-1], corners[1:]], axis=1)
 
     def clearance(self, points: ArrayLike) -> Array:
@@ -115,15 +114,7 @@ class Lines(NamedTuple):
 
     def of(self, rows: NDArray[np.intp]) -> Lines:
         """Return the lines of the poses in ``rows``."""
-        return Lines(
-            self.usable[rows],
-            self.heading[rows],
-            self.slope[rows],
-            self.reach[rows],
-            self.least[rows],
-            self.most[rows],
-            self.travel[rows],
-        )
+        return Lines._make(part[rows] for part in self)
 
 
 class FixedStrikeSpace:
@@ -200,13 +191,7 @@ class FixedStrikeSpace:
         clear = []
         for tapper in self.tappers:
             way = np.linspace(0.0, tapper.stroke, WAY_POINTS)
-            points = np.stack(
-                [
-                    tapper.mount.x + way * math.cos(tapper.mount.theta),
-                    tapper.mount.y + way * math.sin(tapper.mount.theta),
-                ],
-                axis=-1,
-            )
+            points = np.array(tapper.mount[:2]) + way[:, None] * unit_vectors(tapper.mount.theta)
             margin = self.workspace.keep_out_margin + self.tool_radius
             clear.append(bool(np.all(self.workspace.keep_out_distance(points) >= margin)))
         return np.array(clear)
@@ -225,18 +210,17 @@ class FixedStrikeSpace:
         """Group the indices of tappers with the same mechanics, which are computed together."""
         groups: list[list[int]] = []
         for index, tapper in enumerate(self.tappers):
-            for group in groups:
-                if self.tappers[group[0]].tap == tapper.tap:
-                    group.append(index)
-                    break
-            else:
+            alike = (group for group in groups if self.tappers[group[0]].tap == tapper.tap)
+            if (group := next(alike, None)) is None:
                 groups.append([index])
+            else:
+                group.append(index)
         return groups
 
     def _lines_of(self, group: list[int], poses: Array) -> Lines:
         """Return the lines of a group of tappers with the same mechanics; poses (..., 1, 3)."""
         some = [self.tappers[index] for index in group]
-        mounts = np.array([[item.mount.x, item.mount.y, item.mount.theta] for item in some])
+        mounts = np.array([item.mount for item in some])
         slowest, fastest = np.array([[item.slowest, item.fastest] for item in some]).T
         stroke = np.array([item.stroke for item in some])
         hit = some[0].tap.strike(poses, mounts, 1.0)
@@ -257,7 +241,7 @@ class FixedStrikeSpace:
         held = np.asarray(pose, dtype=float)
         tapper = self.tappers[index]
         mount = tapper.mount
-        hit = tapper.tap.strike(held, np.array([mount.x, mount.y, mount.theta]), 1.0)
+        hit = tapper.tap.strike(held, np.array(mount), 1.0)
         reach = float(np.hypot(hit.displacement[0], hit.displacement[1]))
         travel = float(hit.travel)
         point = np.asarray(hit.point) - held[:2]

@@ -24,6 +24,7 @@ from tapping_cell.mechanics import Polygon
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.strike import BoolArray, StrikeSpace
 from tapping_cell.planning.workspace import CircleArea, KeepOut, PolygonArea
+from tapping_cell.se2 import unit_vectors
 
 CELL = 0.010
 """Size of a grid cell in m."""
@@ -216,20 +217,13 @@ def widest_gap(space: StrikeSpace, centres: ArrayLike) -> Array:
     the largest of the three is returned. Only the arm's reach and the clearance of the tool are
     checked, not the slide of the object.
     """
-    p = np.asarray(centres, dtype=float)
-    gap = np.zeros(p.shape[:-1])
-    for tips in _tips_around(space):
-        poses = np.empty((*p.shape[:-1], DIRECTIONS, 3))
-        poses[..., :2] = p[..., None, :] + tips[:, :2]
-        poses[..., 2] = tips[:, 2]
-        possible = np.any(space.elbows(poses), axis=-1) & space.tool_is_clear(poses)
-        gap = np.maximum(gap, _largest_run(~possible))
-    return gap
+    blocked = _blocked(space, np.asarray(centres, dtype=float), _tips_around(space))
+    return np.asarray(np.max(_largest_run(blocked), axis=0))
 
 
 def _blocked(space: StrikeSpace, centres: Array, tips: Sequence[Array]) -> BoolArray:
     """Return an array that is True for taps that are impossible because of the arm's reach or the
-    tool's clearance; shape (turns, cells x, cells y, directions)."""
+    tool's clearance, for objects at ``centres`` (..., 2); shape (turns, ..., directions)."""
     found = []
     for turn in tips:
         poses = np.empty((*centres.shape[:-1], DIRECTIONS, 3))
@@ -318,7 +312,7 @@ def _tips_around(space: StrikeSpace) -> list[Array]:
     bounding circle.
     """
     heading = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
-    along = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    along = unit_vectors(heading)
     if isinstance(space.tap.body, Polygon):
         back = space.object_radius + space.tip_radius + space.settings.standoff
         return [np.concatenate([-back * along, heading[:, None]], axis=-1)]

@@ -50,7 +50,7 @@ class MountBelief:
 
     def mount(self, index: int, nominal: Pose) -> Pose:
         """Return the estimated mount of a tapper."""
-        return _moved(nominal, self.mean[index])
+        return moved_mount(nominal, *self.mean[index].tolist())
 
     def observe(
         self,
@@ -79,8 +79,9 @@ class MountBelief:
             return self
         mean, spread = self.mean[index], self.covariance[index]
         shifts = np.array([[0.0, 0.0], [STEPS[0], 0.0], [0.0, STEPS[1]]])
-        mounts = [_moved(tapper.mount, mean + shift) for shift in shifts]
-        lines = np.array([[mount.x, mount.y, mount.theta] for mount in mounts])
+        lines = np.array(
+            [moved_mount(tapper.mount, *shifted) for shifted in (mean + shifts).tolist()]
+        )
         hit = tapper.tap.strike(pose, lines, 1.0)
         if bool(np.any(hit.missed)):
             return self
@@ -120,9 +121,11 @@ def corrected_space(space: FixedStrikeSpace, belief: MountBelief) -> FixedStrike
     )
 
 
-def _moved(mount: Pose, off: Array) -> Pose:
+def moved_mount(mount: Pose, offset: float, angle: float) -> Pose:
+    """Return a mount with an error: the line's offset (m, to the left of its direction) and its
+    angle (rad)."""
     return Pose(
-        mount.x - float(off[0]) * math.sin(mount.theta),
-        mount.y + float(off[0]) * math.cos(mount.theta),
-        mount.theta + float(off[1]),
+        mount.x - offset * math.sin(mount.theta),
+        mount.y + offset * math.cos(mount.theta),
+        mount.theta + angle,
     )

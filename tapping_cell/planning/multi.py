@@ -116,10 +116,7 @@ class MultiPlanner:
 
     def _choose_rows(self, r: Array, theta: Array) -> tuple[Array, Array]:
         settings, line = self.settings, self.error_line
-        own = np.clip(r, settings.smallest_distance, settings.largest_distance)
-        taps = np.concatenate(
-            [own[:, None], np.broadcast_to(self._taps, (r.size, self._taps.size))], axis=1
-        )
+        taps = self._taps_at(r)
         level = np.maximum(self.planned_taps(r, theta), 1)
         end = np.abs(r[:, None] - taps)
         below = np.empty_like(taps)
@@ -139,13 +136,16 @@ class MultiPlanner:
         index = np.arange(r.size)
         return taps[index, best], turn[index, best]
 
+    def _taps_at(self, r: Array) -> Array:
+        """Return the taps that are compared at distances r (n,), (n, taps): the tap to the goal,
+        and taps of a geometric progression of sizes."""
+        own = np.clip(r, self.settings.smallest_distance, self.settings.largest_distance)
+        return np.column_stack([own, np.broadcast_to(self._taps, (r.size, self._taps.size))])
+
     def _chain(self) -> Array:
         """Compute the openings of the cones, until the outermost cone contains every state."""
         settings, line = self.settings, self.error_line
-        own = np.clip(self.distances, settings.smallest_distance, settings.largest_distance)
-        taps = np.concatenate(
-            [own[:, None], np.broadcast_to(self._taps, (own.size, self._taps.size))], axis=1
-        )
+        taps = self._taps_at(self.distances)
         end = np.abs(self.distances[:, None] - taps)
         cones: list[Array] = []
         before = np.full(self.distances.size, -1.0)

@@ -22,6 +22,7 @@ from tapping_cell.planning.interface import Array, Taps, TapValues
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
+from tapping_cell.se2 import unit_vectors
 
 DIRECTIONS: Array = np.arange(24, dtype=np.float64) * (2.0 * math.pi / 24)
 SIZE_RATIO = 1.35
@@ -122,5 +123,4 @@ def _strikes_to_goal(pose: Array, left: Array, space: StrikeSpace) -> Array:
     towards the goal; ``left``: residuals (n, 3)."""
     far = space.object_radius + space.tip_radius + space.settings.standoff
     heading = np.arctan2(left[:, 1], left[:, 0])
-    place = pose[:, :2] - far * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    return np.concatenate([place, heading[:, None]], axis=1)
+    return np.column_stack([pose[:, :2] - far * unit_vectors(heading), heading])

@@ -7,12 +7,12 @@ import threading
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tapping_cell.planning.exact import ExactPlanner
 from tapping_cell.planning.expected_taps import expected_taps
-from tapping_cell.planning.interface import Array, Planner, Taps
+from tapping_cell.planning.interface import Array, Taps
 from tapping_cell.planning.lookup import Indices, bracket
 from tapping_cell.planning.policy_cache import keep_policy, load_policy
 from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.two_tap import ExactPlanner
 from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35
@@ -86,20 +86,14 @@ class OptimalPolicy:
 class OptimalPlanner:
     """The optimal method: its plan is loaded from the cache, or solved now or in the background.
 
-    While a plan is solved in the background, the taps come from ``fallback`` (by default exact
-    two-tap plans), then from the plan on the coarse grid as soon as it is ready, and finally from
-    the plan on the fine grid. ``name`` contains the method in use.
+    While a plan is solved in the background, the taps come from exact two-tap plans, then from the
+    plan on the coarse grid as soon as it is ready, and finally from the plan on the fine grid.
+    ``name`` contains the method in use.
     """
 
-    def __init__(
-        self,
-        settings: PlannerSettings,
-        *,
-        background: bool = False,
-        fallback: Planner | None = None,
-    ) -> None:
+    def __init__(self, settings: PlannerSettings, *, background: bool = False) -> None:
         self.settings = settings
-        self._fallback: Planner = ExactPlanner(settings) if fallback is None else fallback
+        self._fallback = ExactPlanner(settings)
         self._ready = threading.Event()
         self._policy: OptimalPolicy | None = None
         self._finest = False

@@ -27,7 +27,7 @@ from tapping_cell.planning.refusal import Refusal, RefusalReason
 from tapping_cell.planning.session import Decision, Done, Strike, noise_of
 from tapping_cell.planning.settings import CameraNoise, Scatter
 from tapping_cell.planning.strike import BoolArray, StrikeSpace
-from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.se2 import Pose, difference, displaced, unit_vectors, wrap_angle
 
 METHOD = "prescribed"
 
@@ -132,8 +132,8 @@ class PrescribedSession:
         """
         pose = np.asarray(object_pose, dtype=float)
         if self._tapped is not None:
-            left = np.asarray(self._tapped.predicted) - pose
-            return Done(Pose(float(left[0]), float(left[1]), float(wrap_angle(left[2]))), None)
+            left = difference(pose, self._tapped.predicted)
+            return Done(Pose(*left.tolist()), None)
         wanted = self.prescription.direction
         if wanted is None:
             wanted = math.atan2(-pose[1], -pose[0])
@@ -172,8 +172,7 @@ class PrescribedSession:
         self._tapped = strike
         if not self._adapt:
             return
-        moved = np.asarray(pose_after, dtype=float) - np.asarray(pose_before, dtype=float)
-        moved[2] = wrap_angle(moved[2])
+        moved = difference(pose_before, pose_after)
         noise = CameraNoise() if covariance is None else noise_of(covariance)
         orientation = float(np.asarray(pose_before, dtype=float)[2])
         self.gains = self.gains.observe(
@@ -205,14 +204,8 @@ class PrescribedSession:
             inward = wanted - self._deflection() + start
             depth = np.full(CONTACTS, body.bounding_radius)
         back = depth + self._space.tip_radius
-        return np.stack(
-            [
-                pose[0] - back * np.cos(inward),
-                pose[1] - back * np.sin(inward),
-                inward + self.prescription.incidence,
-            ],
-            axis=-1,
-        )
+        place = pose[:2] - back[:, None] * unit_vectors(inward)
+        return np.column_stack([place, inward + self.prescription.incidence])
 
     def _deflection(self) -> float:
         """Compute the angle from the contact normal to the travel of a round body."""
@@ -251,15 +244,13 @@ class PrescribedSession:
         }
 
     def _made(self, pose: Array, contact: Array, displacement: Array, moved: Array) -> Strike:
-        touch = contact[:2] + self._space.tip_radius * _unit(
-            contact[2] - self.prescription.incidence
-        )
+        towards = unit_vectors(contact[2] - self.prescription.incidence)
+        touch = contact[:2] + self._space.tip_radius * towards
         angle = math.atan2(touch[1] - pose[1], touch[0] - pose[0]) - pose[2]
-        after = pose + moved
         return Strike(
             commanded=Pose(*displacement.tolist()),
             wanted=Pose(*moved.tolist()),
-            predicted=Pose(float(after[0]), float(after[1]), float(wrap_angle(after[2]))),
+            predicted=Pose(*displaced(pose, moved).tolist()),
             residual=Pose(*moved.tolist()),
             plan=self._space.plan_at(
                 float(wrap_angle(angle)), contact, self.prescription.striker_speed
@@ -343,7 +334,3 @@ def between(points: ArrayLike, others: ArrayLike) -> BoolArray:
     if sides is None:
         return np.zeros(p.shape[:-1], dtype=bool)
     return np.asarray(np.all(p @ sides[:, :2].T + sides[:, 2] <= 1e-9, axis=-1))
-
-
-def _unit(angle: float) -> Array:
-    return np.array([math.cos(angle), math.sin(angle)])

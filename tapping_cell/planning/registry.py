@@ -12,13 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 
-from tapping_cell.planning.conservative import ConservativePlanner
 from tapping_cell.planning.errors import PlanningError, UnknownPlannerError
-from tapping_cell.planning.exact import ExactPlanner
 from tapping_cell.planning.interface import Planner
 from tapping_cell.planning.multi import multi_planner
 from tapping_cell.planning.optimal import OptimalPlanner
 from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.two_tap import ConservativePlanner, ExactPlanner
 
 ENTRY_POINT_GROUP = "tapping_cell.planners"
 

@@ -28,7 +28,7 @@ from tapping_cell.planning.stopping import (
 from tapping_cell.planning.strike import BoolArray, StrikePlan, StrikeSpace
 from tapping_cell.planning.tap_times import TapTimes
 from tapping_cell.planning.visited import VisitedPoses
-from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.se2 import Pose, difference, displaced, wrap_angle
 
 MAX_TAPS = 100
 """Maximum number of taps of a run. More taps indicate a fault that the planner cannot detect."""
@@ -140,12 +140,18 @@ class GoalSession(ABC):
     one kind of cell.
     """
 
-    goal: Array
-    gains: Gains
-    taps: int
     arm: ArrayLike | None = None
     """Pose of the arm's tip in `table`: x, y, height (m) and yaw (rad); None if unknown."""
     _goal_refusal: Refusal | None
+
+    def __init__(
+        self, goal_pose: ArrayLike, gains: Gains | None, adapt: bool, most_taps: int
+    ) -> None:
+        self.goal: Array = np.asarray(goal_pose, dtype=float)
+        self.gains = Gains.start() if gains is None else gains
+        self.taps = 0
+        self._adapt = adapt
+        self._most_taps = most_taps
 
     @property
     @abstractmethod
@@ -178,8 +184,13 @@ class GoalSession(ABC):
         """Name of the planning method, for records."""
 
     @abstractmethod
-    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        """Return the reason why no tap may be made, or None."""
+    def _place_refusal(self, pose: Array) -> Refusal | None:
+        """Return the reason why no tap may be made from this pose, or None."""
+
+    @property
+    @abstractmethod
+    def _too_many_taps(self) -> str:
+        """Message if the goal is not reached after the maximum number of taps."""
 
     @abstractmethod
     def _next_tap(self, pose: Array, left: Array) -> Strike | Refusal:
@@ -198,9 +209,7 @@ class GoalSession(ABC):
     def residual(self, object_pose: ArrayLike) -> Array:
         """Return goal minus object: (dx, dy, dtheta) in `table`, with the rotation in the shorter
         sense."""
-        left: Array = self.goal - np.asarray(object_pose, dtype=float)
-        left[2] = wrap_angle(left[2])
-        return left
+        return difference(object_pose, self.goal)
 
     def stopping(self, covariance: ArrayLike | None) -> StoppingBox:
         """Return the stopping box for an observation with this covariance, (3, 3) in m and rad."""
@@ -243,7 +252,9 @@ class GoalSession(ABC):
             return arrived
         left, box = self.residual(pose), self.stopping(covariance)
         return (
-            self._refusal_before_tap(pose, left, box)
+            self._camera_refusal(left, box)
+            or self._place_refusal(pose)
+            or self._count_refusal()
             or self._rotation_refusal(left, box)
             or self._next_tap(pose, left)
         )
@@ -287,6 +298,11 @@ class GoalSession(ABC):
             )
         return None
 
+    def _count_refusal(self) -> Refusal | None:
+        if self.taps < self._most_taps:
+            return None
+        return Refusal(RefusalReason.TOO_MANY_TAPS, self._too_many_taps)
+
     def _rotation_refusal(self, left: Array, box: StoppingBox) -> Refusal | None:
         """Return a refusal if the angle must be corrected but taps cannot turn the object, else
         None.
@@ -319,12 +335,10 @@ class GoalSession(ABC):
         expected: Expected = UNKNOWN_EFFORT,
     ) -> Strike:
         wanted = self.gains.predict(commanded, pose[2])
-        after = pose + wanted
-        after[2] = wrap_angle(after[2])
         return Strike(
             commanded=Pose(*commanded.tolist()),
             wanted=Pose(*wanted.tolist()),
-            predicted=Pose(*after.tolist()),
+            predicted=Pose(*displaced(pose, wanted).tolist()),
             residual=Pose(*left.tolist()),
             plan=plan,
             method=self.method,
@@ -367,17 +381,13 @@ class PositioningSession(GoalSession):
         probe: bool = False,
         most_taps: int = MAX_TAPS,
     ) -> None:
-        self.goal = np.asarray(goal_pose, dtype=float)
+        super().__init__(goal_pose, gains, adapt, most_taps)
         self.planner = planner
-        self.gains = Gains.start() if gains is None else gains
-        self.taps = 0
         self._missed: tuple[float, ...] = ()  # headings of consecutive missed taps
         self._skipped: tuple[float, ...] = ()  # headings that the operator rejected
         self._times = times
         self._objective = objective
-        self._adapt = adapt
         self._probes_left = MAX_PROBES if probe else 0
-        self._most_taps = most_taps
         self._visited = VisitedPoses(self.goal)
         self.use_free_space(space, FreeSpace(space) if free is None else free)
 
@@ -431,8 +441,7 @@ class PositioningSession(GoalSession):
         self.taps += 1
         self._probes_left = max(0, self._probes_left - 1)
         settings = self.planner.settings
-        moved = np.asarray(pose_after, dtype=float) - np.asarray(pose_before, dtype=float)
-        moved[2] = wrap_angle(moved[2])
+        moved = difference(pose_before, pose_after)
         asked = math.hypot(strike.wanted.x, strike.wanted.y)
         missed = math.hypot(moved[0], moved[1]) < MISSED * asked
         heading = math.atan2(strike.commanded.y, strike.commanded.x)
@@ -450,10 +459,7 @@ class PositioningSession(GoalSession):
         """Return a warning if the object is close to an edge or over it, else an empty string."""
         return edge_warning(pose, self._space)
 
-    def _refusal_before_tap(self, pose: Array, left: Array, box: StoppingBox) -> Refusal | None:
-        coarse = self._camera_refusal(left, box)
-        if coarse is not None:
-            return coarse
+    def _place_refusal(self, pose: Array) -> Refusal | None:
         edge = float(self._space.workspace.edge_distance(pose[:2]))
         if edge < 0.0:
             return Refusal(
@@ -468,13 +474,14 @@ class PositioningSession(GoalSession):
                 f"{place_text(self.goal)} along which the object can be tapped; remove a "
                 "keep-out or choose another goal" + others_text(self._space),
             )
-        if self.taps >= self._most_taps:
-            return Refusal(
-                RefusalReason.TOO_MANY_TAPS,
-                f"the object is not at the goal after {self.taps} taps (limit {self._most_taps});"
-                " raise the limit, or check the striker, the camera and the object's file",
-            )
         return None
+
+    @property
+    def _too_many_taps(self) -> str:
+        return (
+            f"the object is not at the goal after {self.taps} taps (limit {self._most_taps});"
+            " raise the limit, or check the striker, the camera and the object's file"
+        )
 
     def _strike(self, pose: Array, left: Array, missed: tuple[float, ...]) -> Strike | Refusal:
         probe = self._probe(pose, left)
@@ -502,6 +509,14 @@ class PositioningSession(GoalSession):
             )
         if missed and self._skipped and "skipped" not in detour:
             detour += "; another tap was skipped"
+        return self._alternative(pose, left, first, detour, missed)
+
+    def _alternative(
+        self, pose: Array, left: Array, first: Array, detour: str, missed: tuple[float, ...]
+    ) -> Strike | Refusal:
+        """Return the best tap other than ``first``, which was rejected because of ``detour``."""
+        # Whether some slide is safe, some contact allows a safe slide, and some slide would be safe
+        # if the object's file were exact.
         allowed = struck = trusted = False
 
         def safe(candidates: Array) -> BoolArray:
@@ -588,12 +603,9 @@ class PositioningSession(GoalSession):
         ``own``: the tap chosen by the method."""
         if self._objective != "time" or self._times is None or self.arm is None:
             return None
-        if self._blocked(pose):
-            return None
-        if not isinstance(self.planner, TapValues):
-            return None
-        if isinstance(self._space.tap.body, Polygon):
-            # the expected times ignore that a polygon can be tapped in only a few directions
+        # The expected times ignore that a polygon can be tapped in only a few directions.
+        polygon = isinstance(self._space.tap.body, Polygon)
+        if polygon or self._blocked(pose) or not isinstance(self.planner, TapValues):
             return None
         taps = near_taps(pose, left, own, self.gains, self.planner, self.settings)
         if taps is None:

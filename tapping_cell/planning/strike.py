@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.mechanics import Tap
+from tapping_cell.mechanics.tap import TapPlan
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.gains import Spread
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.settings import Scatter
 from tapping_cell.planning.workspace import KeepOut, Workspace
-from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.se2 import Pose, transform_points, unit_vectors
 
 BoolArray = NDArray[np.bool_]
 
@@ -161,16 +162,9 @@ class StrikeSpace:
         heading = np.arctan2(moved[..., 1], moved[..., 0])
         right, left = spread.aside[..., :1], spread.aside[..., 1:]
         turned = np.concatenate([right, right / 2, np.zeros_like(left), left / 2, left], axis=-1)
-        rays = heading[..., None] + turned
-        share = np.linspace(0.0, 1.0, PATH_POINTS)
-        along = length[..., None, None] * share
-        return np.stack(
-            [
-                start[..., 0, None, None] + along * np.cos(rays)[..., None],
-                start[..., 1, None, None] + along * np.sin(rays)[..., None],
-            ],
-            axis=-1,
-        )
+        rays = unit_vectors(heading[..., None] + turned)[..., None, :]
+        along = length[..., None, None, None] * np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
+        return np.asarray(start[..., None, None, :2] + along * rays)
 
     def slide_is_safe(
         self, object_pose: ArrayLike, displacement: ArrayLike, spread: Spread | None = None
@@ -219,16 +213,9 @@ class StrikeSpace:
 
     def rest_pose(self, contact_pose: ArrayLike) -> Array:
         """Return the tip poses ``standoff`` before the contact, (..., 3)."""
-        contact = np.asarray(contact_pose, dtype=float)
-        back = self.settings.standoff
-        return np.stack(
-            [
-                contact[..., 0] - back * np.cos(contact[..., 2]),
-                contact[..., 1] - back * np.sin(contact[..., 2]),
-                contact[..., 2],
-            ],
-            axis=-1,
-        )
+        rest = np.array(contact_pose, dtype=float)
+        rest[..., :2] -= self.settings.standoff * unit_vectors(rest[..., 2])
+        return rest
 
     def strike_poses(self, object_pose: Array, displacements: Array) -> tuple[BoolArray, Array]:
         """Return which displacements (n, 3) are possible with some contact, (n,), and the poses (n,
@@ -252,15 +239,14 @@ class StrikeSpace:
         known = np.flatnonzero(found)
         if known.size == 0:
             return None
-        contact = np.asarray(plan.strike_pose, dtype=float)
-        speed = np.asarray(plan.striker_speed, dtype=float)
-        usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
-        usable &= self.tool_fits(object_pose, contact)
+        usable = self._usable(object_pose, plan)
         if not np.any(usable):
             return None
         index = int(np.argmax(usable))
         return int(known[index]), self.plan_at(
-            float(np.asarray(plan.contact_angle)[index]), contact[index], float(speed[index])
+            float(np.asarray(plan.contact_angle)[index]),
+            np.asarray(plan.strike_pose)[index],
+            float(np.asarray(plan.striker_speed)[index]),
         )
 
     def strikeable(self, object_poses: Array, displacements: Array) -> BoolArray:
@@ -274,10 +260,14 @@ class StrikeSpace:
         found, plan = self.tap.plan_reachable(displacements, object_poses)
         possible = found.copy()
         if np.any(found):
-            speed = np.asarray(plan.striker_speed, dtype=float)
-            usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
-            possible[found] = usable & self.tool_fits(object_poses[found], plan.strike_pose)
+            possible[found] = self._usable(object_poses[found], plan)
         return found, possible
+
+    def _usable(self, object_pose: ArrayLike, plan: TapPlan) -> BoolArray:
+        """Return which planned taps are possible for the striker, the arm and the tool."""
+        speed = np.asarray(plan.striker_speed, dtype=float)
+        usable = (speed >= self.settings.slowest) & (speed <= self.settings.fastest)
+        return usable & self.tool_fits(object_pose, plan.strike_pose)
 
     def tool_fits(self, object_pose: ArrayLike, contact_poses: ArrayLike) -> BoolArray:
         """Return whether the arm reaches the rest poses of these contacts and the tool has

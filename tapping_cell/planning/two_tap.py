@@ -1,4 +1,4 @@
-"""Geometry shared by the two-tap methods: the nearest subgoal and the tap that leads to it.
+"""The two-tap methods: the nearest subgoal and the tap that leads to it.
 
 The state is the residual to the goal, a distance r >= 0 (m) and a rotation theta (rad). A tap moves
 the object along the line to the goal by d (of either sign) and rotates it by at most k |d| (in
@@ -8,10 +8,13 @@ if r' is at least the smallest tap and |theta'| <= k r'.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tapping_cell.planning.interface import Array, Taps
+from tapping_cell.planning.nominal import nominal_taps
 from tapping_cell.planning.settings import PlannerSettings
 
 SECOND_TAP_MARGIN = 1.4
@@ -21,6 +24,46 @@ docs/planning.md)."""
 
 ROUNDING = 1e-6
 """Relative tolerance at the edge of the cone, because exact plans end exactly on the edge."""
+
+ERROR_LINE = 0.3
+"""Relative error of the rotation that conservative plans allow for: twice the standard deviation,
+which is 15 % (section 3.1.1 of the paper)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExactPlanner:
+    """Aims at the edge of the region from which one tap reaches the goal (section 4.1 of the
+    paper); plans again if a tap falls short."""
+
+    settings: PlannerSettings
+    name: str = "exact"
+
+    @property
+    def error_line(self) -> float:
+        """Relative error of the first tap's rotation that plans allow for."""
+        return 0.0
+
+    def choose(self, distance: ArrayLike, rotation: ArrayLike) -> Taps:
+        """Choose the direct tap or the first tap of a two-tap plan."""
+        return two_tap_choice(distance, rotation, self.settings, self.error_line)
+
+    def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
+        """Return the number of taps that would be needed if taps had no errors."""
+        return nominal_taps(distance, rotation, self.settings)
+
+
+@dataclass(frozen=True, slots=True)
+class ConservativePlanner(ExactPlanner):
+    """Makes a larger first tap than an exact plan, to a subgoal further inside the region from
+    which one tap reaches the goal (section 4.2 of the paper). The second tap then reaches the goal
+    despite the error of the first tap's rotation (the error line)."""
+
+    name: str = "conservative"
+
+    @property
+    def error_line(self) -> float:
+        """Relative error of the first tap's rotation that plans allow for."""
+        return ERROR_LINE if self.settings.error_line is None else self.settings.error_line
 
 
 def two_tap_choice(

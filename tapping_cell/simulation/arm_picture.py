@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.configuration.cell import ArmSection, TapperSection
-from tapping_cell.se2 import Pose, transform_points
+from tapping_cell.se2 import Pose, transform_points, unit_vectors
 from tapping_cell.simulation.rendered_camera import Occluder
 
 Array = NDArray[np.float64]
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 QUILL_RADIUS = 0.010
 _LINK_LEVEL, _TOOL_LEVEL, _STRIKER_LEVEL = 70.0, 55.0, 120.0
 _ROUND = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)
-_UNIT_CIRCLE = np.stack([np.cos(_ROUND), np.sin(_ROUND)], axis=-1)
+_UNIT_CIRCLE = unit_vectors(_ROUND)
 
 
 def arm_solids(
@@ -32,12 +32,11 @@ def arm_solids(
     tip = geometry.forward(q)
     striker = base @ Pose(tip.x, tip.y, tip.yaw)
     elbow_angle = q[0] + q[1]
-    elbow = geometry.upper_arm * np.array([math.cos(q[0]), math.sin(q[0])])
-    wrist = elbow + geometry.forearm * np.array([math.cos(elbow_angle), math.sin(elbow_angle)])
+    elbow = geometry.upper_arm * unit_vectors(q[0])
+    wrist = elbow + geometry.forearm * unit_vectors(elbow_angle)
     low = arm.tip_height + arm.link_clearance
-    pose = np.array([base.x, base.y, base.theta])
-    shoulder, elbow, wrist = transform_points(pose, np.array([[0.0, 0.0], elbow, wrist]))
-    held = np.array([striker.x, striker.y, striker.theta])
+    shoulder, elbow, wrist = transform_points(base, np.array([[0.0, 0.0], elbow, wrist]))
+    held = np.array(striker)
     return (
         *_tool(tapper, held, held, tip.z),
         _solid(_circle(wrist, QUILL_RADIUS), max(tip.z, 0.0), low, _TOOL_LEVEL),
@@ -51,7 +50,7 @@ def striker_solids(
 ) -> tuple[Occluder, ...]:
     """Return the silhouettes of a tapper at a fixed mount. Its tip is ``height`` m above the table
     and extended by ``out`` m."""
-    rest = np.array([mount.x, mount.y, mount.theta])
+    rest = np.array(mount)
     ahead = rest + out * np.array([math.cos(mount.theta), math.sin(mount.theta), 0.0])
     return _tool(tapper, rest, ahead, height)
 

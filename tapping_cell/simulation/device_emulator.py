@@ -29,23 +29,19 @@ class DeviceEmulator(Protocol):
         """Restart the board, as after a power loss or when opening the port resets it."""
 
 
-class OutputQueue:
+def earliest(*times: float | None) -> float | None:
+    """Return the earliest of several times, of which any may be None; None if all are."""
+    return min((time for time in times if time is not None), default=None)
+
+
+class TimedBytes:
     """Queue of bytes in transmission, each with the time when its transmission ends."""
 
-    def __init__(self, latency: float, byte_time: float) -> None:
-        self._latency = latency
-        self._byte_time = byte_time
+    def __init__(self) -> None:
         self._queue: deque[tuple[float, bytes]] = deque()
-        self._line_free = 0.0
-
-    def put(self, data: bytes, now: float) -> None:
-        """Queue ``data``; it is available once the line has transmitted it."""
-        start = max(now + self._latency, self._line_free)
-        self._line_free = start + len(data) * self._byte_time
-        self._queue.append((self._line_free, data))
 
     def take(self, now: float) -> bytes:
-        """Return the bytes transmitted by ``now``."""
+        """Return the bytes transmitted by ``now``, in order."""
         parts: list[bytes] = []
         while self._queue and self._queue[0][0] <= now:
             parts.append(self._queue.popleft()[1])
@@ -54,6 +50,22 @@ class OutputQueue:
     def next_time(self) -> float | None:
         """Return the time when the next bytes are transmitted; None if the queue is empty."""
         return self._queue[0][0] if self._queue else None
+
+
+class OutputQueue(TimedBytes):
+    """Output of a board, whose line transmits one byte after the other."""
+
+    def __init__(self, latency: float, byte_time: float) -> None:
+        super().__init__()
+        self._latency = latency
+        self._byte_time = byte_time
+        self._line_free = 0.0
+
+    def put(self, data: bytes, now: float) -> None:
+        """Queue ``data``; it is available once the line has transmitted it."""
+        start = max(now + self._latency, self._line_free)
+        self._line_free = start + len(data) * self._byte_time
+        self._queue.append((self._line_free, data))
 
     def clear(self) -> None:
         """Discard the bytes that are not transmitted yet."""

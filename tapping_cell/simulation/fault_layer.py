@@ -14,7 +14,7 @@ from enum import Enum
 
 import numpy as np
 
-from tapping_cell.simulation.device_emulator import DeviceEmulator
+from tapping_cell.simulation.device_emulator import DeviceEmulator, TimedBytes, earliest
 
 
 class FaultKind(Enum):
@@ -84,12 +84,12 @@ def random_fault(
     )
 
 
-class _Channel:
+class _Channel(TimedBytes):
     """One direction of the line: counts the bytes and holds back those that a fault delays."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.count = 0
-        self._queue: deque[tuple[float, bytes]] = deque()
         self._free = 0.0
         self._dropping = 0
         self._run = b""
@@ -150,29 +150,11 @@ class _Channel:
         self.hold(until)
         self._queue = deque((max(at, until), held) for at, held in self._queue)
 
-    def take(self, now: float) -> bytes:
-        """Return the bytes that have arrived by ``now``, in order."""
-        out = b""
-        while self._queue and self._queue[0][0] <= now:
-            out += self._queue.popleft()[1]
-        return out
-
-    def next_time(self) -> float | None:
-        """Return the time when the next byte arrives; None if none is in transmission."""
-        return self._queue[0][0] if self._queue else None
-
     def clear(self) -> None:
         """Discard the bytes in transmission."""
         self._queue.clear()
         self._free = 0.0
         self._dropping = self._run_left = self._merge_left = 0
-
-
-def _earlier(first: float | None, second: float | None) -> float | None:
-    """Return the earlier of two times; either or both may be None."""
-    if first is None or second is None:
-        return second if first is None else first
-    return min(first, second)
 
 
 class FaultLayer:
@@ -239,7 +221,7 @@ class FaultLayer:
 
     def next_event(self) -> float | None:
         """Return the time of the next event; None if there is none."""
-        return _earlier(self.next_on_line(), self._to_host.next_time())
+        return earliest(self.next_on_line(), self._to_host.next_time())
 
     def power_cycle(self, now: float) -> None:
         """Restart the board."""
@@ -257,8 +239,7 @@ class FaultLayer:
 
     def next_on_line(self) -> float | None:
         """Return the time of the next event; bytes that wait to be read by the host are ignored."""
-        due = _earlier(self.emulator.next_event(), self._to_device.next_time())
-        return _earlier(due, self._back_at)
+        return earliest(self.emulator.next_event(), self._to_device.next_time(), self._back_at)
 
     def _channel(self, direction: Direction) -> _Channel:
         return self._to_device if direction is Direction.TO_DEVICE else self._to_host

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tapping_cell.simulation.device_emulator import OutputQueue
+from tapping_cell.simulation.arm_emulator import ArmEmulator
+from tapping_cell.simulation.device_emulator import earliest
 from tapping_cell.simulation.grbl_machine import GrblMachine
 from tapping_cell.simulation.grbl_program import Line, Modal, Refused, read_line
 from tapping_cell.simulation.joint_motion import Array
-from tapping_cell.simulation.motor_axes import AXES, MotorAxes
+from tapping_cell.simulation.motor_axes import AXES
 
 RECEIVE_BUFFER = 128
 """Size of the receive buffer; further bytes are lost (Grbl's RX_BUFFER_SIZE)."""
@@ -42,49 +43,24 @@ class _Block:
     jog: bool
 
 
-class GrblEmulator:
+class GrblEmulator(ArmEmulator):
     """One emulated board with its arm."""
 
     def __init__(self, machine: GrblMachine | None = None, seed: int = 0, now: float = 0.0) -> None:
         self.machine = machine or GrblMachine()
-        self._rng = np.random.default_rng(seed)
+        super().__init__(self.machine, seed)
         self._settings = dict(self.machine.settings)
         self._variant = self.machine.variant
         self._names = dict(self._variant.names)
-        self._rests_since: float | None = None
         self._homed = False
         self._boots_until: float | None = None
         self._feed_override = 100
-        self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
-        self._axes = MotorAxes(
-            self.machine.axis_sign,
-            self.machine.start_joints,
-            self.machine.errors,
-            self.machine.quill_sinks,
-            self.machine.quill_floor,
-            self._rng,
-        )
-        self._due: float | None = None
-        self._after: Callable[[float], None] | None = None
         self._waiting_for_block: Callable[[float], None] | None = None
         self._waiting_for_rest: Callable[[float], None] | None = None
         self._systems = {number: np.zeros(AXES) for number in range(54, 60)}
         self._restart(now, hard=True)
 
     # Interface to the simulated world.
-
-    def joints(self, time: float) -> tuple[float, float, float, float]:
-        """Return the true joints (rad, rad, m, rad) at ``time``; reported values may differ."""
-        return self._axes.joints(time)
-
-    def moving(self, time: float) -> bool:
-        """Return whether the motors move the axes at ``time``."""
-        return self._axes.moving(time)
-
-    @property
-    def holds(self) -> bool:
-        """Whether the motors have torque."""
-        return self._axes.powered
 
     def enter_sleep(self, now: float) -> None:
         """Cut the motors' power and end any move, as ``$SLP`` from another sender does."""
@@ -142,16 +118,9 @@ class GrblEmulator:
             self._greet(booted)
         self._idle_out(now)
 
-    def take_output(self, now: float) -> bytes:
-        """Return the bytes transmitted by ``now``."""
-        self.advance(now)
-        return self._output.take(now)
-
     def next_event(self) -> float | None:
         """Return the time when the next motion or transmission ends."""
-        pending = (self._due, self._boots_until, self._output.next_time())
-        times = [t for t in pending if t is not None]
-        return min(times) if times else None
+        return earliest(self._due, self._boots_until, self._output.next_time())
 
     def power_cycle(self, now: float) -> None:
         """Cycle the power; the arm stays in place and all volatile state is lost."""
@@ -201,12 +170,6 @@ class GrblEmulator:
     def _hold_setting(self) -> float:
         name = self._variant.hold_name
         return float(self._names[name]) if name else self._settings[1]
-
-    def _power(self, now: float) -> None:
-        """Enable the motors. If the quill sank while they had no power, it is held at its lower
-        position, but the step count still gives the old one."""
-        self._axes.enable(now)
-        self._rests_since = now
 
     def _idle_out(self, now: float) -> None:
         """Cut the motors' power once they have been idle for the time of Grbl's setting ``$1``."""

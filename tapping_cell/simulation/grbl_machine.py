@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from tapping_cell.simulation.grbl_variants import GRBL, GrblVariant
-from tapping_cell.simulation.joint_motion import AxisErrors
+from tapping_cell.simulation.motor_axes import ArmMachine, Joints
 
 
 def default_settings() -> dict[int, float]:
@@ -37,22 +37,9 @@ def default_settings() -> dict[int, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class GrblMachine:
-    """The arm that the emulated controller drives; joints in rad, rad, m, rad."""
+class GrblMachine(ArmMachine):
+    """The arm that the emulated controller drives, and its firmware."""
 
-    letters: str = "XYZA"
-    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
-    """Position of the arm at power-on."""
-    home_joints: tuple[float, float, float, float] = (0.0, 1.5708, 0.0, 0.0)
-    """Nominal position at the end of homing. The true position differs from it by ``errors``."""
-    errors: AxisErrors = field(default_factory=AxisErrors)
+    home_joints: Joints = (0.0, 1.5708, 0.0, 0.0)
     settings: dict[int, float] = field(default_factory=default_settings)
     variant: GrblVariant = GRBL
-    quill_sinks: float = 0.02
-    """Sinking speed of the quill while the motors have no power, m/s; 0 with a brake."""
-    quill_floor: float = -0.148
-    """Lowest position of a sinking quill, m."""
-    reply_latency: float = 0.002
-    """Latency of the USB adapter and the processor, s."""
-    baud: int = 115200

@@ -69,13 +69,10 @@ GRBL_HAL = GrblVariant(
 def fluid_nc(version: str, unlisted: frozenset[int]) -> GrblVariant:
     """Return one version of FluidNC, whose settings are stored in a file; ``$$`` lists only a few
     of them."""
-    names = {
-        "/stepping/idle_ms": "255",
-        "/report_inches": "false",
-    }
-    for axis, place in zip("xyza", ("0.000", "0.000", "0.000", "0.000"), strict=True):
+    names = {"/stepping/idle_ms": "255", "/report_inches": "false"}
+    for axis in "xyza":
         names[f"/axes/{axis}/homing/cycle"] = "1"
-        names[f"/axes/{axis}/homing/mpos_mm"] = place
+        names[f"/axes/{axis}/homing/mpos_mm"] = "0.000"
     short = ".".join(version.split(".")[:2])
     return GrblVariant(
         banner=f"\r\nGrbl {short} [FluidNC v{version} (wifi) '$' for help]\r\n".encode(),

@@ -167,22 +167,9 @@ class AxisTrack:
         self._backlash = np.asarray(backlash, dtype=float)
         self._repeatability = np.asarray(repeatability, dtype=float)
         self._rng = rng
-        zero = np.zeros(len(position))
-        rest = Profile((Phase(-math.inf, 0.0, 0.0, 0.0, 0.0),))
-        self._pieces: deque[Piece] = deque(
-            [
-                Piece(
-                    -math.inf,
-                    np.array(position, dtype=float),
-                    zero,
-                    rest,
-                    np.array(position, dtype=float),
-                    zero,
-                    zero,
-                    0.0,
-                )
-            ]
-        )
+        self._pieces: deque[Piece] = deque()
+        start = np.array(position, dtype=float)
+        self._rest(start, start, np.zeros(len(start)), -math.inf)
 
     @property
     def last(self) -> Piece:
@@ -205,8 +192,7 @@ class AxisTrack:
 
     def move(self, target: Array, start: float, speed: float, acceleration: float) -> float:
         """Start a move from rest and return the time at which it ends."""
-        before = self.last
-        origin = before.motors(start)
+        origin, play, noise = self._state(start)
         delta = np.asarray(target, dtype=float) - origin
         length = float(np.linalg.norm(delta))
         if length == 0:
@@ -216,8 +202,8 @@ class AxisTrack:
             origin,
             delta / length,
             trapezoid(start, length, speed, acceleration),
-            before.drive(origin, self._backlash),
-            before.joints(start, self._backlash) - before.drive(origin, self._backlash),
+            play,
+            noise,
             self._rng.normal(0.0, 1.0, len(origin)) * self._repeatability,
             length,
         )
@@ -235,11 +221,9 @@ class AxisTrack:
         """End the current move immediately at its present position."""
         if not self.moving(time):
             return
-        piece = self.last
-        motors = piece.motors(time)
-        noise = piece.joints(time, self._backlash) - piece.drive(motors, self._backlash)
-        self._pieces[-1] = replace(piece, profile=piece.profile.brake(time, 1e9))
-        self._rest(motors, piece.drive(motors, self._backlash), noise, time)
+        state = self._state(time)
+        self._pieces[-1] = replace(self.last, profile=self.last.profile.brake(time, 1e9))
+        self._rest(*state, time)
 
     def shift(self, motors: Array, time: float) -> None:
         """Set the motor values of a resting arm to ``motors``; the joint values change by the same
@@ -247,11 +231,16 @@ class AxisTrack:
 
         Used when the arm slips or is moved by hand.
         """
-        piece = self.last
-        old = piece.motors(time)
-        noise = piece.joints(time, self._backlash) - piece.drive(old, self._backlash)
-        play = piece.drive(old, self._backlash) + (np.asarray(motors) - old)
-        self._rest(np.asarray(motors, dtype=float), play, noise, time)
+        old, play, noise = self._state(time)
+        new = np.asarray(motors, dtype=float)
+        self._rest(new, play + (new - old), noise, time)
+
+    def _state(self, time: float) -> tuple[Array, Array, Array]:
+        """Return, for the newest piece, the motor values, the joint values that follow from them
+        with backlash, and the random errors of the joint values."""
+        motors = self.last.motors(time)
+        play = self.last.drive(motors, self._backlash)
+        return motors, play, self.last.joints(time, self._backlash) - play
 
     def _rest(self, motors: Array, play: Array, noise: Array, time: float) -> None:
         still = Profile((Phase(time, 0.0, 0.0, 0.0, 0.0),))

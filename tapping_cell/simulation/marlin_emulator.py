@@ -7,18 +7,18 @@ line parser, independent of the driver's codec.
 
 from __future__ import annotations
 
-import math
 import re
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 
-from tapping_cell.simulation.device_emulator import OutputQueue
-from tapping_cell.simulation.joint_motion import Array, AxisErrors
-from tapping_cell.simulation.motor_axes import AXES, MotorAxes
+from tapping_cell.simulation.arm_emulator import ArmEmulator
+from tapping_cell.simulation.device_emulator import earliest
+from tapping_cell.simulation.joint_motion import Array
+from tapping_cell.simulation.motor_axes import AXES, ArmMachine
 
 QUEUE_LENGTH = 4
 """Number of lines read ahead (Marlin's BUFSIZE)."""
@@ -33,14 +33,9 @@ KILL_TIME = 0.03
 
 
 @dataclass(frozen=True, slots=True)
-class MarlinMachine:
-    """The arm that the emulated controller drives; joints in rad, rad, m, rad."""
+class MarlinMachine(ArmMachine):
+    """The arm that the emulated controller drives, and its firmware build."""
 
-    letters: str = "XYZA"
-    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    start_joints: tuple[float, float, float, float] = (0.6, 0.9, -0.030, 0.2)
-    home_joints: tuple[float, float, float, float] = (0.0, math.pi / 2, 0.0, 0.0)
-    errors: AxisErrors = field(default_factory=AxisErrors)
     steps: tuple[float, float, float, float] = (200.0, 200.0, 400.0, 100.0)
     """Steps per unit (M92)."""
     max_rate: tuple[float, float, float, float] = (115.0, 143.0, 250.0, 345.0)
@@ -59,55 +54,24 @@ class MarlinMachine:
     """Upper limits that ``M211`` reports; the emulated firmware does not clip targets to them."""
     idle_time: float = 120.0
     """Idle time after which the motors lose their power, s (DEFAULT_STEPPER_TIMEOUT_SEC)."""
-    quill_sinks: float = 0.02
-    """Sinking speed of the quill while the motors have no power, m/s; 0 with a brake."""
-    quill_floor: float = -0.148
-    """Position at which a sinking quill comes to rest, m."""
-    reply_latency: float = 0.002
-    baud: int = 115200
 
 
-class MarlinEmulator:
+class MarlinEmulator(ArmEmulator):
     """One emulated board with its arm."""
 
     def __init__(
         self, machine: MarlinMachine | None = None, seed: int = 0, now: float = 0.0
     ) -> None:
         self.machine = machine or MarlinMachine()
-        self._rng = np.random.default_rng(seed)
-        self._output = OutputQueue(self.machine.reply_latency, 10 / self.machine.baud)
-        self._axes = MotorAxes(
-            self.machine.axis_sign,
-            self.machine.start_joints,
-            self.machine.errors,
-            self.machine.quill_sinks,
-            self.machine.quill_floor,
-            self._rng,
-        )
+        super().__init__(self.machine, seed)
         self._steps = np.array(self.machine.steps)
-        self._due: float | None = None
-        self._after: Callable[[float], None] | None = None
         self._busy_at: float | None = None
         self._running: Callable[[float], bool] | None = None
         self._line = bytearray()
         self._blocks: deque[tuple[Array, float, float]] = deque()
-        self._rests_since = now
         self._restart(now)
 
     # Interface to the simulated world.
-
-    def joints(self, time: float) -> tuple[float, float, float, float]:
-        """Return the true joints (rad, rad, m, rad) at ``time``; the step counts may differ."""
-        return self._axes.joints(time)
-
-    def moving(self, time: float) -> bool:
-        """Return whether the axes move at ``time``."""
-        return self._axes.moving(time)
-
-    @property
-    def holds(self) -> bool:
-        """Whether the motors have torque."""
-        return self._axes.powered
 
     def enter_sleep(self, now: float) -> None:
         """Cut the motors' power and end any move, as ``M84`` from another sender does."""
@@ -157,16 +121,10 @@ class MarlinEmulator:
                 self._send_line("echo:busy: processing", due)
                 self._busy_at = due + BUSY_PERIOD
 
-    def take_output(self, now: float) -> bytes:
-        """Return the bytes transmitted by ``now``."""
-        self.advance(now)
-        return self._output.take(now)
-
     def next_event(self) -> float | None:
         """Return the time of the next event: the end of a motion or transmission, or a busy
         message."""
-        times = [t for t in (self._next_internal(), self._output.next_time()) if t is not None]
-        return min(times) if times else None
+        return earliest(self._next_internal(), self._output.next_time())
 
     def power_cycle(self, now: float) -> None:
         """Restart the board. The arm stays in place, but the board takes this position as zero."""
@@ -176,8 +134,7 @@ class MarlinEmulator:
         self._restart(now)
 
     def _next_internal(self) -> float | None:
-        times = [t for t in (self._due, self._busy_at) if t is not None]
-        return min(times) if times else None
+        return earliest(self._due, self._busy_at)
 
     def _restart(self, now: float) -> None:
         self._killed = False
@@ -201,18 +158,14 @@ class MarlinEmulator:
         for line in ("start", "Marlin 2.1.2.4", "echo: Last Updated: 2024-01-01"):
             self._send_line(line, now)
 
-    def _power(self, now: float) -> None:
-        """Enable the motors. If the quill sank while they had no power, it is held at its lower
-        position, but the step count still gives the old one."""
-        self._axes.enable(now)
-        self._rests_since = now
-
     def _idle_out(self, now: float) -> None:
         """Cut the motors' power after the idle time; a limit of 0 keeps it on."""
         if self._due is not None or self._blocks:
             self._rests_since = now
-        elif self._idle_limit and now >= self._rests_since + self._idle_limit:
-            self._axes.disable(self._rests_since + self._idle_limit)
+        elif self._idle_limit and self._rests_since is not None:
+            ends = self._rests_since + self._idle_limit
+            if now >= ends:
+                self._axes.disable(ends)
 
     def _send_line(self, text: str, now: float) -> None:
         self._output.put(text.encode() + b"\n", now)

@@ -8,6 +8,7 @@ values are in rad, rad, m, rad.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,34 +24,42 @@ SLIP = 0.3
 Joints = tuple[float, float, float, float]
 
 
+@dataclass(frozen=True, slots=True)
+class ArmMachine:
+    """The arm that an emulated controller drives, and its line; joints in rad, rad, m, rad."""
+
+    letters: str = "XYZA"
+    axis_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    start_joints: Joints = (0.6, 0.9, -0.030, 0.2)
+    """Position of the arm at power-on."""
+    home_joints: Joints = (0.0, math.pi / 2, 0.0, 0.0)
+    """Nominal position at the end of homing. The true position differs from it by ``errors``."""
+    errors: AxisErrors = field(default_factory=AxisErrors)
+    quill_sinks: float = 0.02
+    """Sinking speed of the quill while the motors have no power, m/s; 0 with a brake."""
+    quill_floor: float = -0.148
+    """Position at which a sinking quill comes to rest, m."""
+    reply_latency: float = 0.002
+    """Latency of the USB adapter and the processor, s."""
+    baud: int = 115200
+
+
 class MotorAxes:
-    """Four axes in simulated time; all times in s.
+    """Four axes in simulated time; all times in s."""
 
-    ``sign``: direction of each motor, +1 or -1. ``start``: joint values at power-on.
-    ``quill_sinks``: speed at which the quill sinks without power, m/s. ``quill_floor``: lowest
-    position of the quill, m.
-    """
-
-    def __init__(
-        self,
-        sign: tuple[int, int, int, int],
-        start: Joints,
-        errors: AxisErrors,
-        quill_sinks: float,
-        quill_floor: float,
-        rng: np.random.Generator,
-    ) -> None:
-        self._sign = np.array(sign, dtype=float)
-        self._offset = np.asarray(errors.offset)
+    def __init__(self, machine: ArmMachine, rng: np.random.Generator) -> None:
+        self._sign = np.array(machine.axis_sign, dtype=float)
+        self._offset = np.asarray(machine.errors.offset)
         self._rng = rng
-        self._torque = Torque(quill_sinks, quill_floor)
+        self._torque = Torque(machine.quill_sinks, machine.quill_floor)
+        start = self.units(machine.start_joints)
         self._track = AxisTrack(
-            self.units(start),
-            np.abs(self.units(errors.backlash)),
-            np.abs(self.units(errors.repeatability)),
+            start,
+            np.abs(self.units(machine.errors.backlash)),
+            np.abs(self.units(machine.errors.repeatability)),
             rng,
         )
-        self.reference = self.units(start)
+        self.reference = start
         """Position of the motors, in axis units, at which the controller counts zero steps."""
 
     def units(self, joints: Joints) -> Array:

@@ -102,14 +102,10 @@ class PseudoTerminal:
         with self.lock:
             if self._master is None:
                 return
-            os.close(self._master)
-            self._master = None
-            if self._slave is not None:
-                os.close(self._slave)
-                self._slave = None
-            if self._linked is not None:
-                os.close(self._linked)
-                self._linked = None
+            for descriptor in (self._master, self._slave, self._linked):
+                if descriptor is not None:
+                    os.close(descriptor)
+            self._master = self._slave = self._linked = None
             self._unsent.clear()
             with contextlib.suppress(FileNotFoundError):
                 self.path.unlink()

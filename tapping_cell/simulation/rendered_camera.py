@@ -227,7 +227,7 @@ class SceneRenderer:
         reflectance += np.asarray(smooth, dtype=np.float32)
         for marker in references.markers:
             layer = marker_layer(references.dictionary, marker.id, marker.size, pixel, blur)
-            pose = np.array([marker.x, marker.y, marker.theta])
+            pose = (marker.x, marker.y, marker.theta)
             square = layer.half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
             window = self._window(self.view.project(se2.transform_points(pose, square)))
             if window is None:
@@ -367,7 +367,7 @@ def _label(
     if shown.dot is None:
         return None, np.zeros(3)
     angle = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
-    circle = shown.dot.radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    circle = shown.dot.radius * se2.unit_vectors(angle)
     reflectance = BRIGHT_DOT_REFLECTANCE if shown.dot.brighter else DARK_DOT_REFLECTANCE
     return outline_layer(circle, reflectance, pixel, blur), np.array([*shown.dot.offset, 0.0])
 

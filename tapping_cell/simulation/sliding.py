@@ -154,21 +154,11 @@ class Slide:
             length = min(length, LARGEST_LOSS * max(speed, STOP_SPEED) / braking)
         if self._friction.patches and speed > 0:
             length = min(length, PATCH_STEP_M / speed)
-        half = length / 2
-        middle = _moved(motion, _rate(motion, first), half)
-        second = self.acceleration(middle)
-        again = _moved(motion, _rate(middle, second), half)
-        third = self.acceleration(again)
-        last = _moved(motion, _rate(again, third), length)
-        fourth = self.acceleration(last)
-        rates = zip(
-            _rate(motion, first),
-            _rate(middle, second),
-            _rate(again, third),
-            _rate(last, fourth),
-            strict=True,
-        )
-        mean = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in rates]
+        rates = [_rate(motion, first)]
+        for share in (0.5, 0.5, 1.0):
+            ahead = _moved(motion, rates[-1], share * length)
+            rates.append(_rate(ahead, self.acceleration(ahead)))
+        mean = [(a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(*rates, strict=True)]
         after = _moved(motion, mean, length)
         if self.speed(after) < STOP_SPEED and self.stays(after):
             after = Motion(after.x, after.y, after.theta)

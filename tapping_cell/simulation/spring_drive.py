@@ -248,6 +248,11 @@ class SpringDrive:
     def _switch(self) -> bool:
         return self._closed if self._stuck is None else self._stuck
 
+    def _shows_closed_after(self, steps: int) -> bool:
+        """Return whether the front switch, which may be stuck, shows closed after ``steps`` more
+        steps."""
+        return self._switch_after(steps) if self._stuck is None else self._stuck
+
     def _steps_until(self, distance: float) -> float:
         """Return the number of motor steps until the switch changes; inf if it never changes.
         ``distance``: steps that the carriage must move until then."""
@@ -277,10 +282,8 @@ class SpringDrive:
         if self._phase is Phase.OUT:
             check = max(0, HYSTERESIS_LIMIT - self._count)
             steps = self._target - self._count
-            if check <= steps:
-                closed = self._switch_after(check) if self._stuck is None else self._stuck
-                if closed:
-                    return after(check, Phase.OFF, self._count + check)
+            if check <= steps and self._shows_closed_after(check):
+                return after(check, Phase.OFF, self._count + check)
             crossing = self._switch() and steps >= self._steps_until(hysteresis - self._place)
             return after(steps, Phase.HOLDING, self._target, SETTLE_TIME if crossing else 0.0)
         if self._phase is Phase.BACK:
@@ -290,7 +293,7 @@ class SpringDrive:
     def _plan_back(self, after: Callable[..., _End]) -> _End:
         lost = after(self._count + SLACK, Phase.OFF, -SLACK)
         if not self._opened:
-            if self._switch_after(self._count) if self._stuck is None else self._stuck:
+            if self._shows_closed_after(self._count):
                 return after(max(self._count, 0), Phase.HOLDING, 0)
             return lost
         needed = 0.0 if self._switch() else self._steps_until(self._place)

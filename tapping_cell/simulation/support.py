@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.mechanics import Disk, Polygon, Ring
+from tapping_cell.se2 import unit_vectors
 from tapping_cell.simulation.truth import SupportTruth
 
 Array = NDArray[np.float64]
@@ -89,8 +90,7 @@ def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
         # rows.
         turn = np.arange(_RINGS) * (math.pi * (3 - math.sqrt(5)))
         angles = (np.arange(_SPOKES) + 0.5) * (2 * math.pi / _SPOKES) + turn[:, None]
-        circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        points = (radius[:, None, None] * circle).reshape(-1, 2)
+        points = (radius[:, None, None] * unit_vectors(angles)).reshape(-1, 2)
     else:
         points = _grid_inside(body, _GRID)
     return points, np.ones(len(points))

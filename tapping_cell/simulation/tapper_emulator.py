@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tapping_cell.simulation.coil_bank import CoilBank
-from tapping_cell.simulation.device_emulator import OutputQueue
+from tapping_cell.simulation.device_emulator import OutputQueue, earliest
 from tapping_cell.simulation.spring_drive import SpringDrive, SpringMechanism, Status
 
 SILENCE = 0.5
@@ -246,7 +246,7 @@ class TapperEmulator:
             if self._state == "RELEASING" and due >= self._released_until:
                 self.drive.back(due)
                 self._state = "DISCHARGING"
-            elif due >= self._limit():
+            elif (limit := self._limit()) is not None and due >= limit:
                 self._discharge(due)
             if self._state in SETTLING:
                 self._settle(SETTLING[self._state], self._state)
@@ -258,10 +258,7 @@ class TapperEmulator:
 
     def next_event(self) -> float | None:
         """Return the time of the next change of state or transmission."""
-        internal, sent = self._next_internal(), self._output.next_time()
-        if internal is None or sent is None:
-            return sent if internal is None else internal
-        return min(internal, sent)
+        return earliest(self._next_internal(), self._output.next_time())
 
     def power_cycle(self, now: float) -> None:
         """Restart the board: the motor is switched off and the boot number increases."""
@@ -269,20 +266,18 @@ class TapperEmulator:
         self._output.clear()
         self._start(now)
 
-    def _limit(self) -> float:
-        """Return the time when the current action ends because of missing requests or its
-        timeout."""
+    def _limit(self) -> float | None:
+        """Return the time when the current action ends because of missing requests or its timeout;
+        None if it does not."""
         if self._state == "HOMING":
             return self._received + SILENCE
         if self._state in ("CHARGING", "CHARGED"):
             return min(self._received + SILENCE, self._expires)
-        return float("inf")
+        return None
 
     def _next_internal(self) -> float | None:
         due = self._released_until if self._state == "RELEASING" else self._limit()
-        moved = self.drive.next_event()
-        due = due if moved is None else min(due, moved)
-        return due if due < float("inf") else None
+        return earliest(due, self.drive.next_event())
 
     def _settle(self, there: str, moving: str) -> None:
         self._state = {Status.THERE: there, Status.MOVING: moving}.get(self.drive.status, "UNHOMED")

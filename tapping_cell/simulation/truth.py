@@ -7,21 +7,23 @@ that one file applies to every object.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from tapping_cell.configuration.objects import angle_floor_key, position_floor_key
 from tapping_cell.configuration.schema import choice, quantity, section, text
+
+
+def ratio(what: str, low: float, high: float) -> Any:
+    """Declare a key for the ratio of one quantity to another, by default 1."""
+    return quantity(f"ratio of {what}", "", low, high, default=1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class SupportTruth:
     """True support of the object on the table."""
 
-    friction_factor: float = quantity(
-        "ratio of the true to the configured friction", "", 0.1, 10.0, default=1.0
-    )
-    torque_factor_ratio: float = quantity(
-        "ratio of the true to the configured torque factor", "", 0.05, 20.0, default=1.0
-    )
+    friction_factor: float = ratio("the true to the configured friction", 0.1, 10.0)
+    torque_factor_ratio: float = ratio("the true to the configured torque factor", 0.05, 20.0)
     pressure: str = choice(
         "distribution of the load: even over the whole underside, on the rim, on three points, or "
         "on a grid of pads",
@@ -64,8 +66,8 @@ class SupportTruth:
     mass_offset: tuple[float, float] = quantity(
         "x and y of the centre of mass in the object's frame", "m", -0.2, 0.2, default=(0.0, 0.0)
     )
-    inertia_factor: float = quantity(
-        "ratio of the true moment of inertia to that of a uniform object", "", 0.1, 3.0, default=1.0
+    inertia_factor: float = ratio(
+        "the true moment of inertia to that of a uniform object", 0.1, 3.0
     )
     slope: tuple[float, float] = quantity(
         "tilt of the table; positive values are downhill along +x and +y",
@@ -89,9 +91,7 @@ class PatchTruth:
 class SurfaceTruth:
     """Dependence of the table's friction on direction, speed and place."""
 
-    anisotropy: float = quantity(
-        "ratio of the friction across the grain to that along it", "", 0.2, 5.0, default=1.0
-    )
+    anisotropy: float = ratio("the friction across the grain to that along it", 0.2, 5.0)
     grain: float = quantity(
         "direction of the grain in the frame table", "rad", -7.0, 7.0, default=0.0
     )
@@ -117,15 +117,9 @@ class SurfaceTruth:
 class ImpactTruth:
     """True impact between striker and object."""
 
-    restitution_factor: float = quantity(
-        "ratio of the true to the configured restitution", "", 0.1, 3.0, default=1.0
-    )
-    contact_friction_factor: float = quantity(
-        "ratio of the true to the configured contact friction", "", 0.1, 10.0, default=1.0
-    )
-    striker_speed_factor: float = quantity(
-        "ratio of the true to the commanded striker speed", "", 0.1, 3.0, default=1.0
-    )
+    restitution_factor: float = ratio("the true to the configured restitution", 0.1, 3.0)
+    contact_friction_factor: float = ratio("the true to the configured contact friction", 0.1, 10.0)
+    striker_speed_factor: float = ratio("the true to the commanded striker speed", 0.1, 3.0)
     gate_noise: float = quantity(
         "relative standard deviation of the tapper's speed measurement",
         "",
@@ -239,9 +233,7 @@ class CameraTruth:
     turn: float = quantity(
         "rotation of the image about the optical axis", "rad", -7.0, 7.0, default=0.01
     )
-    focal_factor: float = quantity(
-        "ratio of the true to the calibrated focal length", "", 0.9, 1.1, default=1.0
-    )
+    focal_factor: float = ratio("the true to the calibrated focal length", 0.9, 1.1)
     distortion_offset: float = quantity(
         "true minus calibrated first radial distortion coefficient", "", -0.2, 0.2, default=0.0
     )

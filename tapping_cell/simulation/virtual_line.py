@@ -53,16 +53,14 @@ class VirtualClock:
             line.advance(self.now)
 
 
-class VirtualTransport:
-    """A :class:`~tapping_cell.hardware.transport.Transport` to one line in virtual time."""
+class LineEnd:
+    """The host's end of an emulated line: whether it is open, and whether a stop is latched."""
 
-    def __init__(self, line: FaultLayer, clock: VirtualClock, name: str) -> None:
-        self._line = line
-        self._clock = clock
+    def __init__(self, layer: FaultLayer, name: str) -> None:
+        self.layer = layer
         self._name = name
         self._absences: int | None = None
         self._stopped = False
-        clock.add(line)
 
     @property
     def name(self) -> str:
@@ -73,6 +71,45 @@ class VirtualTransport:
     def is_open(self) -> bool:
         """Whether the line is open, as far as is known."""
         return self._absences is not None
+
+    def close(self) -> None:
+        """Close the line."""
+        self._absences = None
+
+    def release(self) -> None:
+        """Release the latch of ``stop``."""
+        self._stopped = False
+
+    def _opened(self, now: float) -> None:
+        """Open the line, whose port is present; earlier bytes are discarded."""
+        self._absences = self.layer.absences
+        self.layer.take_output(now)
+
+    def _send_stop(self, data: bytes, now: float) -> bool:
+        """Latch the stop, write ``data`` and return whether it could be written."""
+        self._stopped = True
+        if self._absences is None or self._absences != self.layer.absences:
+            return False
+        self.layer.receive(data, now)
+        return True
+
+    def _require(self) -> None:
+        if self._stopped:
+            raise HardwareFault(FaultReason.STOPPED, f"{self._name}: a stop is latched")
+        if self._absences is None:
+            raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} is not open")
+        if self._absences != self.layer.absences:
+            self._absences = None
+            raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} went away")
+
+
+class VirtualTransport(LineEnd):
+    """A :class:`~tapping_cell.hardware.transport.Transport` to one line in virtual time."""
+
+    def __init__(self, line: FaultLayer, clock: VirtualClock, name: str) -> None:
+        super().__init__(line, name)
+        self._clock = clock
+        clock.add(line)
 
     def now(self) -> float:
         """Return the virtual time, s."""
@@ -88,16 +125,11 @@ class VirtualTransport:
         """Reopen the line, waiting for the port; earlier bytes are discarded."""
         self._absences = None
         deadline = self._clock.now + timeout
-        while not self._line.plugged:
+        while not self.layer.plugged:
             if self._clock.now >= deadline:
                 raise HardwareFault(FaultReason.PORT_MISSING, f"{self._name} is not there")
             self._clock.step(deadline)
-        self._absences = self._line.absences
-        self._line.take_output(self._clock.now)
-
-    def close(self) -> None:
-        """Close the line."""
-        self._absences = None
+        self._opened(self._clock.now)
 
     def read(self, timeout: float) -> bytes:
         """Return the available bytes, waiting up to ``timeout`` s for the first."""
@@ -108,36 +140,19 @@ class VirtualTransport:
             deadline = max(deadline, math.nextafter(self._clock.now, math.inf))
         while True:
             self._require()
-            data = self._line.take_output(self._clock.now)
+            data = self.layer.take_output(self._clock.now)
             if data or self._clock.now >= deadline:
                 return data
-            self._clock.step(deadline, self._line)
+            self._clock.step(deadline, self.layer)
 
     def write(self, data: bytes, timeout: float = 1.0) -> None:
         """Write all of ``data``."""
         self._require()
-        self._line.receive(data, self._clock.now)
+        self.layer.receive(data, self._clock.now)
         # If the port disappeared during this write, the device may have received some of the bytes
         # or none.
         self._require()
 
     def stop(self, data: bytes) -> bool:
         """Latch the stop and write ``data``."""
-        self._stopped = True
-        if self._absences is None or self._absences != self._line.absences:
-            return False
-        self._line.receive(data, self._clock.now)
-        return True
-
-    def release(self) -> None:
-        """Release the latch of ``stop``."""
-        self._stopped = False
-
-    def _require(self) -> None:
-        if self._stopped:
-            raise HardwareFault(FaultReason.STOPPED, f"{self._name}: a stop is latched")
-        if self._absences is None:
-            raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} is not open")
-        if self._absences != self._line.absences:
-            self._absences = None
-            raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} went away")
+        return self._send_stop(data, self._clock.now)

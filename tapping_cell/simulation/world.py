@@ -199,12 +199,7 @@ class World:
         self._tap = None
         if not 0 < tip_height < self._height or speed <= 0:
             return False
-        axis = (math.cos(tip.theta), math.sin(tip.theta))
-        true_speed = speed * self._truth.impact.striker_speed_factor
-        flight = Flight(
-            tip.x, tip.y, true_speed * axis[0], true_speed * axis[1], axis, self._stroke
-        )
-        self._bring_out(flight)
+        flight = self._released(tip, speed * self._truth.impact.striker_speed_factor)
         meets = self._meets(replace(flight))
         if not meets and self._after.at_rest:
             return False
@@ -225,10 +220,7 @@ class World:
         object's current pose; inf if it misses."""
         if not 0 < tip_height < self._height or speed <= 0:
             return math.inf
-        axis = (math.cos(tip.theta), math.sin(tip.theta))
-        flight = Flight(tip.x, tip.y, speed * axis[0], speed * axis[1], axis, self._stroke)
-        self._bring_out(flight)
-        return self._travel(flight)
+        return self._travel(self._released(tip, speed))
 
     def gate_speed(self, speed: float) -> float:
         """Return the measurement of the tapper's speed gate, m/s, for a commanded striker speed."""
@@ -333,12 +325,16 @@ class World:
         if over or (self._after.at_rest and not self._meets(replace(flight))):
             self._tap = None
 
-    def _bring_out(self, flight: Flight) -> None:
-        """Move a tip that overlaps the object back along its axis until it is outside."""
+    def _released(self, tip: Pose, speed: float) -> Flight:
+        """Return a released striker. A tip that overlaps the object is first moved back along its
+        axis until it is outside."""
+        axis = (math.cos(tip.theta), math.sin(tip.theta))
+        flight = Flight(tip.x, tip.y, speed * axis[0], speed * axis[1], axis, self._stroke)
         while (gap := self._contact.gap(self._after, flight)) < 0:
             back = max(-gap, TOUCH_M)
             flight.x -= back * flight.axis[0]
             flight.y -= back * flight.axis[1]
+        return flight
 
     def _meets(self, flight: Flight) -> bool:
         """Return whether a striker that continues to move would meet the object at the object's

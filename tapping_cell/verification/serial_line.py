@@ -7,24 +7,22 @@ from collections.abc import Callable
 
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
 from tapping_cell.simulation.fault_layer import FaultLayer
+from tapping_cell.simulation.virtual_line import LineEnd
 from tapping_cell.verification.scheduler import Fiber, Scheduler, Timer
 
 
-class SerialLine:
+class SerialLine(LineEnd):
     """A board connected by a line that may fail. The board keeps running while the host does not
     read."""
 
     def __init__(self, scheduler: Scheduler, layer: FaultLayer, name: str) -> None:
-        self.layer = layer
+        super().__init__(layer, name)
         self.fiber: Fiber | None = None
         """Fiber in which the driver runs."""
         self.before_write: Callable[[], None] = lambda: None
         """Called before bytes are sent; it may freeze the process."""
         self._scheduler = scheduler
-        self._name = name
         self._offset = 0.0
-        self._absences: int | None = None
-        self._stopped = False
         self._reading = False
         self._event: Timer | None = None
         self.schedule()
@@ -57,16 +55,6 @@ class SerialLine:
 
     # Transport
 
-    @property
-    def name(self) -> str:
-        """Name in messages."""
-        return self._name
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the host considers the line to be open."""
-        return self._absences is not None
-
     def now(self) -> float:
         """Return the time of the host's steady clock, s."""
         return self._scheduler.now + self._offset
@@ -83,13 +71,12 @@ class SerialLine:
             if self._scheduler.now >= deadline:
                 raise HardwareFault(FaultReason.PORT_MISSING, f"{self._name} is not there")
             self._wait_until(min(self._scheduler.now + 0.05, deadline))
-        self._absences = self.layer.absences
-        self.layer.take_output(self._scheduler.now)
+        self._opened(self._scheduler.now)
         self.schedule()
 
     def close(self) -> None:
         """Close the line."""
-        self._absences = None
+        super().close()
         self._reading = False
 
     def read(self, timeout: float) -> bytes:
@@ -125,28 +112,14 @@ class SerialLine:
         self._stopped = True
         if self.fiber is not None and self._reading:
             self.fiber.wake()
-        if self._absences is None or self._absences != self.layer.absences:
-            return False
-        self.layer.receive(data, self._scheduler.now)
-        self.schedule()
-        return True
-
-    def release(self) -> None:
-        """Release the latched stop."""
-        self._stopped = False
+        sent = self._send_stop(data, self._scheduler.now)
+        if sent:
+            self.schedule()
+        return sent
 
     def _wait_until(self, time: float) -> None:
         assert self.fiber is not None, "a driver called a blocking function outside its fiber"
         self.fiber.wait_until(time)
-
-    def _require(self) -> None:
-        if self._stopped:
-            raise HardwareFault(FaultReason.STOPPED, f"{self._name}: a stop is latched")
-        if self._absences is None:
-            raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} is not open")
-        if self._absences != self.layer.absences:
-            self._absences = None
-            raise HardwareFault(FaultReason.DISCONNECTED, f"{self._name} went away")
 
 
 class BusyLine(SerialLine):

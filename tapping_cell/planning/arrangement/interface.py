@@ -31,6 +31,12 @@ class Body:
     movable: bool = True
 
     @property
+    def target(self) -> Pose:
+        """Goal of an object that has one."""
+        assert self.goal is not None, f"'{self.name}' has no goal"
+        return self.goal
+
+    @property
     def radius(self) -> float:
         """Radius of the bounding circle, m."""
         return self.free.space.object_radius

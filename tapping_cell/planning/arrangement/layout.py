@@ -105,12 +105,11 @@ def stuck_goals(
     ``placed``: objects that stay at their goals; ``fixed``: other occupied areas.
     """
     left = list(unplaced)
-    standing = [body.area(body.goal) for body in placed if body.goal is not None]
+    standing = [body.area(body.target) for body in placed]
     while left:
         for body in left:
-            others = [b.area(b.goal) for b in left if b is not body and b.goal is not None]
-            assert body.goal is not None
-            if maps.in_largest_region(body, [*standing, *fixed, *others], body.goal):
+            others = [b.area(b.target) for b in left if b is not body]
+            if maps.in_largest_region(body, [*standing, *fixed, *others], body.target):
                 left.remove(body)
                 break
         else:

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array
-from tapping_cell.se2 import Pose
+from tapping_cell.se2 import Pose, unit_vectors
 
 PRESETS = ("line", "circle", "grid", "swap")
 
@@ -66,7 +66,7 @@ def preset_places(preset: str, count: int, pitch: float, middle: tuple[float, fl
     if preset == "circle":
         radius = 0.0 if count == 1 else 0.5 * pitch / math.sin(math.pi / count)
         angle = number * (2.0 * math.pi / count)
-        offset = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        offset = radius * unit_vectors(angle)
     else:
         columns = count if preset == "line" else math.ceil(math.sqrt(count))
         rows = math.ceil(count / columns)

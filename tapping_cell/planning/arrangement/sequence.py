@@ -89,8 +89,7 @@ class SequencePlanner:
         return self._make_way(scene) or self._refusal(scene)
 
     def _to_goal(self, scene: Scene, body: Body) -> _Option | None:
-        goal, pose = body.goal, scene.poses[body.name]
-        assert goal is not None
+        goal, pose = body.target, scene.poses[body.name]
         others = areas_of(scene.bodies, scene.poses, [body.name])
         if not self._maps.fits(body, others, goal):
             return None
@@ -102,9 +101,7 @@ class SequencePlanner:
         freed = [
             other.name
             for other in _open(scene)
-            if other is not body
-            and other.goal is not None
-            and gap(body.area(pose), other.area(other.goal)) < _margin(other)
+            if other is not body and gap(body.area(pose), other.area(other.target)) < _margin(other)
         ]
         # The length of the path, m, is added as a small cost (taps): other objects are less likely
         # to block a short path.
@@ -127,9 +124,12 @@ class SequencePlanner:
     def _is_open(self, scene: Scene, body: Body) -> bool:
         """Return whether an object's goal is free and a path leads to it."""
         others = areas_of(scene.bodies, scene.poses, [body.name])
-        assert body.goal is not None
-        return self._maps.fits(body, others, body.goal) and math.isfinite(
-            self._maps.path(body, others, scene.poses[body.name], body.goal)
+        return self._fits_and_path(body, others, scene.poses[body.name])
+
+    def _fits_and_path(self, body: Body, others: Sequence[CircleArea], pose: Pose) -> bool:
+        """Return whether, among the areas ``others``, the goal is free and a path leads to it."""
+        return self._maps.fits(body, others, body.target) and math.isfinite(
+            self._maps.path(body, others, pose, body.target)
         )
 
     def _leaves_a_way(self, scene: Scene, body: Body) -> bool:
@@ -157,8 +157,7 @@ class SequencePlanner:
         An object blocks the path if removing it alone would open the path. If there is no such
         object, the objects on the goal or, if the goal is free, all objects count as blocking,
         ordered by distance from the straight line to the goal."""
-        goal, pose = blocked.goal, scene.poses[blocked.name]
-        assert goal is not None
+        goal, pose = blocked.target, scene.poses[blocked.name]
         others = [body for body in scene.bodies if body is not blocked]
         if (blocked.name, Purpose.TO_GOAL) in scene.excluded and self._is_open(scene, blocked):
             # The map shows a free path, but no tap along it is possible. Probably the objects
@@ -168,13 +167,11 @@ class SequencePlanner:
                 key=lambda body: _from_line(scene.poses[body.name], pose, goal) - body.radius,
             )
             return [body.name for body in near[:CLOSEST]]
-        alone = []
-        for body in others:
-            areas = areas_of(others, scene.poses, [body.name])
-            if self._maps.fits(blocked, areas, goal) and math.isfinite(
-                self._maps.path(blocked, areas, pose, goal)
-            ):
-                alone.append(body.name)
+        alone = [
+            body.name
+            for body in others
+            if self._fits_and_path(blocked, areas_of(others, scene.poses, [body.name]), pose)
+        ]
         if alone:
             return alone
         on_goal = [
@@ -197,27 +194,20 @@ class SequencePlanner:
         others = areas_of(scene.bodies, scene.poses, [body.name])
         places = self._maps.places(body, others, pose)
         margin = _margin(body)
-        for other in _open(scene):
-            if other is body or other.goal is None:
-                continue
+        unfinished = [other for other in _open(scene) if other is not body]
+        for other in unfinished:
             clear = other.radius + body.radius + margin + BUFFER_SLACK
-            away = np.hypot(places[:, 0] - other.goal.x, places[:, 1] - other.goal.y)
-            places = places[away >= clear]
+            places = places[_away(places, other.target) >= clear]
         if places.shape[0] == 0:
             return None
         cost = _buffer_cost(body, pose, places, others)
         for earlier in scene.buffers.get(body.name, ()):
-            near = np.hypot(places[:, 0] - earlier.x, places[:, 1] - earlier.y) < TOOL_CLEARANCE
-            cost = cost + AGAIN * (1.0 + near)
-        for other in _open(scene):
-            if other is not body and other.goal is not None:
-                away = np.hypot(places[:, 0] - other.goal.x, places[:, 1] - other.goal.y)
-                room = (away - other.radius - body.radius) / TOOL_CLEARANCE
-                cost = cost + CROWDING_COST * np.clip(1.0 - room, 0.0, 1.0)
+            cost = cost + AGAIN * (1.0 + (_away(places, earlier) < TOOL_CLEARANCE))
         # Places near the blocked object cost more as well, because its taps need clearance.
-        here = scene.poses[blocked.name]
-        room = np.hypot(places[:, 0] - here.x, places[:, 1] - here.y) - blocked.radius - body.radius
-        cost = cost + CROWDING_COST * np.clip(1.0 - room / TOOL_CLEARANCE, 0.0, 1.0)
+        crowded = [(other, other.target) for other in unfinished]
+        for other, here in [*crowded, (blocked, scene.poses[blocked.name])]:
+            room = (_away(places, here) - other.radius - body.radius) / TOOL_CLEARANCE
+            cost = cost + CROWDING_COST * np.clip(1.0 - room, 0.0, 1.0)
         for index in np.argsort(cost, kind="stable")[:: max(1, len(cost) // 400)][:BUFFERS_TRIED]:
             place = Pose(float(places[index, 0]), float(places[index, 1]), pose.theta)
             if self._opens(scene, body, place, blocked):
@@ -229,24 +219,21 @@ class SequencePlanner:
     def _opens(self, scene: Scene, body: Body, place: Pose, blocked: Body) -> bool:
         """Return whether moving ``body`` to ``place`` opens the blocked object's goal or helps to
         open it."""
-        assert blocked.goal is not None
         poses = {**scene.poses, body.name: place}
         areas = areas_of(scene.bodies, poses, [blocked.name])
-        if not any(gap(area, blocked.area(blocked.goal)) < _margin(blocked) for area in areas):
-            path = self._maps.path(blocked, areas, poses[blocked.name], blocked.goal)
-            return math.isfinite(path) and self._maps.fits(blocked, areas, blocked.goal)
+        goal = blocked.area(blocked.target)
+        if not any(gap(area, goal) < _margin(blocked) for area in areas):
+            return self._fits_and_path(blocked, areas, poses[blocked.name])
         # Other objects occupy the goal as well, so the move alone does not open it. The move helps
         # if ``body`` occupies part of the goal.
-        before = gap(body.area(scene.poses[body.name]), blocked.area(blocked.goal))
-        return before < _margin(blocked)
+        return gap(body.area(scene.poses[body.name]), goal) < _margin(blocked)
 
     def _refusal(self, scene: Scene) -> Refusal:
         parts = []
         for body in _open(scene):
             names = ", ".join(f"'{name}'" for name in self._in_the_way(scene, body)[:3])
-            assert body.goal is not None
             parts.append(
-                f"'{body.name}' cannot go to {place_text(body.goal)}"
+                f"'{body.name}' cannot go to {place_text(body.target)}"
                 + (f" (in the way: {names})" if names else "")
             )
         return Refusal(
@@ -285,17 +272,21 @@ def _from_line(place: Pose, start: Pose, end: Pose) -> float:
     return math.hypot(place.x - start.x - share * dx, place.y - start.y - share * dy)
 
 
+def _away(places: Array, middle: Pose | CircleArea) -> Array:
+    """Return the distances of places (n, 2) from the x and y of a pose or an area, m."""
+    return np.hypot(places[:, 0] - middle.x, places[:, 1] - middle.y)
+
+
 def _buffer_cost(body: Body, pose: Pose, places: Array, others: Sequence[CircleArea]) -> Array:
     """Estimate the cost of each buffer place (n, 2), in taps: the path there, the longer path from
     there to the goal, and a penalty for little clearance."""
     longest = body.planner.settings.largest_distance
-    there = np.hypot(places[:, 0] - pose.x, places[:, 1] - pose.y)
+    there = _away(places, pose)
     cost = np.ceil(there / longest) + 0.5 * there / longest
     if body.goal is not None:
-        onward = np.hypot(places[:, 0] - body.goal.x, places[:, 1] - body.goal.y)
-        direct = pose.distance_to(body.goal)
-        cost = cost + np.maximum(onward - direct, 0.0) / longest
+        detour = _away(places, body.goal) - pose.distance_to(body.goal)
+        cost = cost + np.maximum(detour, 0.0) / longest
     for area in others:
-        apart = np.hypot(places[:, 0] - area.x, places[:, 1] - area.y) - area.radius - body.radius
+        apart = _away(places, area) - area.radius - body.radius
         cost = cost + np.clip(1.0 - apart / NARROW, 0.0, 1.0)
     return np.asarray(cost)

@@ -25,7 +25,6 @@ from tapping_cell.planning.arrangement.interface import (
 )
 from tapping_cell.planning.arrangement.layout import check_layout
 from tapping_cell.planning.arrangement.sequence import BUFFER_SLACK, SequencePlanner, taps
-from tapping_cell.planning.exact import ExactPlanner
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.gains import Gains
 from tapping_cell.planning.interface import Planner
@@ -38,6 +37,7 @@ from tapping_cell.planning.session import (
     noise_of,
 )
 from tapping_cell.planning.settings import PlannerSettings
+from tapping_cell.planning.two_tap import ExactPlanner
 from tapping_cell.planning.workspace import KeepOut
 from tapping_cell.se2 import Pose
 
@@ -249,8 +249,7 @@ class ArrangementSession:
         return self._taps_without_progress < TIMEOUT
 
     def _residual(self, name: str, pose: Pose) -> Pose:
-        goal = self._by_name[name].goal
-        assert goal is not None
+        goal = self._by_name[name].target
         return Pose(goal.x - pose.x, goal.y - pose.y, pose.rotation_to(goal))
 
     def _notice_contacts(self, poses: Mapping[str, Pose]) -> bool:
@@ -274,7 +273,7 @@ class ArrangementSession:
             if self._still_at_goal(body, seen[body.name]):
                 done.add(body.name)
                 continue
-            decision = self._alone(body).arrived(
+            decision = _at_goal(body, self._most_taps).arrived(
                 seen[body.name].pose, seen[body.name].covariance, observe_again=observe_again
             )
             if isinstance(decision, Done):
@@ -324,12 +323,6 @@ class ArrangementSession:
             waiting |= {b.name for b in self.bodies if b.goal is not None} - {due[0]}
         return Scene(self.bodies, self._settled, self.finished, excluded, self._buffers, waiting)
 
-    def _alone(self, body: Body) -> PositioningSession:
-        """Return a session that only checks whether the object is at its goal and ignores all
-        others."""
-        assert body.goal is not None
-        return _at_goal(body, self._most_taps)
-
     def _step(
         self, move: Move, seen: Observation, observe_again: bool
     ) -> TapOf | ObserveLonger | Refusal | None:
@@ -337,7 +330,9 @@ class ArrangementSession:
         body = self._by_name[move.name]
         free = self._maps.map(body, areas_of(self.bodies, self._settled, [body.name]))
         if self._session is None or self._session_move is not move:
-            method = body.planner if move.purpose is Purpose.TO_GOAL else coarse(body.planner)
+            method = (
+                body.planner if move.purpose is Purpose.TO_GOAL else coarse(body.planner.settings)
+            )
             self._session = PositioningSession(
                 move.target,
                 method,
@@ -374,19 +369,16 @@ class ArrangementSession:
 
 @functools.lru_cache(maxsize=64)
 def _at_goal(body: Body, most_taps: int) -> PositioningSession:
+    """Return a session that only checks whether the object, alone, is at its goal."""
     return PositioningSession(
-        np.array(body.goal), body.planner, body.free.space, body.free, most_taps=most_taps
+        np.array(body.target), body.planner, body.free.space, body.free, most_taps=most_taps
     )
 
 
-def coarse(planner: Planner) -> Planner:
+@functools.lru_cache(maxsize=32)
+def coarse(settings: PlannerSettings) -> Planner:
     """Return a planning method with a wide tolerance, for an object that is moved out of the
     way."""
-    return _coarse(planner.settings)
-
-
-@functools.lru_cache(maxsize=32)
-def _coarse(settings: PlannerSettings) -> Planner:
     return ExactPlanner(
         replace(
             settings,

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -41,10 +42,9 @@ from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.refusal import Refusal
-from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.stopping import LONG_OBSERVATION
 from tapping_cell.planning.workspace import CircleArea, KeepOut, PolygonArea
-from tapping_cell.se2 import Pose, transform_points, wrap_angle
+from tapping_cell.se2 import Pose, difference, displaced, transform_points
 
 METHODS: dict[str, Callable[[AmongOthers], ArrangementPlanner]] = {
     "sequence": SequencePlanner,
@@ -199,7 +199,7 @@ def arrange(
         table=(table.length, table.width),
     )
     trial.history.append({name: Pose(*pose.tolist()) for name, pose in true.items()})
-    number_of = {body.name: number for number, body in enumerate(bodies)}
+    gain_of = {body.name: gain[None, :] for body, gain in zip(bodies, gains, strict=True)}
     by_name = {body.name: body for body in bodies}
     seen = {name: _observe(by_name[name], true[name], rng) for name in true}
     observations = dict.fromkeys(true, 1)
@@ -222,10 +222,9 @@ def arrange(
             trial.made_way += decision.move.purpose.name == "MAKE_WAY"
         body = by_name[decision.name]
         trial.tool_contacts += _tool_touches(decision, bodies, true)
-        gain = gains[number_of[body.name]][None, :]
         commanded = np.array([decision.strike.commanded])
         scatter = body.planner.settings.scatter
-        moved = scattered(commanded, gain, true[body.name][None, :], scatter, rng)[0]
+        moved = scattered(commanded, gain_of[body.name], true[body.name][None, :], scatter, rng)[0]
         trial.contacts += _slide(body, moved, bodies, true)
         trial.taps += 1
         before = seen[body.name]
@@ -266,10 +265,10 @@ def _slide(body: Body, moved: Array, bodies: Sequence[Body], true: dict[str, Arr
         if hits.size and hits[0] < first:
             first, met = int(hits[0]), other
     if met is None:
-        true[body.name] = _wrapped(path[-1])
+        true[body.name] = displaced(path[-1], np.zeros(3))
         return 0
     contact = path[max(first - 1, 0)]
-    true[body.name] = _wrapped(contact)
+    true[body.name] = displaced(contact, np.zeros(3))
     normal = true[met.name][:2] - contact[:2]
     normal = normal / max(float(np.hypot(*normal)), 1e-9)
     length = float(np.hypot(moved[0], moved[1]))
@@ -282,7 +281,7 @@ def _slide(body: Body, moved: Array, bodies: Sequence[Body], true: dict[str, Arr
     if push > 1e-5:
         count += _slide(met, np.array([*(push * normal), 0.0]), bodies, true)
         shift = np.array([*(min(push, left) * normal), 0.0])
-        true[body.name] = _wrapped(true[body.name] + 0.9 * shift)
+        true[body.name] = displaced(true[body.name], 0.9 * shift)
     return count
 
 
@@ -314,22 +313,17 @@ def _longer(
     body: Body, seen: Observation, true: Array, observations: int, rng: np.random.Generator
 ) -> Observation:
     """Return the mean of all observations, including a new one."""
-    before, one = np.array(seen.pose), np.array(_observe(body, true, rng).pose)
-    step = one - before
-    step[2] = wrap_angle(step[2])
-    camera = body.planner.settings.camera
-    return Observation(
-        Pose(*(before + step / observations).tolist()), camera.covariance / observations
-    )
+    step = difference(seen.pose, _observe(body, true, rng).pose)
+    mean = np.array(seen.pose) + step / observations
+    covariance = body.planner.settings.camera.covariance / observations
+    return Observation(Pose(*mean.tolist()), covariance)
 
 
 def _inside(body: Body, true: Array) -> bool:
-    assert body.goal is not None
-    settings: PlannerSettings = body.planner.settings
-    goal = np.array(body.goal)
-    away = math.hypot(goal[0] - true[0], goal[1] - true[1])
-    turned = abs(float(wrap_angle(goal[2] - true[2])))
-    return away <= settings.tolerance_position and turned <= settings.tolerance_angle
+    settings = body.planner.settings
+    x, y, turn = difference(true, body.target).tolist()
+    away = math.hypot(x, y)
+    return away <= settings.tolerance_position and abs(turn) <= settings.tolerance_angle
 
 
 def _draw_gains(task: ArrangementTask, rng: np.random.Generator) -> Array:
@@ -384,10 +378,6 @@ def _tappable(kind: Kind, pose: Pose) -> bool:
     return bool(kind.free.contains(np.array([pose.x, pose.y])))
 
 
-def _wrapped(pose: Array) -> Array:
-    return np.array([pose[0], pose[1], float(wrap_angle(pose[2]))])
-
-
 def evaluate_arrangements(
     task: ArrangementTask,
     kinds: Callable[[], Sequence[Kind]],
@@ -422,10 +412,6 @@ def summarise_arrangements(trials: Sequence[ArrangementTrial]) -> dict[str, Any]
     done = [trial for trial in trials if trial.end == "done"]
     lone = sum(trial.lone_taps for trial in done)
     decisions = sum(trial.decisions for trial in trials)
-    reasons: dict[str, int] = {}
-    for trial in trials:
-        if trial.end != "done":
-            reasons[trial.sentence] = reasons.get(trial.sentence, 0) + 1
     return {
         "scenes": count,
         "success_rate": sum(trial.inside for trial in done) / count,
@@ -439,5 +425,5 @@ def summarise_arrangements(trials: Sequence[ArrangementTrial]) -> dict[str, Any]
         "made_way_mean": float(np.mean([trial.made_way for trial in trials])),
         "decision_mean_s": sum(trial.planning for trial in trials) / max(1, decisions),
         "decision_slowest_s": max(trial.slowest for trial in trials),
-        "reasons": reasons,
+        "reasons": dict(Counter(trial.sentence for trial in trials if trial.end != "done")),
     }

@@ -12,15 +12,16 @@ import numpy as np
 from tapping_cell.mechanics import Tap
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.observing import decide
-from tapping_cell.planning.evaluation.task import End, Results
+from tapping_cell.planning.evaluation.task import Results, TrialResult, trial_result
 from tapping_cell.planning.evaluation.worlds import scattered
 from tapping_cell.planning.fixed_session import FixedTapperSession
 from tapping_cell.planning.fixed_solver import GoalSolver
 from tapping_cell.planning.fixed_tappers import BESIDES_FLIGHT_S, FixedStrikeSpace
 from tapping_cell.planning.interface import Array
-from tapping_cell.planning.session import Done, Strike
+from tapping_cell.planning.mounts import moved_mount
+from tapping_cell.planning.session import Strike
 from tapping_cell.planning.settings import PlannerSettings
-from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.se2 import displaced, unit_vectors
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,32 +73,19 @@ def evaluate_fixed(
         rows.append(_run_one(evaluation, solver, np.random.default_rng(stream)))
         if progress is not None:
             progress(1)
-    taps, end, inside, distance, rotation, over, seconds = (
-        np.array(column) for column in zip(*rows, strict=True)
-    )
-    return Results(
-        taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over, seconds
-    )
+    return Results.of_trials(rows)
 
 
 def _run_one(
     evaluation: FixedEvaluation, solver: GoalSolver, rng: np.random.Generator
-) -> tuple[int, int, bool, float, float, bool, float]:
+) -> TrialResult:
     space, settings = evaluation.space, evaluation.settings
     true, goal = _true_space(evaluation, rng), np.array(evaluation.goal)
     area = space.area
-    radius, angle = (
-        area.radius * math.sqrt(rng.random()),
-        rng.uniform(-math.pi, math.pi),
-    )
+    radius, angle = area.radius * math.sqrt(rng.random()), rng.uniform(-math.pi, math.pi)
     turned = rng.uniform(-evaluation.start_angle, evaluation.start_angle)
-    pose = np.array(
-        [
-            area.x + radius * math.cos(angle),
-            area.y + radius * math.sin(angle),
-            goal[2] + turned,
-        ]
-    )
+    place = np.array([area.x, area.y]) + radius * unit_vectors(angle)
+    pose = np.append(place, goal[2] + turned)
     session = FixedTapperSession(
         goal,
         settings,
@@ -111,22 +99,12 @@ def _run_one(
     decision, seen = decide(session, pose, pose + noise * rng.standard_normal(3), camera, rng)
     while isinstance(decision, Strike):
         seconds += BESIDES_FLIGHT_S + decision.plan.flight
-        pose = pose + _answer(true, decision, pose, settings, rng)
-        pose[2] = wrap_angle(pose[2])
+        pose = displaced(pose, _answer(true, decision, pose, settings, rng))
         left = left or float(area.clearance(pose[:2])) < 0.0
         before = seen
         session.observe(decision, before, pose + noise * rng.standard_normal(3))
         decision, seen = decide(session, pose, pose + noise * rng.standard_normal(3), camera, rng)
-    if isinstance(decision, Done):
-        end = End.DONE
-    elif session.taps >= evaluation.most_taps:
-        end = End.ENDLESS
-    else:
-        end = End.REFUSED_BEFORE if session.taps == 0 else End.REFUSED_LATER
-    error = session.residual(pose)
-    distance, rotation = math.hypot(error[0], error[1]), float(error[2])
-    within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
-    return session.taps, int(end), within, distance, rotation, left, seconds
+    return trial_result(session, decision, pose, evaluation.most_taps, left, seconds)
 
 
 def _true_space(evaluation: FixedEvaluation, rng: np.random.Generator) -> FixedStrikeSpace:
@@ -136,12 +114,8 @@ def _true_space(evaluation: FixedEvaluation, rng: np.random.Generator) -> FixedS
     drawn = rng.standard_normal((len(space.tappers), 2)) * np.array([off, turn])
     made = space.with_mounts(
         [
-            Pose(
-                tapper.mount.x - float(error[0]) * math.sin(tapper.mount.theta),
-                tapper.mount.y + float(error[0]) * math.cos(tapper.mount.theta),
-                tapper.mount.theta + float(error[1]),
-            )
-            for tapper, error in zip(space.tappers, drawn, strict=True)
+            moved_mount(tapper.mount, *error)
+            for tapper, error in zip(space.tappers, drawn.tolist(), strict=True)
         ]
     )
     if evaluation.truth is not None:
@@ -160,8 +134,7 @@ def _answer(
     """Return the true displacement (3,) of a strike, with scatter; zero if the striker misses."""
     index = [tapper.name for tapper in true.tappers].index(strike.plan.tapper)
     tapper, speed = true.tappers[index], strike.plan.striker_speed
-    line = np.array([tapper.mount.x, tapper.mount.y, tapper.mount.theta])
-    hit = tapper.tap.strike(pose, line, speed)
+    hit = tapper.tap.strike(pose, np.array(tapper.mount), speed)
     if bool(hit.missed) or not 0.0 <= float(hit.travel) <= tapper.stroke:
         return np.zeros(3)
     gains = np.array([[1.0, 1.0, 0.0, 0.0]])

@@ -10,18 +10,19 @@ import numpy as np
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.observing import decide
 from tapping_cell.planning.evaluation.task import (
-    End,
     Evaluation,
     Results,
     TapClock,
+    TrialResult,
     draw_gains,
     draw_tasks,
+    trial_result,
 )
 from tapping_cell.planning.free_space import FreeSpace
 from tapping_cell.planning.interface import Array, Planner
-from tapping_cell.planning.session import Done, PositioningSession, Strike
+from tapping_cell.planning.session import PositioningSession, Strike
 from tapping_cell.planning.strike import StrikeSpace
-from tapping_cell.se2 import Pose, wrap_angle
+from tapping_cell.se2 import Pose, displaced
 
 MAX_DRAWS = 1000
 
@@ -45,16 +46,10 @@ def run_table_trials(
     # values drawn in a trial depends on the method.
     for index, own in enumerate(rng.spawn(count)):
         start = _draw_start(space, free, own)
-        goal = start + tasks[index]
-        goal[2] = wrap_angle(goal[2])
+        goal = displaced(start, tasks[index])
         gain = true_gains[index : index + 1]
         rows.append(_run_one(evaluation, planner, space, free, clock, start, goal, gain, own))
-    taps, end, inside, distance, rotation, over, seconds = (
-        np.array(column) for column in zip(*rows, strict=True)
-    )
-    return Results(
-        taps.astype(np.int64), end.astype(np.int64), inside, distance, rotation, over, seconds
-    )
+    return Results.of_trials(rows)
 
 
 def _draw_start(space: StrikeSpace, free: FreeSpace, rng: np.random.Generator) -> Array:
@@ -79,7 +74,7 @@ def _run_one(
     goal: Array,
     gain: Array,
     rng: np.random.Generator,
-) -> tuple[int, int, bool, float, float, bool, float]:
+) -> TrialResult:
     session = PositioningSession(
         goal,
         planner,
@@ -91,7 +86,7 @@ def _run_one(
         probe=evaluation.probe,
         most_taps=evaluation.most_taps,
     )
-    camera, settings = evaluation.settings.camera, evaluation.settings
+    camera = evaluation.settings.camera
     pose, over, seconds = start.copy(), False, math.nan
     if clock is not None:
         tip, seconds = clock.parked, 0.0
@@ -102,8 +97,7 @@ def _run_one(
         moved = evaluation.simulation.answer(
             pose[None, :], seen[None, :], np.array([decision.commanded]), gain, rng
         )[0]
-        pose = pose + moved
-        pose[2] = wrap_angle(pose[2])
+        pose = displaced(pose, moved)
         over = over or float(space.workspace.edge_distance(pose[:2])) < space.object_radius
         if clock is not None:
             spent, tip = clock.tap(tip, Pose(*seen.tolist()), decision)
@@ -112,13 +106,4 @@ def _run_one(
         before, seen = seen, pose + camera.deviations * rng.standard_normal(3)
         session.observe(decision, before, seen)
         decision, seen = decide(session, pose, seen, camera, rng)
-    if isinstance(decision, Done):
-        end = End.DONE
-    elif session.taps >= evaluation.most_taps:
-        end = End.ENDLESS
-    else:
-        end = End.REFUSED_BEFORE if session.taps == 0 else End.REFUSED_LATER
-    left = goal - pose
-    distance, rotation = math.hypot(left[0], left[1]), float(wrap_angle(left[2]))
-    within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
-    return session.taps, int(end), within, distance, rotation, over, seconds
+    return trial_result(session, decision, pose, evaluation.most_taps, over, seconds)

@@ -22,7 +22,7 @@ from tapping_cell.planning.interface import Array, Planner
 from tapping_cell.planning.session import WORTH_OBSERVING
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.stopping import CONFIDENCE, LONG_OBSERVATION, inside_probability
-from tapping_cell.se2 import wrap_angle
+from tapping_cell.se2 import difference
 
 MISSED = 0.1
 """A tap has missed if it moved the object by less than this share of the expected distance."""
@@ -50,7 +50,7 @@ def run_open_trials(
     model = evaluation.world.model if evaluation.world is not None else None
     for _ in range(evaluation.most_taps + 1):
         inside = observe_longer(seen, pose, goal, running, evaluation.settings, rng)
-        left = _remaining(goal[running], seen[running])
+        left = difference(seen[running], goal[running])
         end[running[inside]] = End.DONE
         running, left = running[~inside], left[~inside]
         if running.size == 0:
@@ -75,12 +75,12 @@ def run_open_trials(
             struck = ~np.isnan(commanded[:, 0])
             stuck = running[~struck]
             end[stuck] = np.where(taps[stuck] == 0, End.REFUSED_BEFORE, End.REFUSED_LATER)
-            running, commanded, known = (
+            running, commanded, orientation = (
                 running[struck],
                 commanded[struck],
-                gains.of(running[struck]),
+                orientation[struck],
             )
-            orientation = orientation[struck]
+            known = gains.of(running)
         asked = known.predict(commanded, orientation)
         moved = evaluation.simulation.answer(
             pose[running], seen[running], commanded, true_gains[running], rng
@@ -101,7 +101,7 @@ def run_open_trials(
                     commanded, measured, orientation, evaluation.settings.scatter, camera
                 ),
             )
-    left = _remaining(goal, pose)
+    left = difference(pose, goal)
     distance, rotation = np.hypot(left[:, 0], left[:, 1]), left[:, 2]
     settings = evaluation.settings
     within = (distance <= settings.tolerance_position) & (
@@ -127,7 +127,7 @@ def observe_longer(
     camera_noise = settings.camera.deviations
     tolerance = settings.tolerance_position, settings.tolerance_angle
     if settings.box is not None:
-        left, box = _remaining(goal[rows], seen[rows]), settings.stopping
+        left, box = difference(seen[rows], goal[rows]), settings.stopping
         near = np.hypot(left[:, 0], left[:, 1]) <= box.distance
         return np.asarray(near & (np.abs(left[:, 2]) <= box.rotation))
     inside = np.zeros(rows.size, dtype=bool)
@@ -138,7 +138,7 @@ def observe_longer(
             fresh = pose[at] + camera_noise * rng.standard_normal((at.size, 3))
             seen[at] += (fresh - seen[at]) / observations
         probability = inside_probability(
-            _remaining(goal[at], seen[at]), settings.camera.covariance / observations, *tolerance
+            difference(seen[at], goal[at]), settings.camera.covariance / observations, *tolerance
         )
         sure = probability >= CONFIDENCE
         inside[open_rows[sure]] = True
@@ -146,9 +146,3 @@ def observe_longer(
         if open_rows.size == 0 or not np.any(camera_noise):
             break
     return inside
-
-
-def _remaining(goal: Array, pose: Array) -> Array:
-    left = goal - pose
-    left[:, 2] = wrap_angle(left[:, 2])
-    return left

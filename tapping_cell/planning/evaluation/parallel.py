@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
@@ -52,18 +54,17 @@ def evaluate(
     began = time.perf_counter()
     parts = [run_chunk(evaluation, sizes[0], seeds[0])]
     note(sizes[0])
-    rest = list(zip(sizes[1:], seeds[1:], strict=True))
+    rest, run = sizes[1:], functools.partial(run_chunk, evaluation)
     expected = (time.perf_counter() - began) * len(rest)
     workers = min(processes or os.cpu_count() or 1, len(rest))
-    if workers <= 1 or expected < WORTH_PROCESSES:
-        for size, seed in rest:
-            parts.append(run_chunk(evaluation, size, seed))
-            note(size)
-        return join(parts)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(run_chunk, evaluation, size, seed) for size, seed in rest]
-        for (size, _), future in zip(rest, futures, strict=True):
-            parts.append(future.result())
+    with contextlib.ExitStack() as stack:
+        if workers <= 1 or expected < WORTH_PROCESSES:
+            made: Iterator[Results] = map(run, rest, seeds[1:])
+        else:
+            pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+            made = stack.enter_context(pool).map(run, rest, seeds[1:])
+        for size, part in zip(rest, made, strict=True):
+            parts.append(part)
             note(size)
     return join(parts)
 

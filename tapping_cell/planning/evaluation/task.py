@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from tapping_cell.planning.errors import PlanningError
 from tapping_cell.planning.evaluation.worlds import AbstractWorld, World
 from tapping_cell.planning.interface import Array
-from tapping_cell.planning.session import Strike
+from tapping_cell.planning.session import Decision, Done, GoalSession, Strike
 from tapping_cell.planning.settings import PlannerSettings
 from tapping_cell.planning.strike import StrikeSpace
 from tapping_cell.planning.tap_times import OBJECTIVES, TapTimes
-from tapping_cell.se2 import Pose
+from tapping_cell.se2 import Pose, unit_vectors
 
 
 class End(IntEnum):
@@ -150,6 +150,36 @@ class Results(NamedTuple):
     over_edge: NDArray[np.bool_]
     seconds: Array
 
+    @classmethod
+    def of_trials(cls, rows: Sequence[TrialResult]) -> Results:
+        """Return the results of trials that were run one after another."""
+        return cls(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+TrialResult = tuple[int, int, bool, float, float, bool, float]
+"""Result of one trial: one entry of each array of ``Results``."""
+
+
+def trial_result(
+    session: GoalSession,
+    decision: Decision,
+    pose: Array,
+    most_taps: int,
+    over_edge: bool,
+    seconds: float,
+) -> TrialResult:
+    """Return the result of a session that ended with ``decision``; ``pose``: true pose (3,)."""
+    if isinstance(decision, Done):
+        end = End.DONE
+    elif session.taps >= most_taps:
+        end = End.ENDLESS
+    else:
+        end = End.REFUSED_BEFORE if session.taps == 0 else End.REFUSED_LATER
+    error, settings = session.residual(pose), session.settings
+    distance, rotation = math.hypot(error[0], error[1]), float(error[2])
+    within = distance <= settings.tolerance_position and abs(rotation) <= settings.tolerance_angle
+    return session.taps, int(end), within, distance, rotation, over_edge, seconds
+
 
 def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
     """Draw the displacements from start to goal, (count, 3)."""
@@ -158,10 +188,8 @@ def draw_tasks(evaluation: Evaluation, count: int, rng: np.random.Generator) -> 
     far, turn = evaluation.random_tasks
     distance = rng.uniform(0.0, far, count)
     heading = rng.uniform(-np.pi, np.pi, count)
-    return np.stack(
-        [distance * np.cos(heading), distance * np.sin(heading), rng.uniform(-turn, turn, count)],
-        axis=-1,
-    )
+    moved = distance[:, None] * unit_vectors(heading)
+    return np.column_stack([moved, rng.uniform(-turn, turn, count)])
 
 
 def draw_gains(evaluation: Evaluation, count: int, rng: np.random.Generator) -> Array:
