@@ -19,8 +19,7 @@ from tapping_cell.planning.settings import PlannerSettings
 
 SECOND_TAP_MARGIN = 1.4
 """Minimum ratio of the second tap to the smallest tap. If the subgoal were exactly one smallest tap
-from the goal, half of the runs would fail because of the first tap's scatter (measured in
-docs/planning.md)."""
+from the goal, half of the runs would fail because of the first tap's scatter."""
 
 ROUNDING = 1e-6
 """Relative tolerance at the edge of the cone, because exact plans end exactly on the edge."""
