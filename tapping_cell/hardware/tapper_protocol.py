@@ -44,9 +44,9 @@ MAXIMUM_ENERGY_UJ = 10_000_000
 
 
 class Command(Enum):
-    """Commands of the host, in frames of at most 64 bytes. A repeated request with the same sequence
-    number gets the same reply and has no further effect. A request with an older number is not
-    answered."""
+    """Commands of the host, in frames of at most 64 bytes. A repeated request with the same
+    sequence number gets the same reply and has no further effect. A request with an older number is
+    not answered."""
 
     HELLO = "HELLO"
     """Opens a session, discharges the striker and selects set-up mode."""
