@@ -47,8 +47,8 @@ class Evaluation:
     clock: factory of the clock that computes the durations of taps. With None, no durations are
         computed.
     mean_tap: mean duration of a tap of the cell's arm, s. It is used for trials on an open table,
-    where the arm's position is not defined. With NaN, no durations are computed. space: factory of
-    the table, arm and striker for trials with starts and goals all over a table.
+        where the arm's position is not defined. With NaN, no durations are computed.
+    space: factory of the table, arm and striker for trials with starts and goals all over a table.
         It must be picklable, because every process calls it. None means an open table.
     """
 
