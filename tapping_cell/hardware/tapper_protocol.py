@@ -44,16 +44,34 @@ MAXIMUM_ENERGY_UJ = 10_000_000
 
 
 class Command(Enum):
-    """Commands of the host."""
+    """Commands of the host, in frames of at most 64 bytes. A repeated request with the same
+    sequence number gets the same reply and has no further effect. A request with an older number is
+    not answered."""
 
     HELLO = "HELLO"
+    """Opens a session, discharges the striker and selects set-up mode."""
     HOME = "HOME"
+    """Moves the carriage off the front switch if necessary, then onto it. The state is HOMING, then
+    SAFE, or UNHOMED if the switch did not open or close."""
     CHARGE = "CHARGE"
+    """``<shot>,<energy uJ>,<timeout ms>[,<channel>]``: charges. Requires a closed interlock, no
+    latched stop, a homed carriage, and a shot number that exceeds the greatest number used by at
+    most ``MAXIMUM_JUMP``."""
     FIRE = "FIRE"
+    """``<shot>,<deadline ms>[,<channel>]``: fires once if the deadline has not passed on the
+    board's clock. After the deadline, or if the deadline is further ahead than ``LONGEST_WINDOW``,
+    the reply is LATE, the board discharges and the shot number is used up. The reply to a repeated
+    FIRE is FIRED, without a second shot."""
     STATUS = "STATUS"
+    """No effect, but restarts the timeout of a charged tapper."""
     DISCHARGE = "DISCHARGE"
+    """Discharges without firing; aborts homing."""
     CLEAR = "CLEAR"
+    """Ends a latched stop within 10 s after the clear button was pressed; otherwise the reply is
+    NEEDS_PERSON."""
     MODE = "MODE"
+    """``SETUP`` or ``RUN``. In set-up mode, energies above 5 mJ are refused unless the enabling
+    switch is held; releasing the switch discharges the striker."""
 
 
 class Result(Enum):
