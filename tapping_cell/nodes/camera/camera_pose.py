@@ -25,7 +25,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, ObjectStates, PlanState
 
-from tapping_cell.configuration.cell import Cell, load_cell, load_further_objects
+from tapping_cell.configuration.cell import Cell, load_further_objects
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import choice, quantity, text
 from tapping_cell.logic.frames import TABLE
@@ -36,11 +36,8 @@ from tapping_cell.nodes.camera.dropped_frames import Backlog
 from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.camera.unknown_search import UnknownSearch
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
-from tapping_cell.nodes.conversions import (
-    from_message,
-    seconds,
-    to_message,
-)
+from tapping_cell.nodes.cell_parameters import ObjectParameters
+from tapping_cell.nodes.conversions import from_message, seconds, to_message
 from tapping_cell.nodes.frame_broadcaster import FrameBroadcaster, transform
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import (
@@ -94,14 +91,9 @@ restarts. They span about half a second, which is too long for reordered message
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(ObjectParameters):
     """Parameters of camera_pose."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
-    object_file: str = text(
-        "path of the object file; if empty, the one named in the cell file", default=""
-    )
     other_object_files: str = text(
         "paths of the object files of additional objects on the table, separated by commas",
         default="",
@@ -202,7 +194,7 @@ class CameraPose(CellNode[Parameters]):
 
     def configure(self) -> None:
         """Read the cell, table and object files."""
-        self._cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
+        self._cell = self.settings.load_cell()
         self._other_files = load_further_objects(self._cell, self.settings.other_object_files)
         self._other_states = [ObjectState(object_id=file.name) for file in self._other_files]
         for state in self._other_states:

@@ -93,13 +93,8 @@ def unpack(message: Image) -> NDArray[np.uint8]:
 
 def compress(message: Image, quality: int) -> CompressedImage:
     """Compress a mono8 image message to JPEG, in the format of image_transport."""
-    pixels = unpack(message)[..., 0]
-    _, coded = cv2.imencode(".jpg", pixels, (cv2.IMWRITE_JPEG_QUALITY, quality))
-    made = CompressedImage(header=message.header, format=f"{message.encoding}; jpeg compressed ")
-    data = array.array("B")
-    data.frombytes(coded.data)
-    made.data = data
-    return made
+    form = f"{message.encoding}; jpeg compressed "
+    return _compressed(unpack(message)[..., 0], quality, message.header, form)
 
 
 def compress_colour(
@@ -114,12 +109,14 @@ def compress_colour(
         size = (width, round(scale * picture.shape[0]))
         reduced = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
         picture = np.asarray(reduced, dtype=np.uint8)
+    return _compressed(picture, quality, header, "bgr8; jpeg compressed bgr8")
+
+
+def _compressed(
+    picture: NDArray[np.uint8], quality: int, header: Header, form: str
+) -> CompressedImage:
     _, coded = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, quality))
-    made = CompressedImage(header=header, format="bgr8; jpeg compressed bgr8")
-    data = array.array("B")
-    data.frombytes(coded.data)
-    made.data = data
-    return made
+    return CompressedImage(header=header, format=form, data=_sequence(coded))
 
 
 def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
@@ -163,15 +160,17 @@ def _decompress(message: CompressedImage) -> NDArray[np.uint8]:
 
 def to_message(picture: NDArray[np.uint8], encoding: str) -> Image:
     """Convert an image to a message. The caller fills in the header."""
-    message = Image()
-    message.height, message.width = picture.shape[:2]
-    message.encoding = encoding
-    message.step = picture.nbytes // picture.shape[0]
-    # rclpy accepts an array.array directly but checks a list element by element.
-    data = array.array("B")
-    data.frombytes(np.ascontiguousarray(picture).data)
-    message.data = data
-    return message
+    height, width = picture.shape[:2]
+    step, data = picture.nbytes // height, _sequence(np.ascontiguousarray(picture))
+    return Image(height=height, width=width, encoding=encoding, step=step, data=data)
+
+
+def _sequence(data: NDArray[np.uint8]) -> array.array[int]:
+    """Return bytes as a field of a message. rclpy accepts an array.array directly, but checks a
+    list element by element."""
+    made = array.array("B")
+    made.frombytes(data.data)
+    return made
 
 
 def to_camera_info(camera: CameraModel) -> CameraInfo:

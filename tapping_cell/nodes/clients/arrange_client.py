@@ -87,8 +87,8 @@ class ArrangeClient(ActionFollower[Event]):
         self._purposes: dict[int, str] = {}
         subscribe = self.node.create_subscription
         subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
-        subscribe(ArmState, "arm_state", self._on_arm, LATCHED)
-        subscribe(TapperState, "tapper_state", self._on_tapper, LATCHED)
+        subscribe(ArmState, "arm_state", self.keeper("_arm"), LATCHED)
+        subscribe(TapperState, "tapper_state", self.keeper("_tapper"), LATCHED)
         subscribe(PlanState, "plan_state", self._on_plan, LATCHED)
         subscribe(ObjectStates, "true_states", self._on_truth, 10)
         subscribe(ObjectContact, "true_contacts", self._on_contact, 10)
@@ -158,12 +158,6 @@ class ArrangeClient(ActionFollower[Event]):
 
     def _on_contact(self, message: ObjectContact) -> None:
         self.contacts.append((message.object_id, message.other_id))
-
-    def _on_arm(self, message: ArmState) -> None:
-        self._arm = message
-
-    def _on_tapper(self, message: TapperState) -> None:
-        self._tapper = message
 
     def _on_plan(self, message: PlanState) -> None:
         self.planner_active = True

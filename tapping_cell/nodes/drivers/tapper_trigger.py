@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from tapping_cell import messages
-from tapping_cell.configuration.cell import OutputSection, TapperSection, load_cell
+from tapping_cell.configuration.cell import OutputSection, TapperSection
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.hardware.output_tapper import OutputTapperDriver
 from tapping_cell.hardware.serial_transport import SerialTransport
@@ -22,16 +22,15 @@ from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.cell_parameters import CellParameters
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
 from tapping_cell.nodes.drivers.output_link import KeptShot, RosOutputLink
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(CellParameters):
     """Parameters of tapper_trigger."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
     port: str = text(
         "path of the tapper's serial port; if empty, the one in the cell file. In a cell with "
         "several tapper boards, the second has this path with the suffix _1, and so on",
@@ -109,7 +108,7 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
 
     def configure(self) -> None:
         """Read the cell file, open the ports and start sessions, which discharge every tapper."""
-        cell = load_cell(self.settings.cell_file or None)
+        cell = self.settings.load_cell()
         tapper = cell.file.tapper
         if tapper.output is not None:
             output = self._output_driver(tapper, tapper.output)

@@ -39,11 +39,11 @@ from tapping_cell_msgs.msg import (
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
+from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import seconds
 from tapping_cell.nodes.recorder.message_reader import MessageReader
 from tapping_cell.nodes.recorder.polled_topics import PolledTopics
@@ -131,14 +131,9 @@ FRAMES: dict[str, type] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(ObjectParameters):
     """Parameters of run_recorder."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
-    object_file: str = text(
-        "path of the object file; if empty, the one named in the cell file", default=""
-    )
     folder: str = text("folder in which a subfolder is created for each run", default="runs")
     name: str = text("name of the run's folder; if empty, made from time and goal", default="")
     picture_rate: float = quantity(
@@ -200,7 +195,6 @@ class RunRecorder(CellNode[Parameters]):
 
     def __init__(self) -> None:
         super().__init__("run_recorder", Parameters)
-        self._cell: Cell | None = None
         self._notes: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._lead: deque[ReceivedMessage] = deque()
@@ -233,21 +227,15 @@ class RunRecorder(CellNode[Parameters]):
             "arrangement_state": self._on_arrangement_state,
         }
         for name, kind in STATES.items():
-            self._register(name, kind, Quality(1, latched=True))
-            self._polled.add(kind, name, _STATE)
+            self._subscribe(name, kind, Quality(1, latched=True), _STATE)
         for name, kind in STREAMS.items():
-            self._register(name, kind, Quality())
-            self._polled.add(kind, name, _STREAM)
+            self._subscribe(name, kind, Quality(), _STREAM)
         for name, kind in FRAMES.items():
-            self._register(name, kind, Quality(reliable=kind is not CameraInfo))
-            self._polled.add(kind, name, images.PICTURES if kind is CameraInfo else _STREAM)
-        self._register(PICTURES, CompressedImage, Quality())
-        self._polled.add(CompressedImage, PICTURES, images.COMPRESSED_PICTURES)
-        self._notes_topic = self._recorded_name(NOTES)
-        self._topics[self._notes_topic] = RecordedTopic(
-            "std_msgs/msg/String", Quality(1, latched=True)
-        )
-        self._kinds[self._notes_topic] = String
+            reliable = kind is not CameraInfo
+            profile = _STREAM if reliable else images.PICTURES
+            self._subscribe(name, kind, Quality(reliable=reliable), profile)
+        self._subscribe(PICTURES, CompressedImage, Quality(), images.COMPRESSED_PICTURES)
+        self._notes_topic = self._register(NOTES, String, Quality(1, latched=True))
         self.create_timer(POLL_PERIOD_S, self._tick)
 
     def _recorded_name(self, name: str) -> str:
@@ -255,11 +243,16 @@ class RunRecorder(CellNode[Parameters]):
         the report finds the topic in every bag."""
         return self.resolve_topic_name(name, only_expand=True)
 
-    def _register(self, name: str, kind: type, quality: Quality) -> None:
-        package = kind.__module__.partition(".")[0]
-        topic = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
-        self._topics[self._recorded_name(name)] = topic
-        self._kinds[self._recorded_name(name)] = kind
+    def _subscribe(self, name: str, kind: type, quality: Quality, profile: QoSProfile) -> None:
+        self._register(name, kind, quality)
+        self._polled.add(kind, name, profile)
+
+    def _register(self, name: str, kind: type, quality: Quality) -> str:
+        """Register a topic of the bag, and return its name there."""
+        recorded, package = self._recorded_name(name), kind.__module__.partition(".")[0]
+        self._topics[recorded] = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
+        self._kinds[recorded] = kind
+        return recorded
 
     # Life cycle
 
@@ -270,9 +263,7 @@ class RunRecorder(CellNode[Parameters]):
             self._name = checked_name(self.settings.name)
         except ValueError as error:
             raise ConfigurationError(f"parameters of run_recorder: {error}") from error
-        cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
-        self._cell = cell
-        self._notes = cell_notes(cell, self.settings.seed)
+        self._notes = cell_notes(self.settings.load_cell(), self.settings.seed)
         self._worker = Worker("recorder", self._write_on, WRITE_PERIOD_S)
         self._worker.start()
         self._reporter = Worker("teller", lambda: None, 60.0)
@@ -354,7 +345,8 @@ class RunRecorder(CellNode[Parameters]):
                 self._note(name, received)
             elif (message := self._read(received)) is not None:
                 self._note(name, received)
-                process(message)
+                if self.active:
+                    process(message)
 
     def _read(self, message: ReceivedMessage) -> Any | None:
         """Return the deserialised message; None if it is of another version."""
@@ -385,8 +377,6 @@ class RunRecorder(CellNode[Parameters]):
                 self._lead.popleft()
 
     def _on_plan_state(self, plan: PlanState) -> None:
-        if not self.active:
-            return
         self._planner_received = time.monotonic()
         if self._arranging and self._ends_at is None:
             return
@@ -406,8 +396,6 @@ class RunRecorder(CellNode[Parameters]):
     def _on_arrangement_state(self, report: ArrangementState) -> None:
         """Begin or end the recording of an arrangement. Each move of an arrangement is a goal of
         the planner."""
-        if not self.active:
-            return
         if self._arranging and self._ends_at is None:
             self._planner_received = time.monotonic()
             if not report.active:
@@ -426,8 +414,6 @@ class RunRecorder(CellNode[Parameters]):
         return seconds(plan.header.stamp) <= seconds(end.header.stamp)
 
     def _on_goal_report(self, report: GoalReport) -> None:
-        if not self.active:
-            return
         if not report.refused:
             self._end = report
             if self._plan is not None and not self._arranging and same_goal(self._plan, report):
@@ -455,12 +441,7 @@ class RunRecorder(CellNode[Parameters]):
             name = self._name or arrangement_name(began, self.get_namespace(), arrangement)
         else:
             name = self._name or run_name(began, self.get_namespace(), plan.goal)
-        notes = {
-            **self._notes,
-            "began": began,
-            "refused": refused,
-            "arrangement": self._arranging,
-        }
+        this_run = {"began": began, "refused": refused, "arrangement": self._arranging}
         with self._lock:
             lead = list(self._lead)
             first = lead[0].stamp if lead else self._now()
@@ -473,7 +454,7 @@ class RunRecorder(CellNode[Parameters]):
                 if message.topic not in topics
             ]
             self._lead.clear()
-            text = serialize_message(String(data=json.dumps(notes)))
+            text = serialize_message(String(data=json.dumps(self._notes | this_run)))
             self._waiting.append(ReceivedMessage(self._notes_topic, first, text))
             self._waiting.extend(old + lead)
             self._plan = plan
