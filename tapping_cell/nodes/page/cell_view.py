@@ -386,9 +386,10 @@ def planned_row(plan: PlanState) -> dict[str, object] | None:
         return None
     before, after = from_message(tap.object_pose), from_message(tap.predicted_pose.pose)
     covariance = covariance_from_message(tap.predicted_pose.covariance)
-    variances = (float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2]))
+    position, angle = float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2])
     distance, turn = error_pair(before.distance_to(after), before.rotation_to(after), 1)
-    deviation, turn_deviation = error_pair(*(math.sqrt(max(each, 0.0)) for each in variances), 1)
+    deviations = math.sqrt(max(position, 0.0)), math.sqrt(max(angle, 0.0))
+    deviation, turn_deviation = error_pair(*deviations, 1)
     goal = from_message(plan.goal.pose)
     left = seconds(tap.answer_by) - time.time()
     return {

@@ -46,10 +46,10 @@ from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.arrangements import Arrangements
 from tapping_cell.nodes.page.calls import answer_to, call_service, send_goal
-from tapping_cell.nodes.page.cell_view import ACTORS, CellView, error_pair, triple, with_code
+from tapping_cell.nodes.page.cell_view import CellView, error_pair, triple, with_code
 from tapping_cell.nodes.page.ghost import Ghost
 from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull
-from tapping_cell.nodes.page.node_watch import ARM, NodeWatch
+from tapping_cell.nodes.page.node_watch import ACTORS, ARM, NodeWatch
 from tapping_cell.nodes.page.pictures import to_jpeg
 from tapping_cell.nodes.page.previews import Previews
 from tapping_cell.nodes.page.requests import (
