@@ -283,23 +283,8 @@ class CameraPose(CellNode[Parameters]):
             self._report_no_camera(message)
             return
         stamp = seconds(message.header.stamp)
-        if stamp <= 0.0:
-            self._refuse(
-                message,
-                ErrorCode.STAMP_INVALID,
-                f"the image's stamp is {stamp:.0f}: its header has no time; make the camera's "
-                "node set it",
-            )
-            return
-        ahead = stamp - 1e-9 * self.get_clock().now().nanoseconds
-        if ahead > STAMP_AHEAD_S:
-            # If this stamp were accepted, every correct stamp after it would count as late.
-            self._refuse(
-                message,
-                ErrorCode.STAMP_INVALID,
-                f"the image's stamp is {ahead:.1f} s ahead of this node's clock (limit "
-                f"{STAMP_AHEAD_S:.1f} s); synchronise the clocks",
-            )
+        if problem := self._problem_of_stamp(stamp):
+            self._refuse(message, ErrorCode.STAMP_INVALID, problem)
             return
         try:
             grey = images.to_grey(message)
@@ -319,6 +304,22 @@ class CameraPose(CellNode[Parameters]):
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
         self._publish_others(message, others)
+
+    def _problem_of_stamp(self, stamp: float) -> str:
+        """Return why an image with this stamp (s) cannot be used, or an empty text."""
+        if stamp <= 0.0:
+            return (
+                f"the image's stamp is {stamp:.0f}: its header has no time; make the camera's "
+                "node set it"
+            )
+        ahead = stamp - 1e-9 * self.get_clock().now().nanoseconds
+        if ahead > STAMP_AHEAD_S:
+            # If this stamp were accepted, every correct stamp after it would count as late.
+            return (
+                f"the image's stamp is {ahead:.1f} s ahead of this node's clock (limit "
+                f"{STAMP_AHEAD_S:.1f} s); synchronise the clocks"
+            )
+        return ""
 
     def _search_unknown(self, grey: NDArray[np.uint8], stamp: float) -> None:
         """Search for objects without a file in an image in which the table was located."""

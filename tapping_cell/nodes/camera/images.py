@@ -119,6 +119,23 @@ def _compressed(
     return CompressedImage(header=header, format=form, data=_sequence(coded))
 
 
+def to_jpeg(message: Image, quality: int) -> bytes:
+    """Return an image message as JPEG, quality 1 to 100, in colour if its encoding is bgr8 or rgb8.
+
+    Raises:
+        ImageRefused: the encoding is unknown, or there are fewer bytes than the size requires.
+    """
+    picture = unpack(message) if message.encoding in ("bgr8", "rgb8") else to_grey(message)
+    if message.encoding == "rgb8":
+        picture = picture[..., ::-1]
+    made, jpeg = cv2.imencode(
+        ".jpg", np.ascontiguousarray(picture), (cv2.IMWRITE_JPEG_QUALITY, quality)
+    )
+    if not made:
+        raise ImageRefused("the image cannot be encoded as JPEG")
+    return jpeg.tobytes()
+
+
 def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
     """Return the grey image of an image message, shape (height, width).
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 from std_msgs.msg import Bool
 
@@ -17,6 +17,7 @@ from tapping_cell.logic.device import DeviceLogic
 from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown, Unreachable
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, Parameters, run
+from tapping_cell.nodes.drivers.ros_link import RosLink
 from tapping_cell.nodes.logic_host import LogicHost
 
 URGENCY = 1
@@ -37,12 +38,13 @@ class DeviceDriver(Protocol):
 
 
 Driver = TypeVar("Driver", bound=DeviceDriver)
+Section = TypeVar("Section")
+Link = TypeVar("Link", bound=RosLink)
 
 
 class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
     """Node that hosts the state machine of a device. The state machine makes all decisions."""
 
-    actor = True
     carries_pictures = False
 
     def __init__(
@@ -54,6 +56,8 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         super().__init__(name, parameters)
         self.driver: Driver | None = None
         self.port = ""
+        self._link: RosLink | None = None
+        self._linked_to: object = None
         self.logic = make_logic(self.settings)
         self.host = LogicHost(self, self.logic, state_folder(key_of(self)))
         self.host.publishes(messages.StopState, "~/stop_state", LATCHED)
@@ -102,6 +106,23 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         kept = self.host.stop_file.recall()
         self.host.lifecycle(Configured(cell, connected, kept_stop=kept))
         return answer
+
+    def link_to(self, section: Section, make: Callable[[Section], Link]) -> Link:
+        """Return the link to a robot's own ROS driver. It is kept until ``section``, its section of
+        the cell file, changes."""
+        if self._link is not None and self._linked_to != section:
+            self._link.destroy()
+            self._link = None
+        if self._link is None:
+            self._link = make(section)
+            self._linked_to = section
+        return cast(Link, self._link)
+
+    def destroy_node(self) -> None:
+        """Destroy the link together with the node."""
+        if self._link is not None:
+            self._link.destroy()
+        super().destroy_node()  # type: ignore[no-untyped-call]
 
     def activate(self) -> None:
         """Allow the state machine to act."""

@@ -12,7 +12,7 @@ from geometry_msgs.msg import TransformStamped
 
 from tapping_cell import messages
 from tapping_cell.configuration.arm_assembly import joint_accelerations, make_arm_driver
-from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection
+from tapping_cell.configuration.cell import ArmSection
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.link_frames import LINKS, LinkFrame, link_frames
@@ -65,8 +65,6 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 
     def __init__(self) -> None:
         super().__init__("scara_arm", Parameters, make_logic)
-        self._link: RosTrajectoryLink | None = None
-        self._linked_to: Ros2ControlSection | None = None
         self.host.publishes(messages.ArmState, "arm_state", LATCHED)
         self.host.publishes(messages.JointState, "joint_states", 10)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
@@ -91,28 +89,14 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
             driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
         else:
             port = arm.ros2_control.controller
-            driver = make_arm_driver(arm, self._link_to(arm.ros2_control, joint_accelerations(arm)))
+            accelerations = joint_accelerations(arm)
+            link = self.link_to(
+                arm.ros2_control, lambda section: RosTrajectoryLink(self, section, accelerations)
+            )
+            driver = make_arm_driver(arm, link)
         firmware = self.connect(driver, port, cell, lambda _: arm_jobs.reading_of(driver))
         for remark in firmware.remarks:
             self.get_logger().warning(remark)
-
-    def destroy_node(self) -> None:
-        """Destroy the link together with the node."""
-        if self._link is not None:
-            self._link.destroy()
-        super().destroy_node()  # type: ignore[no-untyped-call]
-
-    def _link_to(
-        self, section: Ros2ControlSection, max_acceleration: Sequence[float]
-    ) -> RosTrajectoryLink:
-        """Return the link to the arm's own driver. It is kept until the cell file changes."""
-        if self._link is not None and self._linked_to != section:
-            self._link.destroy()
-            self._link = None
-        if self._link is None:
-            self._link = RosTrajectoryLink(self, section, max_acceleration)
-            self._linked_to = section
-        return self._link
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report port, firmware, homing and counters."""

@@ -95,8 +95,6 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
 
     def __init__(self) -> None:
         super().__init__("tapper_trigger", Parameters, make_logic)
-        self._link: RosOutputLink | None = None
-        self._linked_to: OutputSection | None = None
         self.host.publishes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.ArmState, "arm_state", LATCHED)
@@ -124,27 +122,16 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
         )
         self.connect(boards, ", ".join(ports), cell, lambda reply: reply)
 
-    def destroy_node(self) -> None:
-        """Destroy the link together with the node."""
-        if self._link is not None:
-            self._link.destroy()
-        super().destroy_node()  # type: ignore[no-untyped-call]
-
     def _output_driver(self, tapper: TapperSection, section: OutputSection) -> OutputTapperDriver:
-        """Return the driver of a digital output. Its link is kept until the cell file changes."""
+        """Return the driver of a digital output."""
         if self.settings.set_up:
             raise ConfigurationError(
                 "parameter set_up is true, but tapper.dialect is io: set-up mode needs the tapper's"
                 " board, which limits the energy and reads the enabling switch"
             )
-        if self._link is not None and self._linked_to != section:
-            self._link.destroy()
-            self._link = None
-        if self._link is None:
-            self._link = RosOutputLink(self, section)
-            self._linked_to = section
+        link = self.link_to(section, lambda section: RosOutputLink(self, section))
         memory = KeptShot(state_folder(key_of(self)))
-        return OutputTapperDriver(self._link, tapper.output_settings(), memory)
+        return OutputTapperDriver(link, tapper.output_settings(), memory)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report port, firmware and counters."""

@@ -18,14 +18,13 @@ from pathlib import Path
 import numpy as np
 from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.action import PositionObject
@@ -35,26 +34,21 @@ from tapping_cell_msgs.srv import ConfirmTap
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.logic import enabling
-from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.camera import images
-from tapping_cell.nodes.camera.pose_messages import camera_from_message
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
-from tapping_cell.nodes.conversions import from_message, is_finite, seconds, to_message
+from tapping_cell.nodes.conversions import seconds, to_message
 from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.arrangements import Arrangements
 from tapping_cell.nodes.page.calls import answer_to, call_service, send_goal
 from tapping_cell.nodes.page.cell_view import CellView, error_pair, triple, with_code
-from tapping_cell.nodes.page.ghost import Ghost
+from tapping_cell.nodes.page.goal_preview import GoalPreview
 from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull
 from tapping_cell.nodes.page.node_watch import ACTORS, ARM, NodeWatch
-from tapping_cell.nodes.page.pictures import to_jpeg
-from tapping_cell.nodes.page.previews import Previews
 from tapping_cell.nodes.page.requests import (
     Arrange,
-    BadRequest,
     Command,
     Confirm,
     ForgetGoal,
@@ -74,7 +68,6 @@ from tapping_cell.nodes.page.requests import (
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
 from tapping_cell.planning import planner_names
-from tapping_cell.vision import CameraError, CameraModel, View
 
 STATE_PERIOD_S = 0.2
 ANSWER_S = 5.0
@@ -136,18 +129,15 @@ class OperatorPage(CellNode[Parameters]):
         self._server: server.PageServer | None = None
         self.urls: list[str] = []
         self._view = CellView()
-        self._ghosts: dict[str, Ghost] = {}
-        self._camera: CameraModel | None = None
         self._watched: list[Subscription] = []
-        self._camera_info: Subscription | None = None
         self._watch: NodeWatch | None = None
         self._timer: Timer | None = None
         self._pages = 0
         self._picture_at = -np.inf
         self._stop: StopLink | None = None
-        self._previews: Previews[tuple[Move | Turn | Place, server.Answer]] | None = None
         self.runs = Runs(Path(self.settings.runs))
         self._arrangements = Arrangements(self, self._view.note)
+        self._preview = GoalPreview(self, self._arrangements)
         self._action = ActionClient(self, PositionObject, "position_object")
         self._cancel_client = self.create_client(CancelGoal, "position_object/_action/cancel_goal")
         self._clear_clients = {
@@ -163,7 +153,6 @@ class OperatorPage(CellNode[Parameters]):
         self._named = NamedGoals(self._named_file.recall())
         self._answer_due = -math.inf
         """Monotonic time until which the planner may still respond to the last goal."""
-        self._drawn: tuple[int, dict[str, object]] | None = None
         self._last_run = ""
         self._clearing: list[server.Answer] = []
         self._commands: dict[str, Callable[[str, server.Answer], None]] = {
@@ -207,7 +196,7 @@ class OperatorPage(CellNode[Parameters]):
             self.resolve_topic_name("emergency_stop"),
             lambda held, who: self._do(self._note_stop, held, who),
         )
-        self._previews = Previews(self._answer_preview)
+        self._preview.start()
         stop_port = stop_sockets[0].getsockname()[1]
         self._server = server.PageServer(rules, self, sockets, stop_port)
         self._server.start()
@@ -229,10 +218,10 @@ class OperatorPage(CellNode[Parameters]):
 
     def deactivate(self) -> None:
         """Close the ports."""
-        for each in (self._server, self._previews, self._stop):
+        for each in (self._server, self._preview, self._stop):
             if each is not None:
                 each.close()
-        self._server = self._previews = self._stop = None
+        self._server = self._stop = None
         self._watch_cell(0)
 
     def cleanup(self) -> None:
@@ -295,13 +284,10 @@ class OperatorPage(CellNode[Parameters]):
 
     def _subscribe(self) -> None:
         subscribe = self.create_subscription
-        self._camera_info = subscribe(
-            CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
-        )
         self._watched = [
             *(subscribe(*topic, LATCHED) for topic in self._view.device_topics()),
-            subscribe(PoseStamped, "camera/pose", self._on_camera_pose, LATCHED),
             subscribe(Image, "camera/image_annotated", self._on_picture, LATEST),
+            *self._preview.subscribe(),
             *self._arrangements.subscribe(),
         ]
         self._watch = NodeWatch(self)
@@ -312,48 +298,12 @@ class OperatorPage(CellNode[Parameters]):
         assert self._watch is not None and self._timer is not None
         self.destroy_timer(self._timer)
         self._watch.close()
-        self._drop_camera_info()
         for subscription in self._watched:
             self.destroy_subscription(subscription)
         self._watched.clear()
         self._watch = self._timer = None
-        self._ghosts = {}
-        self._view.forget()
-        self._arrangements.forget()
-
-    def _on_camera_info(self, message: CameraInfo) -> None:
-        """Store the calibration. One message suffices, because all images have the same
-        calibration."""
-        try:
-            self._camera = images.from_camera_info(message)
-        except CameraError:
-            return
-        self._drop_camera_info()
-
-    def _drop_camera_info(self) -> None:
-        if self._camera_info is not None:
-            self.destroy_subscription(self._camera_info)
-            self._camera_info = None
-
-    def _on_camera_pose(self, message: PoseStamped) -> None:
-        if self._camera is None or self._cell is None or not is_finite(message.pose):
-            return
-        view = View(self._camera, camera_from_message(message.pose))
-        self._ghosts = {
-            name: Ghost(
-                view,
-                np.asarray(cell.outline()),
-                cell.object.height,
-                self._arrangements.checks[name].refusal_if_ready,
-            )
-            for name, cell in self._arrangements.cells.items()
-        }
-
-    def _ghost_of(self, name: str) -> Ghost | None:
-        """Return the ghost of an object, or of the cell's own object if ``name`` is empty; None
-        while the camera's pose is unknown."""
-        ghosts = self._ghosts
-        return ghosts.get(name) if name else next(iter(ghosts.values()), None)
+        for each in (self._preview, self._view, self._arrangements):
+            each.forget()
 
     def _on_picture(self, message: Image) -> None:
         page = self._server
@@ -362,7 +312,7 @@ class OperatorPage(CellNode[Parameters]):
         if page is None or not due or not page.wants_picture:
             return
         try:
-            jpeg = to_jpeg(message, self.settings.picture_quality)
+            jpeg = images.to_jpeg(message, self.settings.picture_quality)
         except images.ImageRefused as error:
             self.get_logger().warning(str(error), throttle_duration_sec=10.0)
             return
@@ -379,10 +329,12 @@ class OperatorPage(CellNode[Parameters]):
         self._follow_planner(self._watch.name_of("tap_planner"))
         state = self._view.state()
         state["nodes"] = self._watch.rows()
-        state["placeable"] = bool(self._ghosts)
+        state["placeable"] = self._preview.is_possible
         state["arrangement"] = self._arrangements.state()
         state["runs_hint"] = self._runs_hint()
-        state["planned_drawing"] = self._planned_drawing()
+        state["planned_drawing"] = self._preview.planned(
+            self._view.planned, self._view.planned_object
+        )
         state["queue"] = {
             "rows": [[number, *triple(goal.pose)] for number, goal in self._queue.rows()],
             "running": self._queue.running,
@@ -390,25 +342,6 @@ class OperatorPage(CellNode[Parameters]):
         }
         state["named"] = [[name, *triple(pose)] for name, pose in self._named.rows()]
         self._server.show(state)
-
-    def _planned_drawing(self) -> dict[str, object] | None:
-        """Return the drawing of the planned tap in fractions of the image size. Computed once per
-        tap."""
-        tap = self._view.planned
-        ghost = self._ghost_of(self._view.planned_object) or self._ghost_of("")
-        if tap is None or ghost is None:
-            self._drawn = None
-            return None
-        if self._drawn is None or self._drawn[0] != tap.tap_id:
-            covariance = covariance_from_message(tap.predicted_pose.covariance)
-            drawing = ghost.planned(
-                from_message(tap.object_pose),
-                from_message(tap.strike_pose),
-                from_message(tap.predicted_pose.pose),
-                covariance[:2, :2],
-            )
-            self._drawn = tap.tap_id, drawing
-        return self._drawn[1]
 
     def _runs_hint(self) -> str:
         """Return the reason why the list of runs may be incomplete, or an empty text."""
@@ -439,10 +372,7 @@ class OperatorPage(CellNode[Parameters]):
     def on_request(self, page: object, request: Request, who: str, answer: server.Answer) -> None:
         """Process a page's request. Called in the server's thread."""
         if isinstance(request, (Move, Turn, Place)):
-            if request.object not in ("", *self._arrangements.cells):
-                answer(_failure_message(request, f"the cell has no object '{request.object}'"))
-            elif self._previews is not None:
-                self._previews.ask((page, request.object), (request, answer))
+            self._preview.ask(page, request, answer)
         elif request == Command("stop"):
             # Sent from this thread, because the executor may be busy.
             sent = self._stop is not None and self._stop.stop(who)
@@ -489,19 +419,6 @@ class OperatorPage(CellNode[Parameters]):
         """Call a function in the executor's thread, from any other thread."""
         if self.executor is not None:
             self.executor.create_task(function, *arguments)
-
-    def _answer_preview(self, asked: tuple[Move | Turn | Place, server.Answer]) -> None:
-        """Send the pose of a dragged goal. Called in the previews' thread."""
-        request, answer = asked
-        try:
-            ghost = self._ghost_of(request.object)
-            if ghost is None:
-                raise BadRequest(
-                    "the camera's pose above the table is not known yet; type the goal instead"
-                )
-            answer(ghost.answer(request))
-        except BadRequest as error:
-            answer(_failure_message(request, str(error)))
 
     def _confirm(self, request: Confirm, who: str, answer: server.Answer) -> None:
         def on_reply(response: ConfirmTap.Response) -> None:
@@ -629,11 +546,6 @@ class OperatorPage(CellNode[Parameters]):
     def _press_button(self, _: str, answer: server.Answer) -> None:
         client, name = self._button_client, "the clear button"
         call_service(client, Trigger.Request(), "press_button", name, answer)
-
-
-def _failure_message(request: Move | Turn | Place, sentence: str) -> dict[str, object]:
-    head = {"type": "ghost", "number": request.number, "object": request.object}
-    return {**head, "trouble": sentence}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

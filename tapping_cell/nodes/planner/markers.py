@@ -33,6 +33,7 @@ AMBER = ColorRGBA(r=1.0, g=0.7, b=0.2, a=1.0)
 RED = ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0)
 GREY = ColorRGBA(r=0.6, g=0.6, b=0.65, a=0.7)
 LINE_WIDTH = 0.002
+ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 def cell_markers(
@@ -57,11 +58,11 @@ def cell_markers(
     outline = np.asarray(cell.outline())
     reach = float(np.max(np.hypot(*outline.T)))
     heading = np.array([(0.0, 0.0), (reach, 0.0)])
-    markers = [_line("table", 0, corners, Pose(0.0, 0.0, 0.0), WHITE)]
+    markers = [_line("table", 0, corners, ORIGIN, WHITE)]
     for number, (x, y, radius) in enumerate(keep_outs.circles):
         markers.append(_line("keep_out", number, _circle(radius), Pose(x, y, 0.0), RED))
     for number, polygon in enumerate(keep_outs.polygons, start=len(keep_outs.circles)):
-        markers.append(_line("keep_out", number, np.asarray(polygon), Pose(0.0, 0.0, 0.0), RED))
+        markers.append(_line("keep_out", number, np.asarray(polygon), ORIGIN, RED))
     for number, area in enumerate(others):
         if area is None:
             markers.append(_deletion("other_object", number))
@@ -69,8 +70,7 @@ def cell_markers(
             centre = Pose(area.x, area.y, 0.0)
             markers.append(_line("other_object", number, _circle(area.radius), centre, RED))
         else:
-            corners = np.asarray(area.vertices)
-            markers.append(_line("other_object", number, corners, Pose(0.0, 0.0, 0.0), RED))
+            markers.append(_line("other_object", number, np.asarray(area.vertices), ORIGIN, RED))
     if cell.file.fixed_tappers is not None:
         markers += _tapper_markers(cell)
     predicted = strike.predicted if strike is not None else None

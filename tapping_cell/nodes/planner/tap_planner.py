@@ -7,6 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -111,9 +112,12 @@ class TapPlanner(CellNode[Parameters]):
         self._actions = DeferredActionServer(
             self,
             {
-                "arrange_objects": (ArrangeObjects, self._on_arrange_objects),
-                "position_object": (PositionObject, self._on_position_object),
-                "single_tap": (SingleTap, self._on_single_tap),
+                name: (kind, partial(self._on_goal, name, goal))
+                for name, kind, goal in (
+                    ("arrange_objects", ArrangeObjects, messages.ArrangeObjects.Goal),
+                    ("position_object", PositionObject, messages.PositionObject.Goal),
+                    ("single_tap", SingleTap, messages.SingleTap.Goal),
+                )
             },
             self._on_cancel,
         )
@@ -199,16 +203,7 @@ class TapPlanner(CellNode[Parameters]):
 
     # Actions
 
-    def _on_arrange_objects(self, handle: ServerGoalHandle) -> None:
-        self._take("arrange_objects", handle, messages.ArrangeObjects.Goal)
-
-    def _on_position_object(self, handle: ServerGoalHandle) -> None:
-        self._take("position_object", handle, messages.PositionObject.Goal)
-
-    def _on_single_tap(self, handle: ServerGoalHandle) -> None:
-        self._take("single_tap", handle, messages.SingleTap.Goal)
-
-    def _take(self, action: str, handle: ServerGoalHandle, kind: type[Any]) -> None:
+    def _on_goal(self, action: str, kind: type[Any], handle: ServerGoalHandle) -> None:
         goal = bytes(handle.goal_id.uuid)
         answered = False
 
