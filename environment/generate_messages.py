@@ -70,23 +70,22 @@ def constants(kind: Any) -> dict[str, Any]:
     return dict(sorted(found.items()))
 
 
+def element(ros_type: str) -> str | None:
+    """Return the type of the elements of a sequence or array; None for another type."""
+    found = re.match(r"^sequence<(.*?)(?:, \d+)?>$|^(.*)\[\d+\]$", ros_type)
+    return (found[1] or found[2]) if found else None
+
+
 def nested(ros_type: str) -> str | None:
     """Return the message name in a field type, ``package/msg/Name``; None for a basic type."""
-    inner = re.sub(r"^sequence<(.*?)(, \d+)?>$", r"\1", ros_type)
-    inner = re.sub(r"\[\d+\]$", "", inner)
-    if "/" not in inner:
-        return None
-    package, title = inner.split("/")
-    return f"{package}/msg/{title}"
+    package, _, title = (element(ros_type) or ros_type).partition("/")
+    return f"{package}/msg/{title}" if title else None
 
 
 def python_type(ros_type: str) -> str:
     """Return the annotation of a field."""
-    sequence = re.match(r"^sequence<(.*?)(?:, \d+)?>$", ros_type) or re.match(
-        r"^(.*)\[\d+\]$", ros_type
-    )
-    if sequence:
-        return f"list[{python_type(sequence[1])}]"
+    if inner := element(ros_type):
+        return f"list[{python_type(inner)}]"
     name = nested(ros_type)
     if name is not None:
         return name.rsplit("/", 1)[1]

@@ -131,23 +131,11 @@ class CellView:
     def device_topics(self) -> list[Topic]:
         """Return the topics of camera_pose and of the devices."""
         return [
-            (ObjectState, "object_state", self.on_object),
-            (ArmState, "arm_state", self.on_arm),
-            (TapperState, "tapper_state", self.on_tapper),
+            (ObjectState, "object_state", lambda state: self._monitor.on_object(state, _now())),
+            (ArmState, "arm_state", lambda state: self._monitor.on_arm(state, _now())),
+            (TapperState, "tapper_state", lambda state: self._monitor.on_tapper(state, _now())),
             *((StopState, f"{each}/stop_state", partial(self.on_stop, each)) for each in ACTORS),
         ]
-
-    def on_object(self, message: ObjectState) -> None:
-        """Process ``object_state``."""
-        self._monitor.on_object(message, _now())
-
-    def on_arm(self, message: ArmState) -> None:
-        """Process ``arm_state``."""
-        self._monitor.on_arm(message, _now())
-
-    def on_tapper(self, message: TapperState) -> None:
-        """Process ``tapper_state``."""
-        self._monitor.on_tapper(message, _now())
 
     def on_stop(self, actor: str, message: StopState) -> None:
         """Process ``stop_state`` of an actor."""

@@ -79,16 +79,10 @@ def cell_markers(
         ("goal", goal, GREEN),
         ("predicted", predicted, AMBER),
     ):
-        if place is None:
-            markers += [_deletion(name, 0), _deletion(name, 1)]
-            continue
         markers.append(_line(name, 0, outline, place, colour))
         markers.append(_line(name, 1, heading, place, colour))
-    if goal is not None:
-        markers.append(_line("goal", 2, _circle(state.position_tolerance), goal, GREEN))
-        markers.append(_line("goal", 3, _sector(reach, state.angle_tolerance), goal, GREEN))
-    else:
-        markers += [_deletion("goal", 2), _deletion("goal", 3)]
+    markers.append(_line("goal", 2, _circle(state.position_tolerance), goal, GREEN))
+    markers.append(_line("goal", 3, _sector(reach, state.angle_tolerance), goal, GREEN))
     places = np.array([(place.x, place.y) for place in (*way, *([pose] if pose else []))])
     if way:
         markers.append(_points("way", Marker.LINE_STRIP, places, LINE_WIDTH / 2, GREY))
@@ -151,7 +145,11 @@ def _message_points(numbers: bytes) -> tuple[Point, ...]:
     return tuple(Point(x=x, y=y) for x, y in np.frombuffer(numbers).reshape(-1, 2).tolist())
 
 
-def _line(name: str, number: int, points: Points, pose: Pose, colour: ColorRGBA) -> Marker:
+def _line(name: str, number: int, points: Points, pose: Pose | None, colour: ColorRGBA) -> Marker:
+    """Return a closed line through points (n, 2) in the frame at ``pose``, open if n is 2; the
+    deletion of the line if ``pose`` is None."""
+    if pose is None:
+        return _deletion(name, number)
     marker = Marker(ns=name, id=number, type=Marker.LINE_STRIP, action=Marker.ADD, color=colour)
     marker.pose = to_message(pose)
     marker.scale.x = LINE_WIDTH

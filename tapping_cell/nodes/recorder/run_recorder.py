@@ -12,9 +12,9 @@ import os
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,7 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import seconds
+from tapping_cell.nodes.recorder.message_buffer import MessageBuffer
 from tapping_cell.nodes.recorder.message_reader import MessageReader
 from tapping_cell.nodes.recorder.polled_topics import PolledTopics
 from tapping_cell.nodes.recorder.recording import (
@@ -196,12 +197,9 @@ class RunRecorder(CellNode[Parameters]):
     def __init__(self) -> None:
         super().__init__("run_recorder", Parameters)
         self._notes: dict[str, Any] = {}
-        self._lock = threading.Lock()
-        self._lead: deque[ReceivedMessage] = deque()
-        self._latched: dict[str, ReceivedMessage] = {}
-        self._waiting: deque[ReceivedMessage] = deque()
+        self._buffer = MessageBuffer(LEAD_S)
         self._plan: PlanState | None = None
-        self._bag_begins = 0
+        """Goal that is being recorded; None if there is no recording."""
         self._ends_at: float | None = None
         self._end: PlanState | GoalReport | None = None
         self._arranging = False
@@ -264,7 +262,7 @@ class RunRecorder(CellNode[Parameters]):
         except ValueError as error:
             raise ConfigurationError(f"parameters of run_recorder: {error}") from error
         self._notes = cell_notes(self.settings.load_cell(), self.settings.seed)
-        self._worker = Worker("recorder", self._write_on, WRITE_PERIOD_S)
+        self._worker = Worker("recorder", lambda: self._write(self._buffer.take()), WRITE_PERIOD_S)
         self._worker.start()
         self._reporter = Worker("teller", lambda: None, 60.0)
         self._reporter.start()
@@ -334,9 +332,8 @@ class RunRecorder(CellNode[Parameters]):
         ]
         # At the beginning of an arrangement, plan_state can only be assigned to the arrangement if
         # arrangement_state is processed before it.
-        arrangements = [entry for entry in waiting if entry[1] == "arrangement_state"]
-        others = [entry for entry in waiting if entry[1] != "arrangement_state"]
-        for stamp, name, data in (*arrangements, *sorted(others, key=lambda entry: entry[0])):
+        waiting.sort(key=lambda entry: -inf if entry[1] == "arrangement_state" else entry[0])
+        for stamp, name, data in waiting:
             if name == PICTURES and not self._is_picture_due(stamp):
                 continue
             received = ReceivedMessage(self._recorded_name(name), stamp, data)
@@ -360,21 +357,8 @@ class RunRecorder(CellNode[Parameters]):
         return due
 
     def _note(self, name: str, message: ReceivedMessage) -> None:
-        """Buffer a message for the current bag or the next one."""
         seldom = name == "camera/camera_info"
-        with self._lock:
-            last = self._latched.get(message.topic)
-            if seldom and last is not None and message.stamp - last.stamp < 1_000_000_000:
-                return
-            if name in STATES or seldom:
-                self._latched[message.topic] = message
-            if self._plan is not None:
-                if message.stamp >= self._bag_begins:
-                    self._waiting.append(message)
-                return
-            self._lead.append(message)
-            while self._lead[0].stamp < message.stamp - 1e9 * LEAD_S:
-                self._lead.popleft()
+        self._buffer.add(message, latched=name in STATES, seldom=seldom)
 
     def _on_plan_state(self, plan: PlanState) -> None:
         self._planner_received = time.monotonic()
@@ -442,22 +426,9 @@ class RunRecorder(CellNode[Parameters]):
         else:
             name = self._name or run_name(began, self.get_namespace(), plan.goal)
         this_run = {"began": began, "refused": refused, "arrangement": self._arranging}
-        with self._lock:
-            lead = list(self._lead)
-            first = lead[0].stamp if lead else self._now()
-            self._bag_begins = first
-            # Latched messages older than the lead time are written at the start of the bag.
-            topics = {message.topic for message in lead}
-            old = [
-                ReceivedMessage(message.topic, first, message.data)
-                for message in self._latched.values()
-                if message.topic not in topics
-            ]
-            self._lead.clear()
-            text = serialize_message(String(data=json.dumps(self._notes | this_run)))
-            self._waiting.append(ReceivedMessage(self._notes_topic, first, text))
-            self._waiting.extend(old + lead)
-            self._plan = plan
+        text = serialize_message(String(data=json.dumps(self._notes | this_run)))
+        self._buffer.begin(self._now(), self._notes_topic, text)
+        self._plan = plan
         self._ends_at = None
         self._planner_received = time.monotonic()
         folder = Path(self._folder).expanduser().absolute()
@@ -475,13 +446,11 @@ class RunRecorder(CellNode[Parameters]):
 
     def _conclude(self, pictures: bool) -> None:
         """End the current recording, if any."""
-        with self._lock:
-            if self._plan is None:
-                return
-            self._plan = self._ends_at = None
-            self._arranging = False
-            rest = sorted(self._waiting, key=_stamp)
-            self._waiting.clear()
+        if self._plan is None:
+            return
+        self._plan = self._ends_at = None
+        self._arranging = False
+        rest = self._buffer.take(end=True)
         self._submit(lambda: self._close(rest, pictures and self.settings.pictures))
 
     def _submit(self, job: Callable[[], None]) -> None:
@@ -501,12 +470,6 @@ class RunRecorder(CellNode[Parameters]):
             return
         self._error = ""
         self.get_logger().info(f"recording to {made}")
-
-    def _write_on(self) -> None:
-        with self._lock:
-            messages = sorted(self._waiting, key=_stamp)
-            self._waiting.clear()
-        self._write(messages)
 
     def _write(self, messages: list[ReceivedMessage]) -> None:
         recording = self._recording
@@ -559,10 +522,6 @@ class RunRecorder(CellNode[Parameters]):
     def _complain(self, sentence: str, expected: bool = False) -> None:
         self._error = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
         self.get_logger().error(self._error)
-
-
-def _stamp(message: ReceivedMessage) -> int:
-    return message.stamp
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

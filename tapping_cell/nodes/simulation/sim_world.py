@@ -256,11 +256,8 @@ class SimWorld(CellNode[Parameters]):
 
     def _send_late(self) -> None:
         while self._late and self._late[0][0] <= time.monotonic():
-            self._send(self._late.popleft()[1])
-
-    def _send(self, picture: Image) -> None:
-        self._publisher.publish(picture, self._info)
-        self._frames += 1
+            self._publisher.publish(self._late.popleft()[1], self._info)
+            self._frames += 1
 
     def _publish_truth(self, poses: dict[str, Pose], stamp: Time) -> None:
         message = PoseStamped()
