@@ -11,7 +11,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-TARGET = Path(__file__).resolve().parents[1] / "tapping_cell" / "messages" / "__init__.py"
+PROJECT = Path(__file__).resolve().parents[1]
+TARGET = PROJECT / "tapping_cell" / "messages" / "__init__.py"
 ROOTS = (
     "builtin_interfaces/msg/Duration",
     "geometry_msgs/msg/PoseStamped",
@@ -21,27 +22,12 @@ ROOTS = (
     "std_srvs/srv/SetBool",
     "std_srvs/srv/Trigger",
     "trajectory_msgs/msg/JointTrajectory",
-    "tapping_cell_msgs/msg/ArmState",
-    "tapping_cell_msgs/msg/ArrangementState",
-    "tapping_cell_msgs/msg/ErrorCode",
-    "tapping_cell_msgs/msg/GoalReport",
-    "tapping_cell_msgs/msg/LearntGains",
-    "tapping_cell_msgs/msg/ObjectContact",
-    "tapping_cell_msgs/msg/ObjectGoal",
-    "tapping_cell_msgs/msg/ObjectProgress",
-    "tapping_cell_msgs/msg/ObjectState",
-    "tapping_cell_msgs/msg/ObjectStates",
-    "tapping_cell_msgs/msg/PlanState",
-    "tapping_cell_msgs/msg/PlannedTap",
-    "tapping_cell_msgs/msg/StopState",
-    "tapping_cell_msgs/msg/TapCommand",
-    "tapping_cell_msgs/msg/TapRecord",
-    "tapping_cell_msgs/msg/TapperState",
-    "tapping_cell_msgs/srv/ConfirmTap",
-    "tapping_cell_msgs/srv/HoldStill",
-    "tapping_cell_msgs/action/ArrangeObjects",
-    "tapping_cell_msgs/action/PositionObject",
-    "tapping_cell_msgs/action/SingleTap",
+    *(
+        f"tapping_cell_msgs/{kind}/{file.stem}"
+        for kind in ("msg", "srv", "action")
+        for file in sorted((PROJECT / "msg_defs" / kind).iterdir())
+        if file.stem != "ResetWorld"  # only sim_world uses it
+    ),
 )
 PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
 HEADER = '''"""The cell's messages as dataclasses that need no ROS; generated, not edited.

@@ -64,7 +64,6 @@ from tapping_cell.nodes.recorder.recording import (
 )
 from tapping_cell.nodes.recorder.run_names import LONGEST_NAME, is_run_name
 from tapping_cell.nodes.worker import Worker
-from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.bag import BagError, Quality
 from tapping_cell.report.message_types import MessageTypes
 from tapping_cell.report.run_reader import NOTES, PICTURES
@@ -367,7 +366,7 @@ class RunRecorder(CellNode[Parameters]):
         known = self._plan is not None and same_goal(self._plan, plan)
         if self._is_late(plan):
             return
-        if not is_own_goal(plan, PRESCRIBED):
+        if not is_own_goal(plan):
             if known and self._ends_at is None and plan.state in FINAL_STATES:
                 self._end = plan
                 self._ends_at = time.monotonic() + TAIL_S
