@@ -398,7 +398,7 @@ class CameraPose(CellNode[Parameters]):
         # A static transform may be sent repeatedly: the camera is fixed relative to the table, and
         # each new transform is only a more accurate estimate.
         stamp = message.header.stamp
-        self._broadcaster.send_fixed([transform(TABLE, "camera_optical", message.pose, stamp)])
+        self._broadcaster.send_fixed([transform(TABLE, images.OPTICAL_FRAME, message.pose, stamp)])
 
     def _refuse(self, picture: Image, code: int, sentence: str) -> None:
         assert self._cell is not None
@@ -454,7 +454,7 @@ def _empty_state(picture: Image, name: str, code: int, sentence: str) -> ObjectS
     """Return the state of an object without a measurement."""
     state = ObjectState(object_id=name, error_code=code, error_msg=sentence if code else "")
     state.header.stamp = picture.header.stamp
-    state.header.frame_id = "table"
+    state.header.frame_id = TABLE
     return state
 
 

@@ -26,6 +26,7 @@ COMPRESSED_PICTURES = QoSProfile(
 RAW = "camera/image_raw"
 COMPRESSED = f"{RAW}/compressed"
 """Topic name according to image_transport."""
+OPTICAL_FRAME = "camera_optical"
 ANNOTATED = "camera/image_annotated"
 ANNOTATED_COMPRESSED = f"{ANNOTATED}/compressed"
 
@@ -191,8 +192,9 @@ def _sequence(data: NDArray[np.uint8]) -> array.array[int]:
 
 
 def to_camera_info(camera: CameraModel) -> CameraInfo:
-    """Convert the calibration to a camera_info message. The caller fills in the header."""
+    """Convert the calibration to a camera_info message. The caller fills in the stamp."""
     message = CameraInfo(width=camera.width, height=camera.height)
+    message.header.frame_id = OPTICAL_FRAME
     message.distortion_model = camera.distortion_model
     message.d = list(camera.distortion)
     message.k = camera.matrix.reshape(-1).tolist()

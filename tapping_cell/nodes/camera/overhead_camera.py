@@ -83,7 +83,6 @@ class OverheadCamera(CellNode[Parameters]):
         else:
             camera = self.settings.load_cell().camera
         self._info = images.to_camera_info(camera)
-        self._info.header.frame_id = "camera_optical"
         self._ended = False
         self._settings = CameraSettings(
             width=camera.width,
@@ -181,7 +180,7 @@ class OverheadCamera(CellNode[Parameters]):
         age = time.monotonic() - frame.captured
         stamp = self.get_clock().now() - Duration(seconds=age + self.settings.exposure / 2)
         message = images.to_message(picture, "mono8")
-        message.header.frame_id = "camera_optical"
+        message.header.frame_id = images.OPTICAL_FRAME
         message.header.stamp = stamp.to_msg()
         try:
             self._publisher.publish(message, self._info)

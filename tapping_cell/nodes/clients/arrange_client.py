@@ -13,7 +13,6 @@ from tapping_cell_msgs.action import ArrangeObjects
 from tapping_cell_msgs.msg import (
     ArmState,
     ObjectContact,
-    ObjectGoal,
     ObjectProgress,
     ObjectStates,
     PlanState,
@@ -23,7 +22,7 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
-from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.conversions import from_message, object_goal
 from tapping_cell.report.arrangement_reader import arranged_tap
 from tapping_cell.report.arrangement_run import ArrangedTap
 from tapping_cell.report.words import PROGRESS, word
@@ -109,20 +108,17 @@ class ArrangeClient(ActionFollower[Event]):
     def send(self, layout: LayoutFile) -> None:
         """Send an arrangement."""
         message = ArrangeObjects.Goal(
+            goals=[
+                object_goal(
+                    each.object, Pose(*each.pose), (each.position_tolerance, each.angle_tolerance)
+                )
+                for each in layout.goals
+            ],
             in_order=layout.in_order,
             may_move=list(layout.may_move),
             max_taps=layout.max_taps,
             time_limit=layout.time_limit,
         )
-        for goal in layout.goals:
-            one = ObjectGoal(
-                object_id=goal.object,
-                position_tolerance=goal.position_tolerance,
-                angle_tolerance=goal.angle_tolerance,
-            )
-            one.goal_pose.header.frame_id = "table"
-            one.goal_pose.pose = to_message(Pose(*goal.pose))
-            message.goals.append(one)
         self._taps = 0
         self._purposes.clear()
         self._send_goal(message)

@@ -27,7 +27,7 @@ from tapping_cell import messages
 from tapping_cell.logic.goal_watch import GoalWatch
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
-from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.conversions import from_message, position_goal
 from tapping_cell.nodes.message_conversion import from_ros
 from tapping_cell.report.words import PHASES
 from tapping_cell.se2 import Pose
@@ -161,12 +161,9 @@ class GoalClient(ActionFollower[Event]):
         ``observed``: observation from which the goal was computed. The goal gets the stamp of this
         observation.
         """
-        message = PositionObject.Goal()
-        message.goal_pose.header.frame_id = "table"
         now = self.node.get_clock().now().to_msg()
-        message.goal_pose.header.stamp = observed.header.stamp if observed is not None else now
-        message.goal_pose.pose = to_message(goal)
-        message.position_tolerance, message.angle_tolerance = tolerance
+        stamp = observed.header.stamp if observed is not None else now
+        message = position_goal(goal, tolerance, stamp)
         message.probe, message.ask = probe, ask
         self._taps_received, self._phase, self._proposed = 0, "", 0
         self._watch = GoalWatch(goal, self._planners(), time.monotonic())

@@ -12,7 +12,6 @@ from rclpy.subscription import Subscription
 from tapping_cell_msgs.action import ArrangeObjects
 from tapping_cell_msgs.msg import (
     ArrangementState,
-    ObjectGoal,
     ObjectProgress,
     ObjectState,
     ObjectStates,
@@ -21,7 +20,7 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.configuration.preset_layout import preset_layout
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.conversions import from_message, object_goal
 from tapping_cell.nodes.page.calls import answer_to, send_goal
 from tapping_cell.nodes.page.cell_view import error_pair, triple, with_code
 from tapping_cell.nodes.page.goal_check import GoalCheck
@@ -29,7 +28,6 @@ from tapping_cell.nodes.page.requests import Arrange, BadRequest, Preset
 from tapping_cell.nodes.page.server import Answer
 from tapping_cell.planning import PlanningError
 from tapping_cell.report.words import PROGRESS, counted, word
-from tapping_cell.se2 import Pose
 
 
 class Arrangements:
@@ -120,7 +118,7 @@ class Arrangements:
     def send(self, request: Arrange, who: str, answer: Answer) -> None:
         """Send an arrangement to the planner, and its result to the page when it has ended."""
         goal = ArrangeObjects.Goal(
-            goals=[_goal_message(name, pose, request.tolerance) for name, pose in request.goals],
+            goals=[object_goal(name, pose, request.tolerance) for name, pose in request.goals],
             in_order=request.in_order,
         )
         if send_goal(self._action, goal, "arrange", "arrangement", answer):
@@ -158,12 +156,3 @@ def progress_row(one: ObjectProgress) -> dict[str, object]:
         "rotation": rotation,
         "taps": one.taps,
     }
-
-
-def _goal_message(name: str, pose: Pose, tolerance: tuple[float, float]) -> ObjectGoal:
-    message = ObjectGoal(
-        object_id=name, position_tolerance=tolerance[0], angle_tolerance=tolerance[1]
-    )
-    message.goal_pose.header.frame_id = "table"
-    message.goal_pose.pose = to_message(pose)
-    return message

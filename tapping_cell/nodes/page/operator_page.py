@@ -38,7 +38,7 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
 from tapping_cell.nodes.cell_parameters import ObjectParameters
-from tapping_cell.nodes.conversions import seconds, to_message
+from tapping_cell.nodes.conversions import position_goal, seconds
 from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.arrangements import Arrangements
@@ -497,11 +497,8 @@ class OperatorPage(CellNode[Parameters]):
         self._view.note(f"queue of goals paused on the page ({who})")
 
     def _send_goal(self, wanted: RequestedGoal, who: str, answer: server.Answer) -> None:
-        goal = PositionObject.Goal()
-        goal.goal_pose.header.frame_id = "table"
-        goal.goal_pose.header.stamp = self.get_clock().now().to_msg()
-        goal.goal_pose.pose = to_message(wanted.pose)
-        goal.position_tolerance, goal.angle_tolerance = wanted.tolerance
+        now = self.get_clock().now().to_msg()
+        goal = position_goal(wanted.pose, wanted.tolerance, now)
 
         def on_response() -> None:
             self._answer_due = time.monotonic() + STATE_PERIOD_S  # until plan_state contains it

@@ -153,7 +153,6 @@ class SimWorld(CellNode[Parameters]):
         self._cell, self._truth, self._world, self._devices = cell, truth, world, devices
         self._renderer = renderer
         self._info = images.to_camera_info(cell.camera)
-        self._info.header.frame_id = "camera_optical"
 
     def _make_devices(self, cell: Cell, truth: TruthFile) -> SimulatedDevices | FixedDevices:
         settings = self.settings
@@ -240,7 +239,7 @@ class SimWorld(CellNode[Parameters]):
         picture = images.to_message(
             self._renderer.render([*opening.values()], [*closing.values()], solids), "mono8"
         )
-        picture.header.frame_id = "camera_optical"
+        picture.header.frame_id = images.OPTICAL_FRAME
         picture.header.stamp = stamp.to_msg()
         self._late.append((now + camera.latency, picture))
         self._send_late()
