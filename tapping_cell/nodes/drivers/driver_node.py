@@ -7,18 +7,15 @@ import os
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, Protocol, TypeVar, cast
 
-from std_msgs.msg import Bool
-
 from tapping_cell import messages
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.logic import stops
 from tapping_cell.logic.device import DeviceLogic
-from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown, Unreachable
+from tapping_cell.logic.host import Configured, Unreachable
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, Parameters, run
 from tapping_cell.nodes.drivers.ros_link import RosLink
-from tapping_cell.nodes.logic_host import LogicHost
+from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 
 URGENCY = 1
 """Real-time priority: the lowest, which is still above all ordinary processes."""
@@ -42,10 +39,8 @@ Section = TypeVar("Section")
 Link = TypeVar("Link", bound=RosLink)
 
 
-class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
-    """Node that hosts the state machine of a device. The state machine makes all decisions."""
-
-    carries_pictures = False
+class DriverNode(LogicNode[Parameters], Generic[Parameters, Driver]):
+    """Node that hosts the state machine of a device."""
 
     def __init__(
         self,
@@ -124,25 +119,12 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
             self._link.destroy()
         super().destroy_node()  # type: ignore[no-untyped-call]
 
-    def activate(self) -> None:
-        """Allow the state machine to act."""
-        self.host.lifecycle(Activated())
-
-    def deactivate(self) -> None:
-        """Make the state machine end its current action."""
-        self.host.lifecycle(Deactivated())
-
     def cleanup(self) -> None:
         """Close the port."""
-        self.host.lifecycle(ShutDown())
-        self.host.close()
+        super().cleanup()
         if self.driver is not None:
             self.driver.close()
         self.driver = None
-
-    def on_emergency_stop(self, message: Bool) -> None:
-        """Pass a stop message to the state machine, which stops the device immediately."""
-        self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
 
 def run_driver(

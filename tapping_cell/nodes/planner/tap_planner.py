@@ -14,22 +14,21 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from std_msgs.msg import Bool
 from tapping_cell_msgs.action import ArrangeObjects, PositionObject, SingleTap
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell import messages
 from tapping_cell.configuration.cell import load_cell, load_further_objects
 from tapping_cell.configuration.schema import ConfigurationError, text
-from tapping_cell.logic import effects, stops
+from tapping_cell.logic import effects
 from tapping_cell.logic.fixed_goal_handling import goal_handling_class
-from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown
+from tapping_cell.logic.host import Configured
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, Scene
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.nodes.cell_identity import key_of, state_folder
-from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, CellNode, run
-from tapping_cell.nodes.logic_host import LogicHost
+from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, run
+from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 from tapping_cell.nodes.message_conversion import from_ros, to_ros
 from tapping_cell.nodes.planner.deferred_action_server import DeferredActionServer
 from tapping_cell.nodes.planner.markers import cell_markers, region_marker
@@ -75,10 +74,9 @@ class PlannerHost(LogicHost[PlannerLogic]):
         )
 
 
-class TapPlanner(CellNode[Parameters]):
+class TapPlanner(LogicNode[Parameters]):
     """See the module's docstring."""
 
-    carries_pictures = False
     changeable = ("planner", "ask")
 
     def __init__(self) -> None:
@@ -149,19 +147,6 @@ class TapPlanner(CellNode[Parameters]):
         age = self.host.goal_file.age() if kept is not None else math.inf
         self.host.lifecycle(Configured(cell, goals, kept_goal=kept, kept_goal_age=age))
 
-    def activate(self) -> None:
-        """Allow the state machine to act."""
-        self.host.lifecycle(Activated())
-
-    def deactivate(self) -> None:
-        """Make the state machine abort its current goal."""
-        self.host.lifecycle(Deactivated())
-
-    def cleanup(self) -> None:
-        """Deactivate the state machine, because an orderly shutdown also ends the goal."""
-        self.host.lifecycle(ShutDown())
-        self.host.close()
-
     def change(self, name: str, value: object) -> None:
         """Change the planning method, or whether every tap requires confirmation."""
         if name == "ask":
@@ -170,15 +155,11 @@ class TapPlanner(CellNode[Parameters]):
         elif self.configured:
             self.logic.goals.use(str(value))
 
-    def on_emergency_stop(self, message: Bool) -> None:
-        """Pass an emergency stop message to the state machine, which aborts its goal."""
-        self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
-
     def destroy_node(self) -> None:
         """Also destroy the action servers, which rclpy does not destroy. Otherwise, clients would
         see an incomplete planner until garbage collection."""
         self._actions.close()
-        CellNode.destroy_node(self)
+        LogicNode.destroy_node(self)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report the state and the remaining error of the goal."""
