@@ -262,25 +262,24 @@ class CellView:
             "log": list(self._log),
         }
 
+    def _recent(self, who: str) -> Any:
+        """Return the last state of the arm, tapper or object; None if it is silent."""
+        state = getattr(self._monitor, who)
+        return None if state is None or self._monitor.silent(who, _now()) else state
+
     def _recovery_steps(self) -> list[Step]:
-        arm, tapper = self._monitor.arm, self._monitor.tapper
         holders = ["this page's STOP"] if self.held_by_page else []
         holders += sorted({source for sources in self.stops.values() for source in sources})
-        return self._recovery.steps(
-            None if arm is None or self._monitor.silent("arm", _now()) else arm,
-            None if tapper is None or self._monitor.silent("tapper", _now()) else tapper,
-            holders,
-            self.simulated,
-            self.has_arm,
-        )
+        arm, tapper = self._recent("arm"), self._recent("tapper")
+        return self._recovery.steps(arm, tapper, holders, self.simulated, self.has_arm)
 
     def _blocked(self, mode: Mode) -> str:
         """Return the reason why no goal can be sent now, or an empty text."""
-        arm = self._monitor.arm
+        arm = self._recent("arm")
         if mode.word in ("stopped", "fault"):
             what = "is stopped" if mode.word == "stopped" else "has a fault"
             return f"No goal can be sent: the cell {what}."
-        if arm is not None and not arm.homed and not self._monitor.silent("arm", _now()):
+        if arm is not None and not arm.homed:
             return "No goal can be sent: the arm is not homed."
         return ""
 
@@ -291,8 +290,8 @@ class CellView:
         return {"on": on, "enabled": arm is not None and arm.enabled}
 
     def _object_state(self) -> dict[str, object]:
-        seen = self._monitor.object
-        if seen is None or self._monitor.silent("object", _now()):
+        seen = self._recent("object")
+        if seen is None:
             return {
                 "visible": False,
                 "sentence": "camera_pose sends no messages; start it",
@@ -356,14 +355,11 @@ class CellView:
         return self._blocked(self.mode())
 
     def _device(self, who: str, texts: dict[int, str]) -> dict[str, object]:
-        state = getattr(self._monitor, who)
-        if state is None or self._monitor.silent(who, _now()):
+        state = self._recent(who)
+        if state is None:
             return {"state": "silent", "sentence": "", "code": 0}
-        return {
-            "state": texts[state.state],
-            "sentence": state.error_msg,
-            "code": state.error_code,
-        }
+        sentence, code = state.error_msg, state.error_code
+        return {"state": texts[state.state], "sentence": sentence, "code": code}
 
 
 def planned_row(plan: PlanState) -> dict[str, object] | None:

@@ -361,20 +361,16 @@ class RunRecorder(CellNode[Parameters]):
 
     def _on_plan_state(self, plan: PlanState) -> None:
         self._planner_received = time.monotonic()
-        if self._arranging and self._ends_at is None:
+        ending = self._ends_at is not None
+        if (self._arranging and not ending) or self._is_late(plan):
             return
-        known = self._plan is not None and same_goal(self._plan, plan)
-        if self._is_late(plan):
-            return
-        if not is_own_goal(plan):
-            if known and self._ends_at is None and plan.state in FINAL_STATES:
-                self._end = plan
-                self._ends_at = time.monotonic() + TAIL_S
-            return
-        if known and self._ends_at is None:
-            return
-        self._conclude(pictures=True)
-        self._begin(plan, refused=False)
+        known = self._plan is not None and not ending and same_goal(self._plan, plan)
+        if is_own_goal(plan):
+            if not known:
+                self._conclude(pictures=True)
+                self._begin(plan, refused=False)
+        elif known and plan.state in FINAL_STATES:
+            self._end_after(plan)
 
     def _on_arrangement_state(self, report: ArrangementState) -> None:
         """Begin or end the recording of an arrangement. Each move of an arrangement is a goal of
@@ -382,11 +378,15 @@ class RunRecorder(CellNode[Parameters]):
         if self._arranging and self._ends_at is None:
             self._planner_received = time.monotonic()
             if not report.active:
-                self._end = PlanState(header=report.header)
-                self._ends_at = time.monotonic() + TAIL_S
+                self._end_after(PlanState(header=report.header))
         elif report.active:
             self._conclude(pictures=True)
             self._begin(PlanState(header=report.header), refused=False, arrangement=report)
+
+    def _end_after(self, end: PlanState) -> None:
+        """End the recording soon, because its goal has ended."""
+        self._end = end
+        self._ends_at = time.monotonic() + TAIL_S
 
     def _is_late(self, plan: PlanState) -> bool:
         """Return whether a ``plan_state`` is older than the end of its goal, which is already
