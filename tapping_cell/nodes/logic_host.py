@@ -297,7 +297,7 @@ class LogicHost(Generic[Machine]):
     def start(self, driver: Any) -> None:
         """Start the worker, whose jobs use this driver."""
         self.driver = driver
-        self._worker = Worker(self._node.get_name(), lambda: None, 60.0)
+        self._worker = Worker(self._node.get_name())
         self._worker.start()
 
     def close(self) -> None:

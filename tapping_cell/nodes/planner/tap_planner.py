@@ -31,7 +31,7 @@ from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, 
 from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 from tapping_cell.nodes.message_conversion import from_ros, to_ros
 from tapping_cell.nodes.planner.deferred_action_server import DeferredActionServer
-from tapping_cell.nodes.planner.markers import cell_markers, region_marker
+from tapping_cell.nodes.planner.markers import cell_markers
 from tapping_cell.nodes.planner.tf_frames import open_frames
 from tapping_cell.planning import PlanningError
 
@@ -59,19 +59,9 @@ class PlannerHost(LogicHost[PlannerLogic]):
         if not (isinstance(effect, effects.Publish) and isinstance(effect.message, Scene)):
             super()._perform(effect)
             return
-        goals, scene = self._logic.goals, effect.message
-        self._publishers["markers"].publish(
-            cell_markers(
-                goals.cell,
-                scene.state,
-                scene.pose,
-                scene.goal,
-                scene.strike,
-                scene.path,
-                region_marker(goals.outline()),
-                scene.others,
-            )
-        )
+        goals = self._logic.goals
+        markers = cell_markers(goals.cell, effect.message, goals.outline())
+        self._publishers["markers"].publish(markers)
 
 
 class TapPlanner(LogicNode[Parameters]):

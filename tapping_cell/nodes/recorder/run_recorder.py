@@ -263,7 +263,7 @@ class RunRecorder(CellNode[Parameters]):
         self._notes = cell_notes(self.settings.load_cell(), self.settings.seed)
         self._worker = Worker("recorder", lambda: self._write(self._buffer.take()), WRITE_PERIOD_S)
         self._worker.start()
-        self._reporter = Worker("teller", lambda: None, 60.0)
+        self._reporter = Worker("teller")
         self._reporter.start()
         for topic in self._topics.values():
             # The definition is loaded here in advance, so that it does not delay the first messages
