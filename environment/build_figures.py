@@ -19,22 +19,18 @@ from tapping_cell.configuration.cell import Cell, load_cell
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docs" / "build"
-_INK, _GREY, _BLUE, _RED, _STEEL, _PALE = (
-    "#1c2733",
-    "#66727f",
-    "#2c6fbb",
-    "#c8372d",
-    "#b8c4d0",
-    "#eef2f6",
-)
+_INK, _GREY, _BLUE, _RED = "#1c2733", "#66727f", "#2c6fbb", "#c8372d"
+_STEEL, _PALE = "#b8c4d0", "#eef2f6"
 
 
 class Drawing:
     """SVG drawing in its own units, with y downwards."""
 
-    def __init__(self, width: float, height: float, title: str) -> None:
+    def __init__(self, width: float, height: float, title: str, heading: str) -> None:
+        """``title``: name of the drawing for screen readers. ``heading``: its visible heading."""
         self._parts: list[str] = []
         self.width, self.height, self.title = width, height, title
+        self.text(24, 30, heading, size=17, bold=True)
 
     def line(
         self,
@@ -94,11 +90,14 @@ class Drawing:
             f'fill="{color}" stroke="none"{weight}>{escape(words)}</text>'
         )
 
+    def remark(self, y: float, words: str) -> None:
+        """Draw a remark at the left edge."""
+        self.text(24, y, words, size=12, color=_GREY)
+
     def across(self, x0: float, x1: float, y: float, words: str, beside: bool = False) -> None:
         """Draw a horizontal dimension, with its text above or, if space is short, to the right."""
-        self.line((x0, y - 6), (x0, y + 6), color=_BLUE, width=1)
-        self.line((x1, y - 6), (x1, y + 6), color=_BLUE, width=1)
-        self.line((x0, y), (x1, y), color=_BLUE, width=1)
+        for ends in (((x0, y - 6), (x0, y + 6)), ((x1, y - 6), (x1, y + 6)), ((x0, y), (x1, y))):
+            self.line(*ends, color=_BLUE, width=1)
         if beside:
             self.text(max(x0, x1) + 8, y + 4, words, color=_BLUE)
         else:
@@ -107,18 +106,15 @@ class Drawing:
     def upright(self, x: float, y0: float, y1: float, words: str, left: bool = False) -> None:
         """Draw a vertical dimension, with its text to the right or, if ``left`` is set, to the
         left."""
-        self.line((x - 6, y0), (x + 6, y0), color=_BLUE, width=1)
-        self.line((x - 6, y1), (x + 6, y1), color=_BLUE, width=1)
-        self.line((x, y0), (x, y1), color=_BLUE, width=1)
+        for ends in (((x - 6, y0), (x + 6, y0)), ((x - 6, y1), (x + 6, y1)), ((x, y0), (x, y1))):
+            self.line(*ends, color=_BLUE, width=1)
         side = -9 if left else 9
         self.text(x + side, (y0 + y1) / 2 + 4, words, "end" if left else "start", color=_BLUE)
 
     def note(self, x: float, y: float, to: tuple[float, float], words: str, anchor: str) -> None:
         """Draw a label with a thin line to the part that it names."""
-        start = x - 4 if anchor == "start" else x + 4
-        if anchor == "middle":
-            start = x
-        self.line((start, y - 4 if anchor != "middle" else y + 4), to, color=_GREY, width=0.8)
+        aside = {"start": -4, "middle": 0, "end": 4}[anchor]
+        self.line((x + aside, y - 4 if aside else y + 4), to, color=_GREY, width=0.8)
         self.text(x, y, words, anchor, color=_INK)
 
     def svg(self) -> str:
@@ -185,8 +181,8 @@ def _mm(metres: float) -> str:
 
 def board_figure() -> str:
     """Draw the schematic of the tapper board."""
-    draw = Drawing(1000, 640, "Schematic of the tapper board")
-    draw.text(24, 30, "Tapper board (ATmega328P, such as an Arduino Nano)", size=17, bold=True)
+    heading = "Tapper board (ATmega328P, such as an Arduino Nano)"
+    draw = Drawing(1000, 640, "Schematic of the tapper board", heading)
     draw.text(24, 50, "dashed: spring build only", color=_GREY)
     draw.box(420, 80, 160, 500, "#dfe9f5", radius=6)
     draw.text(500, 72, "Nano", "middle", 15, bold=True)
@@ -207,12 +203,12 @@ def board_figure() -> str:
         names = contacts[pin.signal]
         x = 420.0
         for name, opens in names:
-            end = x - 150.0 if len(names) > 1 else x - 300.0
+            end = x - 300.0 / len(names)
             middle = (x + end) / 2
             draw.line((x, y), (middle + 17, y), dash=dash)
             draw.line((middle - 17, y), (end, y), dash=dash)
-            draw.circle(middle + 17, y, 3)
-            draw.circle(middle - 17, y, 3)
+            for contact in (middle + 17, middle - 17):
+                draw.circle(contact, y, 3)
             draw.line((middle - 17, y - (14 if opens else 3)), (middle + 17, y - 3))
             draw.text(middle, y - 19, name, "middle", 12)
             x = end
@@ -272,13 +268,10 @@ def board_figure() -> str:
     draw.text(660, 545, "one star point with the grounds of", size=12)
     draw.text(660, 561, "the 24 V and the motor supply", size=12)
     draw.text(570, 475, "USB", "end", bold=True)
-    draw.text(
-        24,
+    draw.remark(
         620,
         "K1: the emergency stop's relay. It opens the supplies of coil and motor; its second"
         " contact opens the stop loop. Release is high, EN is low when active.",
-        size=12,
-        color=_GREY,
     )
     return draw.svg()
 
@@ -292,15 +285,11 @@ def striker_figure(spring: bool) -> str:
     """Draw a side view of the striker at the strike pose, with the dimensions of the cell file."""
     cell = shipped_cell()
     arm, tapper = cell.arm, cell.file.tapper
-    kind = "spring" if spring else "solenoid"
-    draw = Drawing(1120, 640, f"Striker, {kind} build")
-    draw.text(
-        24, 30, f"Striker, {kind} build, at the strike pose; side view, mm", size=17, bold=True
-    )
+    title = f"Striker, {'spring' if spring else 'solenoid'} build"
+    draw = Drawing(1120, 640, title, f"{title}, at the strike pose; side view, mm")
     scale, tip, table = 4000.0, 640.0, 420.0
     axis = table - arm.strike_height * scale
     ball = tapper.tip_radius * scale
-    ball_text = f"hardened ball, tip_radius {_mm(tapper.tip_radius)}"
     start, back = tip - tapper.tool_start * scale, tip - tapper.tool_length * scale
     edge, end = tip + (tapper.standoff + tapper.tip_radius) * scale, tip + tapper.stroke * scale
     top = axis - 96
@@ -345,20 +334,12 @@ def striker_figure(spring: bool) -> str:
     draw.line((tip, axis), (1030, axis), color=_BLUE, width=0.7, dash="8 3 2 3")
     draw.upright(1030, axis, table, "")
     draw.text(1022, axis - 34, f"strike_height {_mm(arm.strike_height)}", "end", color=_BLUE)
-    draw.note(
-        tip + 20,
-        214,
-        (tip + 4, axis - ball),
-        ball_text,
-        "start",
-    )
-    draw.text(
-        24,
+    ball_text = f"hardened ball, tip_radius {_mm(tapper.tip_radius)}"
+    draw.note(tip + 20, 214, (tip + 4, axis - ball), ball_text, "start")
+    draw.remark(
         622,
         f"Moving mass {tapper.mass * 1e3:g} g. The housing stays within {_mm(tapper.tool_radius)} "
         "(tool_radius) either side of the axis, seen from above, at the height of the object.",
-        size=12,
-        color=_GREY,
     )
     return draw.svg()
 
@@ -384,13 +365,10 @@ def _spring_drive(draw: Drawing, tip: float, axis: float, back: float, top: floa
     draw.note(tip - 160, 120, (tail + 40, top + 36), "front switch (D9)", "start")
     draw.note(tip - 160, 150, (tip - 150, top + 24), f"screw, lead {lead:g}", "start")
     draw.note(back - 20, axis - 6, (back + 8, axis), f"spring, {stiffness} N/m", "end")
-    draw.text(
-        24,
+    draw.remark(
         602,
         "Shown at the front end, the spring just slack. The carriage draws the striker to the left,"
         f" by {strongest:.1f} at the cell file's greatest energy; the ball enters a bore.",
-        size=12,
-        color=_GREY,
     )
 
 
@@ -414,13 +392,10 @@ def _solenoid_drive(draw: Drawing, tip: float, axis: float, back: float, top: fl
     if rows is None:
         raise LookupError("firmware/tapper/board_avr.c defines no SOLENOID_TABLE")
     low, short, high, long = (int(number) for number in rows.groups())
-    draw.text(
-        24,
+    draw.remark(
         602,
         f"The energy is the width of the pulse: {low / 1e3:g} mJ at {short / 1e3:g} ms to"
         f" {high / 1e3:g} mJ at {long / 1e3:g} ms until you have measured your own.",
-        size=12,
-        color=_GREY,
     )
 
 
@@ -433,8 +408,8 @@ def table_figure() -> str:
     def at(x: float, y: float) -> tuple[float, float]:
         return middle + scale * x, origin - scale * y
 
-    draw = Drawing(900, 880, "Reference markers on the table")
-    draw.text(24, 30, "The table from above, mm in the frame table", size=17, bold=True)
+    heading = "The table from above, mm in the frame table"
+    draw = Drawing(900, 880, "Reference markers on the table", heading)
     left, upper = at(-area.length / 2, area.width / 2)
     draw.box(left, upper, area.length * scale, area.width * scale, "#f7f9fb", dash="6 4")
     draw.text(
@@ -459,13 +434,10 @@ def table_figure() -> str:
     draw.text(x + 34, y - 4, "shoulder axis of the arm (arm.base)")
     draw.text(x + 34, y + 14, f"{_mm(arm.base[0])}, {_mm(arm.base[1])}", color=_BLUE)
     size = _mm(cell.references.markers[0].size)
-    draw.text(
-        24,
+    draw.remark(
         862,
         f"Black squares of {size}, {cell.references.dictionary}, upright as printed,"
         " with a white rim of 5 at least.",
-        size=12,
-        color=_GREY,
     )
     return draw.svg()
 
@@ -487,8 +459,8 @@ def camera_figure() -> str:
     cell = shipped_cell()
     least, height, wide, deep = camera_height()
     scale, middle, table = 620.0, 420.0, 580.0
-    draw = Drawing(900, 680, "Camera mount and light")
-    draw.text(24, 30, "Camera mount and light, front view, mm", size=17, bold=True)
+    title = "Camera mount and light"
+    draw = Drawing(900, 680, title, f"{title}, front view, mm")
     lens = table - height * scale
     half = wide * scale / 2
     draw.line((60, table), (780, table), width=3)
@@ -524,21 +496,18 @@ def camera_figure() -> str:
         middle - half, middle + half, table + 42, f"seen: {wide * 1e3:.0f} x {deep * 1e3:.0f}"
     )
     draw.upright(middle + half + 110, lens, table, f"{_mm(height)}")
-    draw.text(
-        24,
+    draw.remark(
         656,
         f"For config/camera_info.yaml: {cell.camera.width} x {cell.camera.height} pixels, focal"
         f" length {cell.camera.fx:g} pixels. Least height for all markers {least * 1e3:.0f}.",
-        size=12,
-        color=_GREY,
     )
     return draw.svg()
 
 
 def guard_figure() -> str:
     """Draw the emergency stop, the guard and the parts on which they act."""
-    draw = Drawing(1000, 420, "Emergency stop and guard")
-    draw.text(24, 30, "Emergency stop and guard: what opens what", size=17, bold=True)
+    title = "Emergency stop and guard"
+    draw = Drawing(1000, 420, title, f"{title}: what opens what")
     boxes = (
         (30, 90, 170, "emergency-stop button", "two positive-opening contacts", _RED),
         (30, 210, 170, "guard switch", "positive opening or coded", _RED),
@@ -571,13 +540,10 @@ def guard_figure() -> str:
     draw.text(652, 309, "what is charged is discharged (firmware)", size=12)
     draw.line((115, 210), (115, 182), (290, 182), (290, 142), (330, 142), color=_RED, arrow=True)
     draw.text(122, 198, "stops arm and release", size=11, color=_RED)
-    draw.text(
-        24,
+    draw.remark(
         408,
         "Everything to the left of the arrows is hardware. Software and both boards only add to"
         " it.",
-        size=12,
-        color=_GREY,
     )
     return draw.svg()
 
@@ -592,14 +558,8 @@ def ring_figure() -> str:
     def at(x: float, y: float) -> tuple[float, float]:
         return middle[0] + scale * x, middle[1] - scale * y
 
-    draw = Drawing(1180, 850, "Mounts of the fixed tappers")
-    draw.text(
-        24,
-        30,
-        f"{len(fixed.tappers)} fixed tappers from above, mm and degrees in the frame table",
-        size=17,
-        bold=True,
-    )
+    heading = f"{len(fixed.tappers)} fixed tappers from above, mm and degrees in the frame table"
+    draw = Drawing(1180, 850, "Mounts of the fixed tappers", heading)
     x, y, radius = fixed.working_area
     draw.circle(*at(x, y), radius * scale, "#f7f9fb", _BLUE)
     draw.text(middle[0], middle[1] + 0.055 * scale, "working disc,", "middle", 12, _BLUE)

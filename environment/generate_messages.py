@@ -11,7 +11,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-TARGET = Path(__file__).resolve().parents[1] / "tapping_cell" / "messages" / "__init__.py"
+PROJECT = Path(__file__).resolve().parents[1]
+TARGET = PROJECT / "tapping_cell" / "messages" / "__init__.py"
 ROOTS = (
     "builtin_interfaces/msg/Duration",
     "geometry_msgs/msg/PoseStamped",
@@ -21,27 +22,12 @@ ROOTS = (
     "std_srvs/srv/SetBool",
     "std_srvs/srv/Trigger",
     "trajectory_msgs/msg/JointTrajectory",
-    "tapping_cell_msgs/msg/ArmState",
-    "tapping_cell_msgs/msg/ArrangementState",
-    "tapping_cell_msgs/msg/ErrorCode",
-    "tapping_cell_msgs/msg/GoalReport",
-    "tapping_cell_msgs/msg/LearntGains",
-    "tapping_cell_msgs/msg/ObjectContact",
-    "tapping_cell_msgs/msg/ObjectGoal",
-    "tapping_cell_msgs/msg/ObjectProgress",
-    "tapping_cell_msgs/msg/ObjectState",
-    "tapping_cell_msgs/msg/ObjectStates",
-    "tapping_cell_msgs/msg/PlanState",
-    "tapping_cell_msgs/msg/PlannedTap",
-    "tapping_cell_msgs/msg/StopState",
-    "tapping_cell_msgs/msg/TapCommand",
-    "tapping_cell_msgs/msg/TapRecord",
-    "tapping_cell_msgs/msg/TapperState",
-    "tapping_cell_msgs/srv/ConfirmTap",
-    "tapping_cell_msgs/srv/HoldStill",
-    "tapping_cell_msgs/action/ArrangeObjects",
-    "tapping_cell_msgs/action/PositionObject",
-    "tapping_cell_msgs/action/SingleTap",
+    *(
+        f"tapping_cell_msgs/{kind}/{file.stem}"
+        for kind in ("msg", "srv", "action")
+        for file in sorted((PROJECT / "msg_defs" / kind).iterdir())
+        if file.stem != "ResetWorld"  # only sim_world uses it
+    ),
 )
 PARTS = {"srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
 HEADER = '''"""The cell's messages as dataclasses that need no ROS; generated, not edited.
@@ -70,23 +56,22 @@ def constants(kind: Any) -> dict[str, Any]:
     return dict(sorted(found.items()))
 
 
+def element(ros_type: str) -> str | None:
+    """Return the type of the elements of a sequence or array; None for another type."""
+    found = re.match(r"^sequence<(.*?)(?:, \d+)?>$|^(.*)\[\d+\]$", ros_type)
+    return (found[1] or found[2]) if found else None
+
+
 def nested(ros_type: str) -> str | None:
     """Return the message name in a field type, ``package/msg/Name``; None for a basic type."""
-    inner = re.sub(r"^sequence<(.*?)(, \d+)?>$", r"\1", ros_type)
-    inner = re.sub(r"\[\d+\]$", "", inner)
-    if "/" not in inner:
-        return None
-    package, title = inner.split("/")
-    return f"{package}/msg/{title}"
+    package, _, title = (element(ros_type) or ros_type).partition("/")
+    return f"{package}/msg/{title}" if title else None
 
 
 def python_type(ros_type: str) -> str:
     """Return the annotation of a field."""
-    sequence = re.match(r"^sequence<(.*?)(?:, \d+)?>$", ros_type) or re.match(
-        r"^(.*)\[\d+\]$", ros_type
-    )
-    if sequence:
-        return f"list[{python_type(sequence[1])}]"
+    if inner := element(ros_type):
+        return f"list[{python_type(inner)}]"
     name = nested(ros_type)
     if name is not None:
         return name.rsplit("/", 1)[1]

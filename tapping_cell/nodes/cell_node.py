@@ -95,8 +95,6 @@ class CellNode(LifecycleNode, Generic[Parameters]):
     :meth:`cleanup`, :meth:`stop_now` and :meth:`health`.
     """
 
-    actor = False
-    """True for a node that moves hardware. Its property ``stopped`` reports a latched stop."""
     carries_pictures = True
     """False for a node that neither sends nor receives images: see :func:`choose_transport`."""
     changeable: tuple[str, ...] = ()
@@ -196,13 +194,12 @@ class CellNode(LifecycleNode, Generic[Parameters]):
         try:
             self.settings = parameters.read(self, self._parameter_class)
             self.configure()
-        except ConfigurationError as error:
-            self.fatal = str(error)
-            self.get_logger().error(str(error))
-            self.cleanup()
-            return TransitionCallbackReturn.FAILURE
-        except NotReady as error:
-            self._complain(str(error), error.expected)
+        except (ConfigurationError, NotReady) as error:
+            if isinstance(error, NotReady):
+                self._complain(str(error), error.expected)
+            else:
+                self.fatal = str(error)
+                self.get_logger().error(str(error))
             self.cleanup()
             return TransitionCallbackReturn.FAILURE
         self.configured = True

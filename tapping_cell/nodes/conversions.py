@@ -1,4 +1,4 @@
-"""Conversion of planar poses and times from and to ROS messages.
+"""Conversion of planar poses, goals and times from and to ROS messages.
 
 Imports nothing large, so that a client that only sends a goal starts fast.
 """
@@ -9,6 +9,8 @@ import math
 
 from builtin_interfaces.msg import Time as TimeMessage
 from geometry_msgs.msg import Pose as PoseMessage
+from tapping_cell_msgs.action import PositionObject
+from tapping_cell_msgs.msg import ObjectGoal
 
 from tapping_cell.se2 import Pose
 
@@ -38,3 +40,22 @@ def is_finite(message: PoseMessage) -> bool:
 def seconds(stamp: TimeMessage) -> float:
     """Convert a ROS stamp to seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def position_goal(
+    pose: Pose, tolerance: tuple[float, float], stamp: TimeMessage
+) -> PositionObject.Goal:
+    """Return a goal in ``table``. A tolerance (m, rad) of 0 selects the cell's default."""
+    goal = PositionObject.Goal(position_tolerance=tolerance[0], angle_tolerance=tolerance[1])
+    goal.goal_pose.header.frame_id, goal.goal_pose.header.stamp = "table", stamp
+    goal.goal_pose.pose = to_message(pose)
+    return goal
+
+
+def object_goal(name: str, pose: Pose, tolerance: tuple[float, float]) -> ObjectGoal:
+    """Return the goal in ``table`` of one object of an arrangement. A tolerance (m, rad) of 0
+    selects the cell's default."""
+    goal = ObjectGoal(object_id=name, position_tolerance=tolerance[0], angle_tolerance=tolerance[1])
+    goal.goal_pose.header.frame_id = "table"
+    goal.goal_pose.pose = to_message(pose)
+    return goal

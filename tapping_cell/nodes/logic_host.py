@@ -24,8 +24,8 @@ from tapping_cell import messages
 from tapping_cell.logic import effects as fx
 from tapping_cell.logic import stops
 from tapping_cell.logic.clock import Now
-from tapping_cell.logic.host import LifecycleEvent, Logic
-from tapping_cell.nodes.cell_node import CellNode
+from tapping_cell.logic.host import Activated, Deactivated, LifecycleEvent, Logic, ShutDown
+from tapping_cell.nodes.cell_node import CellNode, Parameters
 from tapping_cell.nodes.deferred_service import Respond, create_deferred_service
 from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.message_conversion import Mirrored, from_ros, ros_class, to_ros
@@ -297,7 +297,7 @@ class LogicHost(Generic[Machine]):
     def start(self, driver: Any) -> None:
         """Start the worker, whose jobs use this driver."""
         self.driver = driver
-        self._worker = Worker(self._node.get_name(), lambda: None, 60.0)
+        self._worker = Worker(self._node.get_name())
         self._worker.start()
 
     def close(self) -> None:
@@ -326,6 +326,31 @@ class LogicHost(Generic[Machine]):
     def progress(self, event: fx.JobProgress) -> None:
         """Pass the progress of a job to the state machine."""
         self._dispatch(lambda now: self._logic.on_job(event, now))
+
+
+class LogicNode(CellNode[Parameters], Generic[Parameters]):
+    """Node that hosts a state machine, which makes all decisions. A subclass creates ``host`` in
+    its constructor, and passes ``Configured`` to it when it is configured."""
+
+    carries_pictures = False
+    host: LogicHost[Any]
+
+    def activate(self) -> None:
+        """Allow the state machine to act."""
+        self.host.lifecycle(Activated())
+
+    def deactivate(self) -> None:
+        """Make the state machine end its current action."""
+        self.host.lifecycle(Deactivated())
+
+    def cleanup(self) -> None:
+        """Deactivate the state machine, because an orderly shutdown also ends its action."""
+        self.host.lifecycle(ShutDown())
+        self.host.close()
+
+    def on_emergency_stop(self, message: Bool) -> None:
+        """Pass a stop message to the state machine, which stops immediately."""
+        self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
 
 class _Context:

@@ -71,10 +71,7 @@ def read(node: Node, kind: type[Parameters]) -> Parameters:
         ConfigurationError: the message names node, parameter, value and range.
     """
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
-    document: dict[str, Any] = {}
-    for entry in fields:
-        value = node.get_parameter(entry.name).value
-        document[entry.name] = value
+    document = {entry.name: node.get_parameter(entry.name).value for entry in fields}
     return build(kind, document, source=f"parameters of {node.get_name()}")
 
 

@@ -10,13 +10,14 @@ Job = Callable[[], None]
 
 
 class Worker:
-    """Run jobs one after another. While no job is queued, call ``idle`` every ``period`` seconds.
+    """Run jobs one after another. While no job is queued, call ``idle`` every ``period`` seconds,
+    or never if ``period`` is None.
 
     An exception from a job or from ``idle`` ends the thread and is stored in ``error``, which the
     node must check. A job must catch the failures that it expects.
     """
 
-    def __init__(self, name: str, idle: Job, period: float) -> None:
+    def __init__(self, name: str, idle: Job = lambda: None, period: float | None = None) -> None:
         self._idle = idle
         self._period = period
         self._jobs: queue.Queue[Job] = queue.Queue()

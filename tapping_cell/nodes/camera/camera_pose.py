@@ -25,7 +25,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tapping_cell_msgs.msg import ErrorCode, ObjectState, ObjectStates, PlanState
 
-from tapping_cell.configuration.cell import Cell, load_cell, load_further_objects
+from tapping_cell.configuration.cell import Cell, load_further_objects
 from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.schema import choice, quantity, text
 from tapping_cell.logic.frames import TABLE
@@ -36,11 +36,8 @@ from tapping_cell.nodes.camera.dropped_frames import Backlog
 from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.camera.unknown_search import UnknownSearch
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
-from tapping_cell.nodes.conversions import (
-    from_message,
-    seconds,
-    to_message,
-)
+from tapping_cell.nodes.cell_parameters import ObjectParameters
+from tapping_cell.nodes.conversions import from_message, seconds, to_message
 from tapping_cell.nodes.frame_broadcaster import FrameBroadcaster, transform
 from tapping_cell.se2 import Pose
 from tapping_cell.vision import (
@@ -94,14 +91,9 @@ restarts. They span about half a second, which is too long for reordered message
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(ObjectParameters):
     """Parameters of camera_pose."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
-    object_file: str = text(
-        "path of the object file; if empty, the one named in the cell file", default=""
-    )
     other_object_files: str = text(
         "paths of the object files of additional objects on the table, separated by commas",
         default="",
@@ -202,7 +194,7 @@ class CameraPose(CellNode[Parameters]):
 
     def configure(self) -> None:
         """Read the cell, table and object files."""
-        self._cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
+        self._cell = self.settings.load_cell()
         self._other_files = load_further_objects(self._cell, self.settings.other_object_files)
         self._other_states = [ObjectState(object_id=file.name) for file in self._other_files]
         for state in self._other_states:
@@ -291,23 +283,8 @@ class CameraPose(CellNode[Parameters]):
             self._report_no_camera(message)
             return
         stamp = seconds(message.header.stamp)
-        if stamp <= 0.0:
-            self._refuse(
-                message,
-                ErrorCode.STAMP_INVALID,
-                f"the image's stamp is {stamp:.0f}: its header has no time; make the camera's "
-                "node set it",
-            )
-            return
-        ahead = stamp - 1e-9 * self.get_clock().now().nanoseconds
-        if ahead > STAMP_AHEAD_S:
-            # If this stamp were accepted, every correct stamp after it would count as late.
-            self._refuse(
-                message,
-                ErrorCode.STAMP_INVALID,
-                f"the image's stamp is {ahead:.1f} s ahead of this node's clock (limit "
-                f"{STAMP_AHEAD_S:.1f} s); synchronise the clocks",
-            )
+        if problem := self._problem_of_stamp(stamp):
+            self._refuse(message, ErrorCode.STAMP_INVALID, problem)
             return
         try:
             grey = images.to_grey(message)
@@ -327,6 +304,22 @@ class CameraPose(CellNode[Parameters]):
         self._busy_seconds += time.perf_counter() - began
         self._annotate(message, grey, observation)
         self._publish_others(message, others)
+
+    def _problem_of_stamp(self, stamp: float) -> str:
+        """Return why an image with this stamp (s) cannot be used, or an empty text."""
+        if stamp <= 0.0:
+            return (
+                f"the image's stamp is {stamp:.0f}: its header has no time; make the camera's "
+                "node set it"
+            )
+        ahead = stamp - 1e-9 * self.get_clock().now().nanoseconds
+        if ahead > STAMP_AHEAD_S:
+            # If this stamp were accepted, every correct stamp after it would count as late.
+            return (
+                f"the image's stamp is {ahead:.1f} s ahead of this node's clock (limit "
+                f"{STAMP_AHEAD_S:.1f} s); synchronise the clocks"
+            )
+        return ""
 
     def _search_unknown(self, grey: NDArray[np.uint8], stamp: float) -> None:
         """Search for objects without a file in an image in which the table was located."""
@@ -405,7 +398,7 @@ class CameraPose(CellNode[Parameters]):
         # A static transform may be sent repeatedly: the camera is fixed relative to the table, and
         # each new transform is only a more accurate estimate.
         stamp = message.header.stamp
-        self._broadcaster.send_fixed([transform(TABLE, "camera_optical", message.pose, stamp)])
+        self._broadcaster.send_fixed([transform(TABLE, images.OPTICAL_FRAME, message.pose, stamp)])
 
     def _refuse(self, picture: Image, code: int, sentence: str) -> None:
         assert self._cell is not None
@@ -461,7 +454,7 @@ def _empty_state(picture: Image, name: str, code: int, sentence: str) -> ObjectS
     """Return the state of an object without a measurement."""
     state = ObjectState(object_id=name, error_code=code, error_msg=sentence if code else "")
     state.header.stamp = picture.header.stamp
-    state.header.frame_id = "table"
+    state.header.frame_id = TABLE
     return state
 
 

@@ -26,6 +26,7 @@ COMPRESSED_PICTURES = QoSProfile(
 RAW = "camera/image_raw"
 COMPRESSED = f"{RAW}/compressed"
 """Topic name according to image_transport."""
+OPTICAL_FRAME = "camera_optical"
 ANNOTATED = "camera/image_annotated"
 ANNOTATED_COMPRESSED = f"{ANNOTATED}/compressed"
 
@@ -93,13 +94,8 @@ def unpack(message: Image) -> NDArray[np.uint8]:
 
 def compress(message: Image, quality: int) -> CompressedImage:
     """Compress a mono8 image message to JPEG, in the format of image_transport."""
-    pixels = unpack(message)[..., 0]
-    _, coded = cv2.imencode(".jpg", pixels, (cv2.IMWRITE_JPEG_QUALITY, quality))
-    made = CompressedImage(header=message.header, format=f"{message.encoding}; jpeg compressed ")
-    data = array.array("B")
-    data.frombytes(coded.data)
-    made.data = data
-    return made
+    form = f"{message.encoding}; jpeg compressed "
+    return _compressed(unpack(message)[..., 0], quality, message.header, form)
 
 
 def compress_colour(
@@ -114,12 +110,31 @@ def compress_colour(
         size = (width, round(scale * picture.shape[0]))
         reduced = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
         picture = np.asarray(reduced, dtype=np.uint8)
+    return _compressed(picture, quality, header, "bgr8; jpeg compressed bgr8")
+
+
+def _compressed(
+    picture: NDArray[np.uint8], quality: int, header: Header, form: str
+) -> CompressedImage:
     _, coded = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, quality))
-    made = CompressedImage(header=header, format="bgr8; jpeg compressed bgr8")
-    data = array.array("B")
-    data.frombytes(coded.data)
-    made.data = data
-    return made
+    return CompressedImage(header=header, format=form, data=_sequence(coded))
+
+
+def to_jpeg(message: Image, quality: int) -> bytes:
+    """Return an image message as JPEG, quality 1 to 100, in colour if its encoding is bgr8 or rgb8.
+
+    Raises:
+        ImageRefused: the encoding is unknown, or there are fewer bytes than the size requires.
+    """
+    picture = unpack(message) if message.encoding in ("bgr8", "rgb8") else to_grey(message)
+    if message.encoding == "rgb8":
+        picture = picture[..., ::-1]
+    made, jpeg = cv2.imencode(
+        ".jpg", np.ascontiguousarray(picture), (cv2.IMWRITE_JPEG_QUALITY, quality)
+    )
+    if not made:
+        raise ImageRefused("the image cannot be encoded as JPEG")
+    return jpeg.tobytes()
 
 
 def to_grey(message: Image | CompressedImage) -> NDArray[np.uint8]:
@@ -163,20 +178,23 @@ def _decompress(message: CompressedImage) -> NDArray[np.uint8]:
 
 def to_message(picture: NDArray[np.uint8], encoding: str) -> Image:
     """Convert an image to a message. The caller fills in the header."""
-    message = Image()
-    message.height, message.width = picture.shape[:2]
-    message.encoding = encoding
-    message.step = picture.nbytes // picture.shape[0]
-    # rclpy accepts an array.array directly but checks a list element by element.
-    data = array.array("B")
-    data.frombytes(np.ascontiguousarray(picture).data)
-    message.data = data
-    return message
+    height, width = picture.shape[:2]
+    step, data = picture.nbytes // height, _sequence(np.ascontiguousarray(picture))
+    return Image(height=height, width=width, encoding=encoding, step=step, data=data)
+
+
+def _sequence(data: NDArray[np.uint8]) -> array.array[int]:
+    """Return bytes as a field of a message. rclpy accepts an array.array directly, but checks a
+    list element by element."""
+    made = array.array("B")
+    made.frombytes(data.data)
+    return made
 
 
 def to_camera_info(camera: CameraModel) -> CameraInfo:
-    """Convert the calibration to a camera_info message. The caller fills in the header."""
+    """Convert the calibration to a camera_info message. The caller fills in the stamp."""
     message = CameraInfo(width=camera.width, height=camera.height)
+    message.header.frame_id = OPTICAL_FRAME
     message.distortion_model = camera.distortion_model
     message.d = list(camera.distortion)
     message.k = camera.matrix.reshape(-1).tolist()

@@ -12,7 +12,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.duration import Duration
 from sensor_msgs.msg import CameraInfo
 
-from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.configuration.table import load_camera_model
 from tapping_cell.hardware.camera_source import (
@@ -28,6 +27,7 @@ from tapping_cell.hardware.camera_source import (
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
+from tapping_cell.nodes.cell_parameters import CellParameters
 from tapping_cell.nodes.worker import Worker
 
 SUBSCRIBER_WAIT_S = 5.0
@@ -37,11 +37,9 @@ REOPEN_PERIOD_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(CellParameters):
     """Parameters of overhead_camera."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
     camera_info_file: str = text(
         "path of the camera calibration; if empty, the file named in the cell file", default=""
     )
@@ -83,9 +81,8 @@ class OverheadCamera(CellNode[Parameters]):
         if given:
             camera = load_camera_model(Path(given).expanduser())
         else:
-            camera = load_cell(self.settings.cell_file or None).camera
+            camera = self.settings.load_cell().camera
         self._info = images.to_camera_info(camera)
-        self._info.header.frame_id = "camera_optical"
         self._ended = False
         self._settings = CameraSettings(
             width=camera.width,
@@ -183,7 +180,7 @@ class OverheadCamera(CellNode[Parameters]):
         age = time.monotonic() - frame.captured
         stamp = self.get_clock().now() - Duration(seconds=age + self.settings.exposure / 2)
         message = images.to_message(picture, "mono8")
-        message.header.frame_id = "camera_optical"
+        message.header.frame_id = images.OPTICAL_FRAME
         message.header.stamp = stamp.to_msg()
         try:
             self._publisher.publish(message, self._info)

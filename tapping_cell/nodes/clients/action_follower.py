@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import threading
 from abc import abstractmethod
 from collections.abc import Iterator
 from typing import Any, ClassVar, Generic, TypeVar
@@ -45,13 +44,11 @@ class ActionFollower(ClientNode, Generic[Event]):
         handle = self._handle
         if handle is None:
             return False
-        done = threading.Event()
-
-        def ask() -> None:
-            handle.cancel_goal_async().add_done_callback(lambda _: done.set())
-
-        self._executor.create_task(ask)
-        return done.wait(patience)
+        try:
+            self.result_of(handle.cancel_goal_async, patience)
+        except TimeoutError:
+            return False
+        return True
 
     def events(self, poll: float = 0.2) -> Iterator[Event | None]:
         """Yield events as they arrive, and None in between so that the caller can do other work."""

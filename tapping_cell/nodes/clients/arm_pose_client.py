@@ -5,12 +5,11 @@ The verb `calibrate arm --record` uses this client, which is not a separate exec
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from builtin_interfaces.msg import Duration
+from rclpy.duration import Duration
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from tapping_cell_msgs.msg import ArmState, ObjectState
@@ -112,11 +111,8 @@ class ArmPoseClient(GoalClient):
         here = self.joints()
         assert here is not None
         far = max(abs(a - b) for a, b in zip(target, here, strict=True))
-        seconds = max(far / speed, 0.5)
         point = JointTrajectoryPoint(positions=list(target))
-        point.time_from_start = Duration(
-            sec=int(seconds), nanosec=round(1e9 * math.fmod(seconds, 1.0)) % 10**9
-        )
+        point.time_from_start = Duration(seconds=max(far / speed, 0.5)).to_msg()
         message = JointTrajectory(joint_names=list(Joints._fields), points=[point])
         self._executor.create_task(self._trajectories.publish, message)
 

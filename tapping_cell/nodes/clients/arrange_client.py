@@ -13,7 +13,6 @@ from tapping_cell_msgs.action import ArrangeObjects
 from tapping_cell_msgs.msg import (
     ArmState,
     ObjectContact,
-    ObjectGoal,
     ObjectProgress,
     ObjectStates,
     PlanState,
@@ -23,7 +22,7 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.configuration.layout_file import LayoutFile
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
-from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.conversions import from_message, object_goal
 from tapping_cell.report.arrangement_reader import arranged_tap
 from tapping_cell.report.arrangement_run import ArrangedTap
 from tapping_cell.report.words import PROGRESS, word
@@ -87,8 +86,8 @@ class ArrangeClient(ActionFollower[Event]):
         self._purposes: dict[int, str] = {}
         subscribe = self.node.create_subscription
         subscribe(ObjectStates, "object_states", self._on_states, LATCHED)
-        subscribe(ArmState, "arm_state", self._on_arm, LATCHED)
-        subscribe(TapperState, "tapper_state", self._on_tapper, LATCHED)
+        subscribe(ArmState, "arm_state", self.keeper("_arm"), LATCHED)
+        subscribe(TapperState, "tapper_state", self.keeper("_tapper"), LATCHED)
         subscribe(PlanState, "plan_state", self._on_plan, LATCHED)
         subscribe(ObjectStates, "true_states", self._on_truth, 10)
         subscribe(ObjectContact, "true_contacts", self._on_contact, 10)
@@ -109,20 +108,17 @@ class ArrangeClient(ActionFollower[Event]):
     def send(self, layout: LayoutFile) -> None:
         """Send an arrangement."""
         message = ArrangeObjects.Goal(
+            goals=[
+                object_goal(
+                    each.object, Pose(*each.pose), (each.position_tolerance, each.angle_tolerance)
+                )
+                for each in layout.goals
+            ],
             in_order=layout.in_order,
             may_move=list(layout.may_move),
             max_taps=layout.max_taps,
             time_limit=layout.time_limit,
         )
-        for goal in layout.goals:
-            one = ObjectGoal(
-                object_id=goal.object,
-                position_tolerance=goal.position_tolerance,
-                angle_tolerance=goal.angle_tolerance,
-            )
-            one.goal_pose.header.frame_id = "table"
-            one.goal_pose.pose = to_message(Pose(*goal.pose))
-            message.goals.append(one)
         self._taps = 0
         self._purposes.clear()
         self._send_goal(message)
@@ -158,12 +154,6 @@ class ArrangeClient(ActionFollower[Event]):
 
     def _on_contact(self, message: ObjectContact) -> None:
         self.contacts.append((message.object_id, message.other_id))
-
-    def _on_arm(self, message: ArmState) -> None:
-        self._arm = message
-
-    def _on_tapper(self, message: TapperState) -> None:
-        self._tapper = message
 
     def _on_plan(self, message: PlanState) -> None:
         self.planner_active = True

@@ -6,33 +6,23 @@ is not a separate executable.
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
+from rclpy.client import Client
 from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
-from tapping_cell_msgs.msg import (
-    ArmState,
-    GoalReport,
-    ObjectState,
-    PlanState,
-    StopState,
-    TapperState,
-)
+from tapping_cell_msgs.msg import GoalReport, PlanState
 
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.nodes.page.cell_view import CellView, Mode
-from tapping_cell.nodes.page.node_watch import ARM, CAMERAS, NOT_YET, NodeWatch
+from tapping_cell.nodes.page.node_watch import ACTORS, ARM, CAMERAS, NOT_YET, NodeWatch
 
 NAME = "cell_client"
-ACTORS = (ARM, "tapper_trigger")
 STOP_TIMEOUT_S = 2.0
 STOP_PERIOD_S = 0.02
-_POLL_S = 0.05
 
 
 class NoCell(RuntimeError):
@@ -49,33 +39,21 @@ class CellClient(ClientNode):
     def __init__(self, namespace: str = "") -> None:
         super().__init__(NAME, namespace)
         self._view = CellView()
-        self._stopped: dict[str, bool] = {}
         subscribe, view = self.node.create_subscription, self._view
-        subscribe(ObjectState, "object_state", view.on_object, LATCHED)
-        subscribe(ArmState, "arm_state", view.on_arm, LATCHED)
-        subscribe(TapperState, "tapper_state", view.on_tapper, LATCHED)
+        for kind, topic, process in view.device_topics():
+            subscribe(kind, topic, process, LATCHED)
         subscribe(PlanState, "plan_state", view.on_plan, LATCHED)
         subscribe(GoalReport, "goal_report", view.on_report, LATCHED)
         subscribe(Bool, "emergency_stop", self._on_stop_level, LATCHED)
-        for actor in ACTORS:
-            subscribe(StopState, f"{actor}/stop_state", self._on_stop_state(actor), LATCHED)
-        self._stop = {actor: self.node.create_client(Trigger, f"{actor}/stop") for actor in ACTORS}
-        self._home = self.node.create_client(Trigger, "scara_arm/home")
-        self._clear = {
-            actor: self.node.create_client(Trigger, f"{actor}/clear_fault") for actor in ACTORS
-        }
-        self._button = self.node.create_client(Trigger, "sim_world/press_clear_button")
+        client = self.node.create_client
+        self._stop = {actor: client(Trigger, f"{actor}/stop") for actor in ACTORS}
+        self._clear = {actor: client(Trigger, f"{actor}/clear_fault") for actor in ACTORS}
+        self._home = client(Trigger, "scara_arm/home")
+        self._button = client(Trigger, "sim_world/press_clear_button")
         self._watch = NodeWatch(self.node)
 
     def _on_stop_level(self, message: Bool) -> None:
         self._view.emergency_stop = message.data
-
-    def _on_stop_state(self, actor: str) -> Callable[[StopState], None]:
-        def on_message(message: StopState) -> None:
-            self._stopped[actor] = message.stopped
-            self._view.stops[actor] = tuple(message.sources) if message.stopped else ()
-
-        return on_message
 
     # State
 
@@ -172,32 +150,23 @@ class CellClient(ClientNode):
 
     def home(self) -> str:
         """Start homing the arm. Raises NotDone with the message of the arm's node."""
-        good, message = self._call(self._home, "scara_arm")
-        if not good:
-            raise NotDone(message)
-        return message
+        return self._command(self._home, ARM)
 
     def press_button(self) -> str:
         """Press the clear button of the simulated tapper. Raises NotDone if there is none."""
-        good, message = self._call(self._button, "sim_world")
+        return self._command(self._button, "sim_world")
+
+    def _command(self, client: Client, name: str) -> str:
+        good, message = self._call(client, name)
         if not good:
             raise NotDone(message)
         return message
 
-    def _call(self, client: Any, name: str, patience: float = 5.0) -> tuple[bool, str]:
+    def _call(self, client: Client, name: str, patience: float = 5.0) -> tuple[bool, str]:
         if not client.wait_for_service(patience):
             return False, f"{name} does not answer; is it running?"
-        done = threading.Event()
-        answers: list[Any] = []
-
-        def ask() -> None:
-            client.call_async(Trigger.Request()).add_done_callback(on_reply)
-
-        def on_reply(future: Future) -> None:
-            answers.append(future.result())
-            done.set()
-
-        self.in_executor(ask)
-        if not done.wait(patience):
+        try:
+            answer = self.result_of(lambda: client.call_async(Trigger.Request()), patience)
+        except TimeoutError:
             return False, f"{name} did not answer within {patience:.0f} s"
-        return bool(answers[0].success), f"{name}: {answers[0].message}"
+        return bool(answer.success), f"{name}: {answer.message}"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import queue
 import threading
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, TypeVar
 
 import rclpy
@@ -12,6 +12,7 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 Self = TypeVar("Self", bound="ClientNode")
 T = TypeVar("T")
@@ -33,12 +34,7 @@ class ClientNode:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         # The thread ends first, because rclpy's shutdown does not wait for a running callback.
         self._ended.set()
         self._thread.join(2.0)
@@ -59,15 +55,33 @@ class ClientNode:
         Raises:
             TimeoutError: the executor did not run the function in time.
         """
-        done = threading.Event()
-        found: list[T] = []
+        found: queue.Queue[T] = queue.Queue()
+        self._executor.create_task(lambda: found.put(function()))
+        try:
+            return found.get(timeout=patience)
+        except queue.Empty:
+            raise TimeoutError(
+                f"this program's ROS thread did not respond within {patience:.0f} s"
+            ) from None
 
-        def call() -> None:
-            found.append(function())
-            done.set()
+    def result_of(self, start: Callable[[], Future], patience: float) -> Any:
+        """Start a call in the executor's thread and return its result.
 
-        task: Any = call
-        self._executor.create_task(task)
-        if not done.wait(patience):
-            raise TimeoutError(f"this program's ROS thread did not respond within {patience:.0f} s")
-        return found[0]
+        Another thread must not start a call: the response could arrive before rclpy has registered
+        the request, and would be lost.
+
+        Raises:
+            TimeoutError: there was no response in time.
+        """
+        answers: queue.Queue[Any] = queue.Queue()
+        self._executor.create_task(
+            lambda: start().add_done_callback(lambda done: answers.put(done.result()))
+        )
+        try:
+            return answers.get(timeout=patience)
+        except queue.Empty:
+            raise TimeoutError(f"there was no response within {patience:.0f} s") from None
+
+    def keeper(self, attribute: str) -> Callable[[Any], None]:
+        """Return a subscription callback that stores the last message in an attribute."""
+        return lambda message: setattr(self, attribute, message)

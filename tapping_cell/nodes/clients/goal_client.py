@@ -7,7 +7,6 @@ The verbs `demo` and `goal` use this client, which is not a separate executable.
 from __future__ import annotations
 
 import math
-import queue
 import time
 from dataclasses import dataclass
 
@@ -28,7 +27,7 @@ from tapping_cell import messages
 from tapping_cell.logic.goal_watch import GoalWatch
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.action_follower import ActionFollower
-from tapping_cell.nodes.conversions import from_message, to_message
+from tapping_cell.nodes.conversions import from_message, position_goal
 from tapping_cell.nodes.message_conversion import from_ros
 from tapping_cell.report.words import PHASES
 from tapping_cell.se2 import Pose
@@ -105,9 +104,9 @@ class GoalClient(ActionFollower[Event]):
         self._plan: tuple[PlanState, float] | None = None
         self._confirm = self.node.create_client(ConfirmTap, "confirm_tap")
         subscribe = self.node.create_subscription
-        subscribe(ObjectState, "object_state", self._on_object_state, 10)
+        subscribe(ObjectState, "object_state", self.keeper("object_state"), 10)
         subscribe(ArmState, "arm_state", self._on_arm_state, LATCHED)
-        subscribe(TapperState, "tapper_state", self._on_tapper_state, LATCHED)
+        subscribe(TapperState, "tapper_state", self.keeper("tapper_state"), LATCHED)
         subscribe(PlanState, "plan_state", self._on_plan_state, LATCHED)
         subscribe(String, "last_run", self._on_last_run, LATCHED)
         subscribe(PoseStamped, "ground_truth", self._on_ground_truth, 10)
@@ -162,12 +161,9 @@ class GoalClient(ActionFollower[Event]):
         ``observed``: observation from which the goal was computed. The goal gets the stamp of this
         observation.
         """
-        message = PositionObject.Goal()
-        message.goal_pose.header.frame_id = "table"
         now = self.node.get_clock().now().to_msg()
-        message.goal_pose.header.stamp = observed.header.stamp if observed is not None else now
-        message.goal_pose.pose = to_message(goal)
-        message.position_tolerance, message.angle_tolerance = tolerance
+        stamp = observed.header.stamp if observed is not None else now
+        message = position_goal(goal, tolerance, stamp)
         message.probe, message.ask = probe, ask
         self._taps_received, self._phase, self._proposed = 0, "", 0
         self._watch = GoalWatch(goal, self._planners(), time.monotonic())
@@ -179,16 +175,10 @@ class GoalClient(ActionFollower[Event]):
         Raises:
             TimeoutError: the planner did not respond.
         """
-        answers: queue.Queue[ConfirmTap.Response] = queue.Queue()
-
-        def ask() -> None:
-            future = self._confirm.call_async(ConfirmTap.Request(tap_id=tap_id, confirm=confirm))
-            future.add_done_callback(lambda done: answers.put(done.result()))
-
-        self._executor.create_task(ask)
+        request = ConfirmTap.Request(tap_id=tap_id, confirm=confirm)
         try:
-            return answers.get(timeout=patience)
-        except queue.Empty:
+            return self.result_of(lambda: self._confirm.call_async(request), patience)
+        except TimeoutError:
             raise TimeoutError(
                 f"the planner did not answer within {patience:.0f} s; is tap_planner running?"
             ) from None
@@ -231,14 +221,8 @@ class GoalClient(ActionFollower[Event]):
             time.sleep(0.01)
         return None
 
-    def _on_object_state(self, message: ObjectState) -> None:
-        self.object_state = message
-
     def _on_arm_state(self, message: ArmState) -> None:
         self.arm_state = message
-
-    def _on_tapper_state(self, message: TapperState) -> None:
-        self.tapper_state = message
 
     def _on_plan_state(self, message: PlanState) -> None:
         self.planner_active = True
@@ -258,7 +242,7 @@ class GoalClient(ActionFollower[Event]):
         self._follow(feedback.plan_state)
 
     def _follow(self, state: PlanState) -> None:
-        self._receive(state.last_tap, state.taps, state.residual_distance, state.residual_rotation)
+        self._receive(state.last_tap, state)
         phase = PHASES[state.state]
         if phase != self._phase:
             self._phase = phase
@@ -268,27 +252,21 @@ class GoalClient(ActionFollower[Event]):
             self._events.put(TapProposed(state.planned_tap))
         self._proposed = proposed
 
-    def _receive(self, record: TapRecord, taps: int, distance: float, rotation: float) -> None:
+    def _receive(self, record: TapRecord, of: PlanState | PositionObject.Result) -> None:
         if record.number > self._taps_received:
             self._taps_received = record.number
+            distance, rotation = of.residual_distance, of.residual_rotation
             self._events.put(TapDone(record, distance, rotation, self.true_pose))
 
     def _on_result(self, result: PositionObject.Result) -> None:
         if result.records:
-            self._receive(
-                result.records[-1],
-                result.taps,
-                result.residual_distance,
-                result.residual_rotation,
-            )
-        final = (
-            from_message(result.final_pose.pose.pose) if result.final_pose.header.frame_id else None
-        )
+            self._receive(result.records[-1], result)
+        final, measured = result.final_pose, bool(result.final_pose.header.frame_id)
         self._events.put(
             Finished(
                 result.error_code,
                 result.error_msg,
-                final,
+                from_message(final.pose.pose) if measured else None,
                 result.residual_distance,
                 result.residual_rotation,
                 result.taps,

@@ -5,19 +5,17 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, Generic, Protocol, TypeVar
-
-from std_msgs.msg import Bool
+from typing import Any, Generic, Protocol, TypeVar, cast
 
 from tapping_cell import messages
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.hardware.faults import FaultReason, HardwareFault
-from tapping_cell.logic import stops
 from tapping_cell.logic.device import DeviceLogic
-from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown, Unreachable
+from tapping_cell.logic.host import Configured, Unreachable
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, NotReady, Parameters, run
-from tapping_cell.nodes.logic_host import LogicHost
+from tapping_cell.nodes.drivers.ros_link import RosLink
+from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 
 URGENCY = 1
 """Real-time priority: the lowest, which is still above all ordinary processes."""
@@ -37,13 +35,12 @@ class DeviceDriver(Protocol):
 
 
 Driver = TypeVar("Driver", bound=DeviceDriver)
+Section = TypeVar("Section")
+Link = TypeVar("Link", bound=RosLink)
 
 
-class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
-    """Node that hosts the state machine of a device. The state machine makes all decisions."""
-
-    actor = True
-    carries_pictures = False
+class DriverNode(LogicNode[Parameters], Generic[Parameters, Driver]):
+    """Node that hosts the state machine of a device."""
 
     def __init__(
         self,
@@ -54,6 +51,8 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         super().__init__(name, parameters)
         self.driver: Driver | None = None
         self.port = ""
+        self._link: RosLink | None = None
+        self._linked_to: object = None
         self.logic = make_logic(self.settings)
         self.host = LogicHost(self, self.logic, state_folder(key_of(self)))
         self.host.publishes(messages.StopState, "~/stop_state", LATCHED)
@@ -103,25 +102,29 @@ class DriverNode(CellNode[Parameters], Generic[Parameters, Driver]):
         self.host.lifecycle(Configured(cell, connected, kept_stop=kept))
         return answer
 
-    def activate(self) -> None:
-        """Allow the state machine to act."""
-        self.host.lifecycle(Activated())
+    def link_to(self, section: Section, make: Callable[[Section], Link]) -> Link:
+        """Return the link to a robot's own ROS driver. It is kept until ``section``, its section of
+        the cell file, changes."""
+        if self._link is not None and self._linked_to != section:
+            self._link.destroy()
+            self._link = None
+        if self._link is None:
+            self._link = make(section)
+            self._linked_to = section
+        return cast(Link, self._link)
 
-    def deactivate(self) -> None:
-        """Make the state machine end its current action."""
-        self.host.lifecycle(Deactivated())
+    def destroy_node(self) -> None:
+        """Destroy the link together with the node."""
+        if self._link is not None:
+            self._link.destroy()
+        super().destroy_node()  # type: ignore[no-untyped-call]
 
     def cleanup(self) -> None:
         """Close the port."""
-        self.host.lifecycle(ShutDown())
-        self.host.close()
+        super().cleanup()
         if self.driver is not None:
             self.driver.close()
         self.driver = None
-
-    def on_emergency_stop(self, message: Bool) -> None:
-        """Pass a stop message to the state machine, which stops the device immediately."""
-        self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
 
 
 def run_driver(

@@ -12,7 +12,7 @@ from geometry_msgs.msg import TransformStamped
 
 from tapping_cell import messages
 from tapping_cell.configuration.arm_assembly import joint_accelerations, make_arm_driver
-from tapping_cell.configuration.cell import ArmSection, Ros2ControlSection, load_cell
+from tapping_cell.configuration.cell import ArmSection
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.link_frames import LINKS, LinkFrame, link_frames
@@ -22,6 +22,7 @@ from tapping_cell.logic import arm_jobs, enabling
 from tapping_cell.logic.arm import ArmLogic, ArmOptions, State
 from tapping_cell.logic.frames import TABLE
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import to_message
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
 from tapping_cell.nodes.drivers.trajectory_link import RosTrajectoryLink
@@ -30,14 +31,9 @@ from tapping_cell.se2 import Pose
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(ObjectParameters):
     """Parameters of scara_arm."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
-    object_file: str = text(
-        "path of the object file; if empty, the one named in the cell file", default=""
-    )
     port: str = text(
         "path of the arm's serial port; if empty, the one in the cell file", default=""
     )
@@ -69,8 +65,6 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 
     def __init__(self) -> None:
         super().__init__("scara_arm", Parameters, make_logic)
-        self._link: RosTrajectoryLink | None = None
-        self._linked_to: Ros2ControlSection | None = None
         self.host.publishes(messages.ArmState, "arm_state", LATCHED)
         self.host.publishes(messages.JointState, "joint_states", 10)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
@@ -87,8 +81,7 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
 
     def configure(self) -> None:
         """Read the cell file, open the port and identify the controller."""
-        files = self.settings
-        cell = load_cell(files.cell_file or None, object_path=files.object_file or None)
+        cell = self.settings.load_cell()
         arm = cell.arm
         self._send_base(arm)
         if arm.ros2_control is None:
@@ -96,28 +89,14 @@ class ScaraArm(DriverNode[Parameters, ArmDriver]):
             driver = make_arm_driver(arm, SerialTransport(port, arm.baud))
         else:
             port = arm.ros2_control.controller
-            driver = make_arm_driver(arm, self._link_to(arm.ros2_control, joint_accelerations(arm)))
+            accelerations = joint_accelerations(arm)
+            link = self.link_to(
+                arm.ros2_control, lambda section: RosTrajectoryLink(self, section, accelerations)
+            )
+            driver = make_arm_driver(arm, link)
         firmware = self.connect(driver, port, cell, lambda _: arm_jobs.reading_of(driver))
         for remark in firmware.remarks:
             self.get_logger().warning(remark)
-
-    def destroy_node(self) -> None:
-        """Destroy the link together with the node."""
-        if self._link is not None:
-            self._link.destroy()
-        super().destroy_node()  # type: ignore[no-untyped-call]
-
-    def _link_to(
-        self, section: Ros2ControlSection, max_acceleration: Sequence[float]
-    ) -> RosTrajectoryLink:
-        """Return the link to the arm's own driver. It is kept until the cell file changes."""
-        if self._link is not None and self._linked_to != section:
-            self._link.destroy()
-            self._link = None
-        if self._link is None:
-            self._link = RosTrajectoryLink(self, section, max_acceleration)
-            self._linked_to = section
-        return self._link
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report port, firmware, homing and counters."""

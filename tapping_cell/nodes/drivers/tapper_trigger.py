@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from tapping_cell import messages
-from tapping_cell.configuration.cell import OutputSection, TapperSection, load_cell
+from tapping_cell.configuration.cell import OutputSection, TapperSection
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.hardware.output_tapper import OutputTapperDriver
 from tapping_cell.hardware.serial_transport import SerialTransport
@@ -22,16 +22,15 @@ from tapping_cell.logic.tapper import TapperLogic, TapperOptions
 from tapping_cell.logic.tapper_peers import PeerLimits
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED
+from tapping_cell.nodes.cell_parameters import CellParameters
 from tapping_cell.nodes.drivers.driver_node import DriverNode, run_driver
 from tapping_cell.nodes.drivers.output_link import KeptShot, RosOutputLink
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(CellParameters):
     """Parameters of tapper_trigger."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
     port: str = text(
         "path of the tapper's serial port; if empty, the one in the cell file. In a cell with "
         "several tapper boards, the second has this path with the suffix _1, and so on",
@@ -96,8 +95,6 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
 
     def __init__(self) -> None:
         super().__init__("tapper_trigger", Parameters, make_logic)
-        self._link: RosOutputLink | None = None
-        self._linked_to: OutputSection | None = None
         self.host.publishes(messages.TapperState, "tapper_state", LATCHED)
         self.host.subscribes(messages.TapCommand, "tap_command", COMMAND)
         self.host.subscribes(messages.ArmState, "arm_state", LATCHED)
@@ -109,7 +106,7 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
 
     def configure(self) -> None:
         """Read the cell file, open the ports and start sessions, which discharge every tapper."""
-        cell = load_cell(self.settings.cell_file or None)
+        cell = self.settings.load_cell()
         tapper = cell.file.tapper
         if tapper.output is not None:
             output = self._output_driver(tapper, tapper.output)
@@ -125,27 +122,16 @@ class TapperTrigger(DriverNode[Parameters, TapperBoards | OutputTapperDriver]):
         )
         self.connect(boards, ", ".join(ports), cell, lambda reply: reply)
 
-    def destroy_node(self) -> None:
-        """Destroy the link together with the node."""
-        if self._link is not None:
-            self._link.destroy()
-        super().destroy_node()  # type: ignore[no-untyped-call]
-
     def _output_driver(self, tapper: TapperSection, section: OutputSection) -> OutputTapperDriver:
-        """Return the driver of a digital output. Its link is kept until the cell file changes."""
+        """Return the driver of a digital output."""
         if self.settings.set_up:
             raise ConfigurationError(
                 "parameter set_up is true, but tapper.dialect is io: set-up mode needs the tapper's"
                 " board, which limits the energy and reads the enabling switch"
             )
-        if self._link is not None and self._linked_to != section:
-            self._link.destroy()
-            self._link = None
-        if self._link is None:
-            self._link = RosOutputLink(self, section)
-            self._linked_to = section
+        link = self.link_to(section, lambda section: RosOutputLink(self, section))
         memory = KeptShot(state_folder(key_of(self)))
-        return OutputTapperDriver(self._link, tapper.output_settings(), memory)
+        return OutputTapperDriver(link, tapper.output_settings(), memory)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report port, firmware and counters."""

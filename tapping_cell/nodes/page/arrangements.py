@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from rclpy.task import Future
 from tapping_cell_msgs.action import ArrangeObjects
 from tapping_cell_msgs.msg import (
     ArrangementState,
-    ErrorCode,
-    ObjectGoal,
     ObjectProgress,
     ObjectState,
     ObjectStates,
@@ -24,16 +20,14 @@ from tapping_cell_msgs.msg import (
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.configuration.preset_layout import preset_layout
 from tapping_cell.nodes.cell_node import LATCHED
-from tapping_cell.nodes.conversions import from_message, to_message
-from tapping_cell.nodes.page.cell_view import shown, triple, with_code
+from tapping_cell.nodes.conversions import from_message, object_goal
+from tapping_cell.nodes.page.calls import answer_to, send_goal
+from tapping_cell.nodes.page.cell_view import error_pair, triple, with_code
 from tapping_cell.nodes.page.goal_check import GoalCheck
 from tapping_cell.nodes.page.requests import Arrange, BadRequest, Preset
+from tapping_cell.nodes.page.server import Answer
 from tapping_cell.planning import PlanningError
-from tapping_cell.report.error_codes import hint
 from tapping_cell.report.words import PROGRESS, counted, word
-from tapping_cell.se2 import Pose
-
-Answer = Callable[[Mapping[str, object]], None]
 
 
 class Arrangements:
@@ -116,42 +110,20 @@ class Arrangements:
                 next(iter(self.checks.values())).free,
             )
         except (BadRequest, PlanningError) as error:
-            answer(_answer(False, str(error)))
+            answer(answer_to("arrange", False, str(error)))
             return
         rows = [[name, *triple(pose)] for name, pose in goals.items()]
         answer({"type": "preset", "goals": rows})
 
     def send(self, request: Arrange, who: str, answer: Answer) -> None:
         """Send an arrangement to the planner, and its result to the page when it has ended."""
-        if not self._action.server_is_ready():
-            answer(_answer(False, "the planner is not running; start tap_planner"))
-            return
         goal = ArrangeObjects.Goal(
-            goals=[_goal_message(name, pose, request.tolerance) for name, pose in request.goals],
+            goals=[object_goal(name, pose, request.tolerance) for name, pose in request.goals],
             in_order=request.in_order,
         )
-
-        def taken(future: Future) -> None:
-            handle = future.result()
-            if not handle.accepted:
-                answer(_answer(False, "the planner did not accept the arrangement"))
-                return
-            answer(_answer(True, "arrangement sent"))
-            handle.get_result_async().add_done_callback(ended)
-
-        def ended(future: Future) -> None:
-            result: ArrangeObjects.Result = future.result().result
-            if result.error_code == ErrorCode.NONE:
-                taps = counted(result.taps, "tap")
-                answer(_answer(True, f"arrangement reached after {taps}"))
-                return
-            sentence = with_code(result.error_msg, result.error_code)
-            answer({**_answer(False, sentence), "hint": hint(result.error_code)})
-
-        self._note(
-            f"arrangement of {counted(len(goal.goals), 'object')} sent from the page ({who})"
-        )
-        self._action.send_goal_async(goal).add_done_callback(taken)
+        if send_goal(self._action, goal, "arrange", "arrangement", answer):
+            objects = counted(len(goal.goals), "object")
+            self._note(f"arrangement of {objects} sent from the page ({who})")
 
     def _prepare(self) -> None:
         """Prepare the goal checks that are not ready. Until the check of an object is ready, the
@@ -177,22 +149,10 @@ class Arrangements:
 
 def progress_row(one: ObjectProgress) -> dict[str, object]:
     """Return the progress of one object, in mm and degrees."""
+    distance, rotation = error_pair(one.residual_distance, one.residual_rotation)
     return {
         "state": word(PROGRESS, one.state),
-        "distance": shown(1e3 * one.residual_distance),
-        "rotation": shown(math.degrees(one.residual_rotation)),
+        "distance": distance,
+        "rotation": rotation,
         "taps": one.taps,
     }
-
-
-def _goal_message(name: str, pose: Pose, tolerance: tuple[float, float]) -> ObjectGoal:
-    message = ObjectGoal(
-        object_id=name, position_tolerance=tolerance[0], angle_tolerance=tolerance[1]
-    )
-    message.goal_pose.header.frame_id = "table"
-    message.goal_pose.pose = to_message(pose)
-    return message
-
-
-def _answer(ok: bool, sentence: str) -> dict[str, object]:
-    return {"type": "answer", "to": "arrange", "ok": ok, "text": sentence}

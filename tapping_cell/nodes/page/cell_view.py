@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 from tapping_cell_msgs.msg import (
     ArmState,
@@ -14,6 +16,7 @@ from tapping_cell_msgs.msg import (
     ObjectState,
     PlannedTap,
     PlanState,
+    StopState,
     TapperState,
     TapRecord,
 )
@@ -23,6 +26,7 @@ from tapping_cell.logic.clock import Now
 from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.conversions import from_message, seconds
+from tapping_cell.nodes.page.node_watch import ACTORS
 from tapping_cell.nodes.page.recovery import Recovery, Step
 from tapping_cell.report.error_codes import hint
 from tapping_cell.report.words import PHASES, counted, expected_effort
@@ -56,6 +60,8 @@ ARM_BUSY = (ArmState.HOMING, ArmState.MOVING, ArmState.IN_POSITION, ArmState.WIT
 TAPPER_BUSY = (TapperState.CHARGING, TapperState.CHARGED, TapperState.FIRING)
 
 Numbers = list["float | None"]
+Topic = tuple[type, str, Callable[[Any], None]]
+"""Type and name of a topic, and the function that processes its messages."""
 
 
 def _now() -> Now:
@@ -72,6 +78,12 @@ def triple(pose: Pose) -> Numbers:
 def shown(value: float, digits: int = 2) -> float | None:
     """Round a number for the page; None if it is not finite."""
     return round(value, digits) if math.isfinite(value) else None
+
+
+def error_pair(distance: float, rotation: float, digits: int = 2) -> Numbers:
+    """Convert a distance and an angle to [mm, degrees], with None for values that are not
+    finite."""
+    return [shown(1e3 * distance, digits), shown(math.degrees(rotation), digits)]
 
 
 def pose_text(pose: Pose) -> str:
@@ -116,17 +128,18 @@ class CellView:
         """Whether the cell has an arm, according to the last tapper state."""
         return self._monitor.has_arm
 
-    def on_object(self, message: ObjectState) -> None:
-        """Process ``object_state``."""
-        self._monitor.on_object(message, _now())
+    def device_topics(self) -> list[Topic]:
+        """Return the topics of camera_pose and of the devices."""
+        return [
+            (ObjectState, "object_state", lambda state: self._monitor.on_object(state, _now())),
+            (ArmState, "arm_state", lambda state: self._monitor.on_arm(state, _now())),
+            (TapperState, "tapper_state", lambda state: self._monitor.on_tapper(state, _now())),
+            *((StopState, f"{each}/stop_state", partial(self.on_stop, each)) for each in ACTORS),
+        ]
 
-    def on_arm(self, message: ArmState) -> None:
-        """Process ``arm_state``."""
-        self._monitor.on_arm(message, _now())
-
-    def on_tapper(self, message: TapperState) -> None:
-        """Process ``tapper_state``."""
-        self._monitor.on_tapper(message, _now())
+    def on_stop(self, actor: str, message: StopState) -> None:
+        """Process ``stop_state`` of an actor."""
+        self.stops[actor] = tuple(message.sources) if message.stopped else ()
 
     def forget(self) -> None:
         """Discard the received states when no page is open. The taps and the log are kept."""
@@ -249,25 +262,24 @@ class CellView:
             "log": list(self._log),
         }
 
+    def _recent(self, who: str) -> Any:
+        """Return the last state of the arm, tapper or object; None if it is silent."""
+        state = getattr(self._monitor, who)
+        return None if state is None or self._monitor.silent(who, _now()) else state
+
     def _recovery_steps(self) -> list[Step]:
-        arm, tapper = self._monitor.arm, self._monitor.tapper
         holders = ["this page's STOP"] if self.held_by_page else []
         holders += sorted({source for sources in self.stops.values() for source in sources})
-        return self._recovery.steps(
-            None if arm is None or self._monitor.silent("arm", _now()) else arm,
-            None if tapper is None or self._monitor.silent("tapper", _now()) else tapper,
-            holders,
-            self.simulated,
-            self.has_arm,
-        )
+        arm, tapper = self._recent("arm"), self._recent("tapper")
+        return self._recovery.steps(arm, tapper, holders, self.simulated, self.has_arm)
 
     def _blocked(self, mode: Mode) -> str:
         """Return the reason why no goal can be sent now, or an empty text."""
-        arm = self._monitor.arm
+        arm = self._recent("arm")
         if mode.word in ("stopped", "fault"):
             what = "is stopped" if mode.word == "stopped" else "has a fault"
             return f"No goal can be sent: the cell {what}."
-        if arm is not None and not arm.homed and not self._monitor.silent("arm", _now()):
+        if arm is not None and not arm.homed:
             return "No goal can be sent: the arm is not homed."
         return ""
 
@@ -278,8 +290,8 @@ class CellView:
         return {"on": on, "enabled": arm is not None and arm.enabled}
 
     def _object_state(self) -> dict[str, object]:
-        seen = self._monitor.object
-        if seen is None or self._monitor.silent("object", _now()):
+        seen = self._recent("object")
+        if seen is None:
             return {
                 "visible": False,
                 "sentence": "camera_pose sends no messages; start it",
@@ -309,18 +321,16 @@ class CellView:
                 "ask": False,
                 "planned": None,
             }
+        distance, rotation = error_pair(plan.residual_distance, plan.residual_rotation)
         has_goal = plan.state != PlanState.IDLE and bool(plan.goal.header.frame_id)
         return {
             "state": PHASES[plan.state],
             "busy": self.busy,
             "object": plan.object_id,
             "goal": triple(from_message(plan.goal.pose)) if has_goal else None,
-            "distance": shown(1e3 * plan.residual_distance),
-            "rotation": shown(math.degrees(plan.residual_rotation)),
-            "tolerance": [
-                shown(1e3 * plan.position_tolerance),
-                shown(math.degrees(plan.angle_tolerance)),
-            ],
+            "distance": distance,
+            "rotation": rotation,
+            "tolerance": error_pair(plan.position_tolerance, plan.angle_tolerance),
             "taps": plan.taps,
             "code": plan.error_code,
             "sentence": plan.error_msg,
@@ -345,14 +355,11 @@ class CellView:
         return self._blocked(self.mode())
 
     def _device(self, who: str, texts: dict[int, str]) -> dict[str, object]:
-        state = getattr(self._monitor, who)
-        if state is None or self._monitor.silent(who, _now()):
+        state = self._recent(who)
+        if state is None:
             return {"state": "silent", "sentence": "", "code": 0}
-        return {
-            "state": texts[state.state],
-            "sentence": state.error_msg,
-            "code": state.error_code,
-        }
+        sentence, code = state.error_msg, state.error_code
+        return {"state": texts[state.state], "sentence": sentence, "code": code}
 
 
 def planned_row(plan: PlanState) -> dict[str, object] | None:
@@ -363,7 +370,10 @@ def planned_row(plan: PlanState) -> dict[str, object] | None:
         return None
     before, after = from_message(tap.object_pose), from_message(tap.predicted_pose.pose)
     covariance = covariance_from_message(tap.predicted_pose.covariance)
-    deviation = math.sqrt(max(float(covariance[0, 0] + covariance[1, 1]), 0.0))
+    position, angle = float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2])
+    distance, turn = error_pair(before.distance_to(after), before.rotation_to(after), 1)
+    deviations = math.sqrt(max(position, 0.0)), math.sqrt(max(angle, 0.0))
+    deviation, turn_deviation = error_pair(*deviations, 1)
     goal = from_message(plan.goal.pose)
     left = seconds(tap.answer_by) - time.time()
     return {
@@ -372,14 +382,11 @@ def planned_row(plan: PlanState) -> dict[str, object] | None:
         "waiting": plan.state == PlanState.CONFIRMING,
         "speed": shown(1e3 * tap.striker_speed, 0),
         "to": triple(after),
-        "distance": shown(1e3 * before.distance_to(after), 1),
-        "deviation": shown(1e3 * deviation, 1),
-        "turn": shown(math.degrees(before.rotation_to(after)), 1),
-        "turn_deviation": shown(math.degrees(math.sqrt(max(float(covariance[2, 2]), 0.0))), 1),
-        "remaining": [
-            shown(1e3 * after.distance_to(goal), 1),
-            shown(math.degrees(after.rotation_to(goal)), 1),
-        ],
+        "distance": distance,
+        "deviation": deviation,
+        "turn": turn,
+        "turn_deviation": turn_deviation,
+        "remaining": error_pair(after.distance_to(goal), after.rotation_to(goal), 1),
         "expected": expected_effort(tap.expected_taps, tap.expected_seconds),
         "reason": tap.reason,
         "seconds_left": max(0, round(left)) if plan.state == PlanState.CONFIRMING else None,
@@ -392,10 +399,7 @@ def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:
     before, predicted = from_message(tap.object_pose), from_message(tap.predicted_pose)
     measured = from_message(tap.measured_pose.pose)
     seen = math.isfinite(measured.x)
-    remaining: Numbers = [None, None]
-    if seen:
-        turn = math.degrees(measured.rotation_to(goal))
-        remaining = [shown(1e3 * measured.distance_to(goal)), shown(turn)]
+    after = error_pair(measured.distance_to(goal), measured.rotation_to(goal)) if seen else None
     return {
         "tap_id": tap.tap_id,
         "number": tap.number,
@@ -403,11 +407,8 @@ def tap_row(tap: TapRecord, goal: Pose) -> dict[str, object]:
         "commanded": triple(Pose(tap.dx, tap.dy, tap.dtheta)),
         "predicted": triple(displacement(before, predicted)),
         "measured": triple(displacement(before, measured)) if seen else [None, None, None],
-        "before": [
-            shown(1e3 * before.distance_to(goal)),
-            shown(math.degrees(before.rotation_to(goal))),
-        ],
-        "remaining": remaining,
+        "before": error_pair(before.distance_to(goal), before.rotation_to(goal)),
+        "remaining": after or [None, None],
         "speed": shown(1e3 * tap.striker_speed, 0),
         "outcome": OUTCOMES.get(tap.outcome, "outcome unknown"),
     }

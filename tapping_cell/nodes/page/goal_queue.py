@@ -9,20 +9,12 @@ goal.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
+from tapping_cell.nodes.page.requests import RequestedGoal
 from tapping_cell.se2 import Pose
 
 MAX_WAITING = 50
 MAX_NAMES = 50
-
-
-@dataclass(frozen=True, slots=True)
-class RequestedGoal:
-    """Goal in ``table``, with its tolerance in m and rad, where 0 selects the cell's default."""
-
-    pose: Pose
-    tolerance: tuple[float, float] = (0.0, 0.0)
 
 
 class QueueFull(ValueError):

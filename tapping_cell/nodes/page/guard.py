@@ -20,12 +20,16 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 
 def is_loopback(address: str) -> bool:
     """Return whether a bind address is reachable only from this machine."""
-    if address == "localhost":
-        return True
+    parsed = _parsed(address)
+    return address == "localhost" or (parsed is not None and parsed.is_loopback)
+
+
+def _parsed(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Return a numeric address; None if it is not numeric."""
     try:
-        return ipaddress.ip_address(address).is_loopback
+        return ipaddress.ip_address(address)
     except ValueError:
-        return False
+        return None
 
 
 def make_token() -> str:
@@ -89,15 +93,7 @@ class Guard:
         return hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode())
 
     def _known(self, name: str) -> bool:
-        if name in self.names:
-            return True
-        if not self.addresses:
-            return False
-        try:
-            ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return True
+        return name in self.names or (self.addresses and _parsed(name) is not None)
 
 
 def _plain(text: str) -> bool:

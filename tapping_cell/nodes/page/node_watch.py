@@ -18,6 +18,8 @@ from rclpy.task import Future
 from tapping_cell.nodes.cell_node import ROLE
 
 ARM = "scara_arm"
+ACTORS = (ARM, "tapper_trigger")
+"""Roles of the nodes that move hardware."""
 VISION = "camera_pose"
 CORE = (VISION, "tap_planner", ARM, "tapper_trigger")
 """Roles that every cell needs, in addition to a camera. ARM is not required with fixed tappers."""

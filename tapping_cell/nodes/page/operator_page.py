@@ -18,61 +18,37 @@ from pathlib import Path
 import numpy as np
 from action_msgs.srv import CancelGoal
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
-from rclpy.client import Client
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rclpy.task import Future
 from rclpy.timer import Timer
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.action import PositionObject
-from tapping_cell_msgs.msg import (
-    ArmState,
-    ErrorCode,
-    GoalReport,
-    ObjectState,
-    PlanState,
-    StopState,
-    TapperState,
-)
+from tapping_cell_msgs.msg import ErrorCode, GoalReport, PlanState
 from tapping_cell_msgs.srv import ConfirmTap
 
-from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.cell import Cell
 from tapping_cell.configuration.schema import quantity, text
 from tapping_cell.logic import enabling
-from tapping_cell.logic.poses import covariance_from_message
 from tapping_cell.nodes.camera import images
-from tapping_cell.nodes.camera.pose_messages import camera_from_message
 from tapping_cell.nodes.cell_identity import key_of, state_folder
 from tapping_cell.nodes.cell_node import COMMAND, LATCHED, CellNode, NotReady, run
-from tapping_cell.nodes.conversions import (
-    from_message,
-    is_finite,
-    seconds,
-    to_message,
-)
+from tapping_cell.nodes.cell_parameters import ObjectParameters
+from tapping_cell.nodes.conversions import position_goal, seconds
 from tapping_cell.nodes.kept_content import KeptContent
 from tapping_cell.nodes.page import guard, server
 from tapping_cell.nodes.page.arrangements import Arrangements
-from tapping_cell.nodes.page.cell_view import (
-    CellView,
-    shown,
-    triple,
-    with_code,
-)
-from tapping_cell.nodes.page.ghost import Ghost
-from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull, RequestedGoal
-from tapping_cell.nodes.page.node_watch import ARM, NodeWatch
-from tapping_cell.nodes.page.pictures import to_jpeg
-from tapping_cell.nodes.page.previews import Previews
+from tapping_cell.nodes.page.calls import answer_to, call_service, send_goal
+from tapping_cell.nodes.page.cell_view import CellView, error_pair, triple, with_code
+from tapping_cell.nodes.page.goal_preview import GoalPreview
+from tapping_cell.nodes.page.goal_queue import GoalQueue, NamedGoals, QueueFull
+from tapping_cell.nodes.page.node_watch import ACTORS, ARM, NodeWatch
 from tapping_cell.nodes.page.requests import (
     Arrange,
-    BadRequest,
     Command,
     Confirm,
     ForgetGoal,
@@ -82,6 +58,7 @@ from tapping_cell.nodes.page.requests import (
     Preset,
     QueueGoal,
     Request,
+    RequestedGoal,
     SendGoal,
     SetAsk,
     SetPlanner,
@@ -91,9 +68,6 @@ from tapping_cell.nodes.page.requests import (
 from tapping_cell.nodes.page.runs import Runs
 from tapping_cell.nodes.page.stop_link import StopLink
 from tapping_cell.planning import planner_names
-from tapping_cell.report.error_codes import hint
-from tapping_cell.report.words import counted
-from tapping_cell.vision import CameraError, CameraModel, View
 
 STATE_PERIOD_S = 0.2
 ANSWER_S = 5.0
@@ -103,25 +77,23 @@ STOP_NOT_SENT = (
     "the stop was NOT sent, because the page's stop process is still starting: press again, or use "
     "the wired emergency stop"
 )
-LATEST = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
-)
-
 STOP_NOT_RELEASED = (
     "the page's own stop cannot be released yet, because the page's stop process is still "
     "starting; try again"
 )
+NOTHING_TO_CANCEL = (
+    "there is no goal to cancel: only goals sent through an action can be canceled; a stop or "
+    "another goal ends a goal from the topic goal_pose"
+)
+LATEST = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(ObjectParameters):
     """Parameters of operator_page."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
-    object_file: str = text(
-        "path of the object file; if empty, the one named in the cell file", default=""
-    )
     address: str = text(
         "address on which the page is served; 0.0.0.0 for the whole network, with a token",
         default="localhost",
@@ -157,37 +129,40 @@ class OperatorPage(CellNode[Parameters]):
         self._server: server.PageServer | None = None
         self.urls: list[str] = []
         self._view = CellView()
-        self._ghosts: dict[str, Ghost] = {}
-        self._camera: CameraModel | None = None
         self._watched: list[Subscription] = []
-        self._camera_info: Subscription | None = None
         self._watch: NodeWatch | None = None
         self._timer: Timer | None = None
         self._pages = 0
         self._picture_at = -np.inf
         self._stop: StopLink | None = None
-        self._previews: Previews[tuple[Move | Turn | Place, server.Answer]] | None = None
         self.runs = Runs(Path(self.settings.runs))
         self._arrangements = Arrangements(self, self._view.note)
+        self._preview = GoalPreview(self, self._arrangements)
         self._action = ActionClient(self, PositionObject, "position_object")
         self._cancel_client = self.create_client(CancelGoal, "position_object/_action/cancel_goal")
         self._clear_clients = {
-            name: self.create_client(Trigger, f"{name}/clear_fault")
-            for name in (ARM, "tapper_trigger")
+            actor: self.create_client(Trigger, f"{actor}/clear_fault") for actor in ACTORS
         }
         self._home_client = self.create_client(Trigger, "scara_arm/home")
         self._button_client = self.create_client(Trigger, "sim_world/press_clear_button")
         self._enabling = self.create_publisher(Bool, enabling.TOPIC, COMMAND)
         self._confirm_client = self.create_client(ConfirmTap, "confirm_tap")
-        self._set_client = self._parameter_client("tap_planner")
+        self._set_client = self.create_client(SetParameters, "tap_planner/set_parameters")
         self._queue = GoalQueue()
         self._named_file = KeptContent(state_folder(key_of(self)) / "named_goals.json")
         self._named = NamedGoals(self._named_file.recall())
         self._answer_due = -math.inf
         """Monotonic time until which the planner may still respond to the last goal."""
-        self._drawn: tuple[int, dict[str, object]] | None = None
         self._last_run = ""
         self._clearing: list[server.Answer] = []
+        self._commands: dict[str, Callable[[str, server.Answer], None]] = {
+            "clear": self._clear,
+            "cancel": self._cancel,
+            "home": self._home,
+            "press_button": self._press_button,
+            "run_queue": self._run_queue,
+            "hold_queue": self._hold_queue,
+        }
         self.create_subscription(PlanState, "plan_state", self._view.on_plan, LATCHED)
         self.create_subscription(GoalReport, "goal_report", self._on_report, LATCHED)
         self.create_subscription(String, "last_run", self._on_last_run, LATCHED)
@@ -197,7 +172,7 @@ class OperatorPage(CellNode[Parameters]):
 
     def configure(self) -> None:
         """Read the cell file, and create the check for goals that the planner would refuse."""
-        cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
+        cell = self.settings.load_cell()
         self._arrangements.use_cell(cell)
         self._cell = cell
 
@@ -221,7 +196,7 @@ class OperatorPage(CellNode[Parameters]):
             self.resolve_topic_name("emergency_stop"),
             lambda held, who: self._do(self._note_stop, held, who),
         )
-        self._previews = Previews(self._answer_preview)
+        self._preview.start()
         stop_port = stop_sockets[0].getsockname()[1]
         self._server = server.PageServer(rules, self, sockets, stop_port)
         self._server.start()
@@ -243,15 +218,10 @@ class OperatorPage(CellNode[Parameters]):
 
     def deactivate(self) -> None:
         """Close the ports."""
-        if self._server is not None:
-            self._server.close()
-            self._server = None
-        if self._previews is not None:
-            self._previews.close()
-            self._previews = None
-        if self._stop is not None:
-            self._stop.close()
-            self._stop = None
+        for each in (self._server, self._preview, self._stop):
+            if each is not None:
+                each.close()
+        self._server = self._stop = None
         self._watch_cell(0)
 
     def cleanup(self) -> None:
@@ -313,20 +283,11 @@ class OperatorPage(CellNode[Parameters]):
             self._unsubscribe()
 
     def _subscribe(self) -> None:
-        subscribe, view = self.create_subscription, self._view
-        self._camera_info = subscribe(
-            CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
-        )
+        subscribe = self.create_subscription
         self._watched = [
-            subscribe(ObjectState, "object_state", view.on_object, LATCHED),
-            subscribe(ArmState, "arm_state", view.on_arm, LATCHED),
-            subscribe(TapperState, "tapper_state", view.on_tapper, LATCHED),
-            *(
-                subscribe(StopState, f"{actor}/stop_state", _on_stop_state(view, actor), LATCHED)
-                for actor in self._clear_clients
-            ),
-            subscribe(PoseStamped, "camera/pose", self._on_camera_pose, LATCHED),
+            *(subscribe(*topic, LATCHED) for topic in self._view.device_topics()),
             subscribe(Image, "camera/image_annotated", self._on_picture, LATEST),
+            *self._preview.subscribe(),
             *self._arrangements.subscribe(),
         ]
         self._watch = NodeWatch(self)
@@ -337,48 +298,12 @@ class OperatorPage(CellNode[Parameters]):
         assert self._watch is not None and self._timer is not None
         self.destroy_timer(self._timer)
         self._watch.close()
-        self._drop_camera_info()
         for subscription in self._watched:
             self.destroy_subscription(subscription)
         self._watched.clear()
         self._watch = self._timer = None
-        self._ghosts = {}
-        self._view.forget()
-        self._arrangements.forget()
-
-    def _on_camera_info(self, message: CameraInfo) -> None:
-        """Store the calibration. One message suffices, because all images have the same
-        calibration."""
-        try:
-            self._camera = images.from_camera_info(message)
-        except CameraError:
-            return
-        self._drop_camera_info()
-
-    def _drop_camera_info(self) -> None:
-        if self._camera_info is not None:
-            self.destroy_subscription(self._camera_info)
-            self._camera_info = None
-
-    def _on_camera_pose(self, message: PoseStamped) -> None:
-        if self._camera is None or self._cell is None or not is_finite(message.pose):
-            return
-        view = View(self._camera, camera_from_message(message.pose))
-        self._ghosts = {
-            name: Ghost(
-                view,
-                np.asarray(cell.outline()),
-                cell.object.height,
-                self._arrangements.checks[name].refusal_if_ready,
-            )
-            for name, cell in self._arrangements.cells.items()
-        }
-
-    def _ghost_of(self, name: str) -> Ghost | None:
-        """Return the ghost of an object, or of the cell's own object if ``name`` is empty; None
-        while the camera's pose is unknown."""
-        ghosts = self._ghosts
-        return ghosts.get(name) if name else next(iter(ghosts.values()), None)
+        for each in (self._preview, self._view, self._arrangements):
+            each.forget()
 
     def _on_picture(self, message: Image) -> None:
         page = self._server
@@ -387,7 +312,7 @@ class OperatorPage(CellNode[Parameters]):
         if page is None or not due or not page.wants_picture:
             return
         try:
-            jpeg = to_jpeg(message, self.settings.picture_quality)
+            jpeg = images.to_jpeg(message, self.settings.picture_quality)
         except images.ImageRefused as error:
             self.get_logger().warning(str(error), throttle_duration_sec=10.0)
             return
@@ -404,10 +329,12 @@ class OperatorPage(CellNode[Parameters]):
         self._follow_planner(self._watch.name_of("tap_planner"))
         state = self._view.state()
         state["nodes"] = self._watch.rows()
-        state["placeable"] = bool(self._ghosts)
+        state["placeable"] = self._preview.is_possible
         state["arrangement"] = self._arrangements.state()
         state["runs_hint"] = self._runs_hint()
-        state["planned_drawing"] = self._planned_drawing()
+        state["planned_drawing"] = self._preview.planned(
+            self._view.planned, self._view.planned_object
+        )
         state["queue"] = {
             "rows": [[number, *triple(goal.pose)] for number, goal in self._queue.rows()],
             "running": self._queue.running,
@@ -415,25 +342,6 @@ class OperatorPage(CellNode[Parameters]):
         }
         state["named"] = [[name, *triple(pose)] for name, pose in self._named.rows()]
         self._server.show(state)
-
-    def _planned_drawing(self) -> dict[str, object] | None:
-        """Return the drawing of the planned tap in fractions of the image size. Computed once per
-        tap."""
-        tap = self._view.planned
-        ghost = self._ghost_of(self._view.planned_object) or self._ghost_of("")
-        if tap is None or ghost is None:
-            self._drawn = None
-            return None
-        if self._drawn is None or self._drawn[0] != tap.tap_id:
-            covariance = covariance_from_message(tap.predicted_pose.covariance)
-            drawing = ghost.planned(
-                from_message(tap.object_pose),
-                from_message(tap.strike_pose),
-                from_message(tap.predicted_pose.pose),
-                covariance[:2, :2],
-            )
-            self._drawn = tap.tap_id, drawing
-        return self._drawn[1]
 
     def _runs_hint(self) -> str:
         """Return the reason why the list of runs may be incomplete, or an empty text."""
@@ -458,52 +366,46 @@ class OperatorPage(CellNode[Parameters]):
             "objects": self._arrangements.names,
             "planners": planner_names(),
             "planner": self._cell.file.goal.planner,
-            "tolerance": [
-                shown(1e3 * self._cell.tolerance[0]),
-                shown(math.degrees(self._cell.tolerance[1])),
-            ],
+            "tolerance": error_pair(*self._cell.tolerance),
         }
 
     def on_request(self, page: object, request: Request, who: str, answer: server.Answer) -> None:
         """Process a page's request. Called in the server's thread."""
         if isinstance(request, (Move, Turn, Place)):
-            if request.object not in ("", *self._arrangements.cells):
-                answer(_failure_message(request, f"the cell has no object '{request.object}'"))
-            elif self._previews is not None:
-                self._previews.ask((page, request.object), (request, answer))
-        elif isinstance(request, SendGoal):
-            goal = RequestedGoal(request.pose, request.tolerance)
-            self._do(self._send_goal, goal, who, answer)
-        elif isinstance(request, Arrange):
-            self._do(self._arrangements.send, request, who, answer)
-        elif isinstance(request, Preset):
-            self._do(self._arrangements.preset, request, answer)
-        elif isinstance(request, Confirm):
-            self._do(self._confirm, request, who, answer)
-        elif isinstance(request, SetAsk):
-            text = f"'Ask before every tap' is {'on' if request.ask else 'off'}"
-            self._do(self._set_parameter, "ask", request.ask, text, who, answer)
-        elif isinstance(request, SetPlanner):
-            text = f"planning method {request.planner} from the next goal on"
-            self._do(self._set_parameter, "planner", request.planner, text, who, answer)
-        elif isinstance(request, (QueueGoal, Unqueue, NameGoal, ForgetGoal)):
-            self._do(self._change_lists, request, answer)
-        elif isinstance(request, Command) and request.name == "stop":
+            self._preview.ask(page, request, answer)
+        elif request == Command("stop"):
+            # Sent from this thread, because the executor may be busy.
             sent = self._stop is not None and self._stop.stop(who)
             text = "stop sent to all devices and the planner" if sent else STOP_NOT_SENT
-            answer(_answer("stop", sent, text))
-        elif isinstance(request, Command) and request.name in ("enable", "disable"):
-            self._do(self._enable, request.name == "enable")
-        elif isinstance(request, Command):
-            serve = {
-                "clear": self._clear,
-                "cancel": self._cancel,
-                "home": self._home,
-                "press_button": self._press_button,
-                "run_queue": self._run_queue,
-                "hold_queue": self._hold_queue,
-            }[request.name]
-            self._do(serve, who, answer)
+            answer(answer_to("stop", sent, text))
+        else:
+            self._do(self._serve, request, who, answer)
+
+    def _serve(self, request: Request, who: str, answer: server.Answer) -> None:
+        """Process a request in the executor's thread."""
+        match request:
+            case SendGoal():
+                self._send_goal(request, who, answer)
+            case Arrange():
+                self._arrangements.send(request, who, answer)
+            case Preset():
+                self._arrangements.preset(request, answer)
+            case Confirm():
+                self._confirm(request, who, answer)
+            case SetAsk(ask):
+                text = f"'Ask before every tap' is {'on' if ask else 'off'}"
+                self._set_parameter("ask", ask, text, who, answer)
+            case SetPlanner(planner):
+                text = f"planning method {planner} from the next goal on"
+                self._set_parameter("planner", planner, text, who, answer)
+            case QueueGoal() | Unqueue() | NameGoal() | ForgetGoal():
+                self._change_lists(request, answer)
+            case Command("enable" | "disable" as name):
+                # The node relays each heartbeat of a held key. If the next heartbeat is missing,
+                # the key counts as released.
+                self._enabling.publish(Bool(data=name == "enable"))
+            case Command(name):
+                self._commands[name](who, answer)
 
     def _note_stop(self, held: bool, who: str) -> None:
         if held and who:
@@ -518,148 +420,104 @@ class OperatorPage(CellNode[Parameters]):
         if self.executor is not None:
             self.executor.create_task(function, *arguments)
 
-    def _answer_preview(self, asked: tuple[Move | Turn | Place, server.Answer]) -> None:
-        """Send the pose of a dragged goal. Called in the previews' thread."""
-        request, answer = asked
-        try:
-            ghost = self._ghost_of(request.object)
-            if ghost is None:
-                raise BadRequest(
-                    "the camera's pose above the table is not known yet; type the goal instead"
-                )
-            answer(ghost.answer(request))
-        except BadRequest as error:
-            answer(_failure_message(request, str(error)))
-
     def _confirm(self, request: Confirm, who: str, answer: server.Answer) -> None:
-        def on_reply(future: Future) -> None:
-            response: ConfirmTap.Response = future.result()
+        def on_reply(response: ConfirmTap.Response) -> None:
             text = "tap confirmed" if request.confirm else "tap skipped; another tap is planned"
             sentence = with_code(response.error_msg, response.error_code)
-            answer(_answer("confirm", response.accepted, text if response.accepted else sentence))
+            answer(answer_to("confirm", response.accepted, text if response.accepted else sentence))
             if response.accepted:
                 self._view.note(f"{text} (answered on the page, {who})")
 
         question = ConfirmTap.Request(tap_id=request.tap_id, confirm=request.confirm)
-        self._call(self._confirm_client, question, "confirm", "the planner", answer, on_reply)
+        client = self._confirm_client
+        call_service(client, question, "confirm", "the planner", answer, on_reply)
 
     def _set_parameter(
         self, name: str, value: bool | str, text: str, who: str, answer: server.Answer
     ) -> None:
         """Change a run-time parameter of the planner."""
 
-        def on_reply(future: Future) -> None:
-            result = future.result().results[0]
-            answer(_answer("settings", result.successful, result.reason or text))
+        def on_reply(response: SetParameters.Response) -> None:
+            result = response.results[0]
+            answer(answer_to("settings", result.successful, result.reason or text))
             if result.successful:
                 self._view.note(f"{text}: set on the page ({who})")
 
-        request = SetParameters.Request(
-            parameters=[Parameter(name, value=value).to_parameter_msg()]
-        )
-        self._call(self._set_client, request, "settings", "the planner", answer, on_reply)
+        changed = Parameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[changed])
+        call_service(self._set_client, request, "settings", "the planner", answer, on_reply)
 
-    def _parameter_client(self, node: str) -> Client:
-        return self.create_client(SetParameters, f"{node}/set_parameters")
-
-    def _follow_planner(self, name: str) -> None:
+    def _follow_planner(self, node: str) -> None:
         """Create a new client of the planner's parameter service if the planner's node now has
-        another name. ``name`` is the name of the node, with which the service's name begins."""
-        if self._set_client.srv_name != f"{name}/set_parameters":
+        another name."""
+        service = f"{node}/set_parameters"
+        if self._set_client.srv_name != service:
             self.destroy_client(self._set_client)
-            self._set_client = self._parameter_client(name)
+            self._set_client = self.create_client(SetParameters, service)
 
     def _change_lists(
         self, request: QueueGoal | Unqueue | NameGoal | ForgetGoal, answer: server.Answer
     ) -> None:
         """Change the queue or the named goals."""
         try:
-            if isinstance(request, QueueGoal):
-                assert self._cell is not None
-                refusal = self._arrangements.checks[self._cell.object.name].refusal(request.pose)
-                if refusal:
-                    raise QueueFull(f"the planner would refuse this goal: {refusal}")
-                self._queue.add(RequestedGoal(request.pose, request.tolerance))
-                text = "goal added to the queue"
-            elif isinstance(request, Unqueue):
-                found = self._queue.remove(request.number)
-                text = "goal removed" if found else "this goal is no longer in the queue"
-            elif isinstance(request, NameGoal):
-                self._named.keep(request.name, request.pose)
-                self._named_file.keep(self._named.as_content())
-                text = f"goal saved as '{request.name}'"
-            else:
-                found = self._named.forget(request.name)
-                self._named_file.keep(self._named.as_content())
-                text = f"'{request.name}' removed" if found else "there is no goal of this name"
+            match request:
+                case QueueGoal(pose):
+                    assert self._cell is not None
+                    refusal = self._arrangements.checks[self._cell.object.name].refusal(pose)
+                    if refusal:
+                        raise QueueFull(f"the planner would refuse this goal: {refusal}")
+                    self._queue.add(request)
+                    text = "goal added to the queue"
+                case Unqueue(number):
+                    found = self._queue.remove(number)
+                    text = "goal removed" if found else "this goal is no longer in the queue"
+                case NameGoal(name, pose):
+                    self._named.keep(name, pose)
+                    self._named_file.keep(self._named.as_content())
+                    text = f"goal saved as '{name}'"
+                case ForgetGoal(name):
+                    found = self._named.forget(name)
+                    self._named_file.keep(self._named.as_content())
+                    text = f"'{name}' removed" if found else "there is no goal of this name"
         except (QueueFull, OSError) as error:
-            answer(_answer("queue", False, str(error)))
+            answer(answer_to("queue", False, str(error)))
             return
-        answer(_answer("queue", True, text))
+        answer(answer_to("queue", True, text))
 
     def _run_queue(self, who: str, answer: server.Answer) -> None:
         self._queue.run()
         running = self._queue.running
-        answer(
-            _answer("queue", running, "the queue is running" if running else "no goal is waiting")
-        )
+        text = "the queue is running" if running else "no goal is waiting"
+        answer(answer_to("queue", running, text))
         self._view.note(f"queue of goals started on the page ({who})")
 
     def _hold_queue(self, who: str, answer: server.Answer) -> None:
         self._queue.hold()
-        answer(_answer("queue", True, "the queue is paused; the current goal continues"))
+        answer(answer_to("queue", True, "the queue is paused; the current goal continues"))
         self._view.note(f"queue of goals paused on the page ({who})")
 
     def _send_goal(self, wanted: RequestedGoal, who: str, answer: server.Answer) -> None:
-        if not self._action.server_is_ready():
-            answer(_answer("goal", False, "the planner is not running; start tap_planner"))
-            return
-        goal = PositionObject.Goal()
-        goal.goal_pose.header.frame_id = "table"
-        goal.goal_pose.header.stamp = self.get_clock().now().to_msg()
-        goal.goal_pose.pose = to_message(wanted.pose)
-        goal.position_tolerance, goal.angle_tolerance = wanted.tolerance
-        self._answer_due = time.monotonic() + ANSWER_S
+        now = self.get_clock().now().to_msg()
+        goal = position_goal(wanted.pose, wanted.tolerance, now)
 
-        def taken(future: Future) -> None:
+        def on_response() -> None:
             self._answer_due = time.monotonic() + STATE_PERIOD_S  # until plan_state contains it
-            handle = future.result()
-            if not handle.accepted:
-                answer(_answer("goal", False, "the planner did not accept the goal"))
-                return
-            answer(_answer("goal", True, "goal sent"))
-            handle.get_result_async().add_done_callback(ended)
 
-        def ended(future: Future) -> None:
-            result: PositionObject.Result = future.result().result
-            if result.error_code == ErrorCode.NONE:
-                answer(_answer("goal", True, f"goal reached after {counted(result.taps, 'tap')}"))
-                return
-            sentence = with_code(result.error_msg, result.error_code)
-            answer({**_answer("goal", False, sentence), "hint": hint(result.error_code)})
-
-        self._view.note_own_goal(wanted.pose, who)
-        self._action.send_goal_async(goal).add_done_callback(taken)
+        if send_goal(self._action, goal, "goal", "goal", answer, on_response):
+            self._answer_due = time.monotonic() + ANSWER_S
+            self._view.note_own_goal(wanted.pose, who)
 
     def _cancel(self, who: str, answer: server.Answer) -> None:
-        def done(future: Future) -> None:
-            if future.result().goals_canceling:
-                withdraws = "; the arm withdraws" if self._view.has_arm else ""
-                answer(_answer("cancel", True, f"goal canceled{withdraws}"))
-                return
-            answer(
-                _answer(
-                    "cancel",
-                    False,
-                    "there is no goal to cancel: only goals sent through an action can be "
-                    "canceled; a stop or another goal ends a goal from the topic goal_pose",
-                )
-            )
+        def on_reply(response: CancelGoal.Response) -> None:
+            withdraws = "; the arm withdraws" if self._view.has_arm else ""
+            canceled = bool(response.goals_canceling)
+            text = f"goal canceled{withdraws}" if canceled else NOTHING_TO_CANCEL
+            answer(answer_to("cancel", canceled, text))
 
         # A zero goal id cancels every goal, regardless of its client.
         arranging = self._arrangements.active
         client = self._arrangements.cancel_client if arranging else self._cancel_client
-        self._call(client, CancelGoal.Request(), "cancel", "the planner", answer, done)
+        call_service(client, CancelGoal.Request(), "cancel", "the planner", answer, on_reply)
         self._view.note(f"cancel pressed on the page ({who})")
 
     def _clear(self, who: str, answer: server.Answer) -> None:
@@ -670,64 +528,21 @@ class OperatorPage(CellNode[Parameters]):
         elif self._stop.release():
             self._clearing.append(answer)
         else:
-            answer(_answer("clear", False, STOP_NOT_RELEASED))
+            answer(answer_to("clear", False, STOP_NOT_RELEASED))
 
     def _clear_actors(self, answer: server.Answer) -> None:
         for name, client in self._clear_clients.items():
             if name == ARM and not self._view.has_arm:
                 continue
-            self._call(client, Trigger.Request(), "clear", name, answer)
+            call_service(client, Trigger.Request(), "clear", name, answer)
 
     def _home(self, who: str, answer: server.Answer) -> None:
         self._view.note(f"homing requested on the page ({who})")
-        self._call(self._home_client, Trigger.Request(), "home", "scara_arm", answer)
-
-    def _enable(self, held: bool) -> None:
-        """Relay each heartbeat of a held key. If the next heartbeat is missing, the key counts as
-        released."""
-        self._enabling.publish(Bool(data=held))
+        call_service(self._home_client, Trigger.Request(), "home", ARM, answer)
 
     def _press_button(self, _: str, answer: server.Answer) -> None:
-        self._call(
-            self._button_client, Trigger.Request(), "press_button", "the clear button", answer
-        )
-
-    def _call(
-        self,
-        client: Client,
-        request: object,
-        to: str,
-        name: str,
-        answer: server.Answer,
-        done: Callable[[Future], None] | None = None,
-    ) -> None:
-        """Call a service. The page receives the response of the service, or a message that no
-        server is available."""
-        if not client.service_is_ready():
-            answer(_answer(to, False, f"{name}: does not answer; is it running?"))
-            return
-
-        def on_reply(future: Future) -> None:
-            response = future.result()
-            answer(_answer(to, response.success, f"{name}: {response.message}"))
-
-        client.call_async(request).add_done_callback(done or on_reply)
-
-
-def _on_stop_state(view: CellView, actor: str) -> Callable[[StopState], None]:
-    def on_message(message: StopState) -> None:
-        view.stops[actor] = tuple(message.sources) if message.stopped else ()
-
-    return on_message
-
-
-def _answer(to: str, ok: bool, sentence: str) -> dict[str, object]:
-    return {"type": "answer", "to": to, "ok": ok, "text": sentence}
-
-
-def _failure_message(request: Move | Turn | Place, sentence: str) -> dict[str, object]:
-    head = {"type": "ghost", "number": request.number, "object": request.object}
-    return {**head, "trouble": sentence}
+        client, name = self._button_client, "the clear button"
+        call_service(client, Trigger.Request(), "press_button", name, answer)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

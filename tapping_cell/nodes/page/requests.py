@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from tapping_cell.se2 import Pose
 
@@ -71,12 +73,19 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class SendGoal:
-    """Move the object to this pose, within a tolerance in m and rad, where 0 selects the cell's
-    default."""
+class RequestedGoal:
+    """Goal in ``table``, with its tolerance in m and rad, where 0 selects the cell's default."""
 
     pose: Pose
     tolerance: tuple[float, float] = (0.0, 0.0)
+
+
+class SendGoal(RequestedGoal):
+    """Move the object to this goal."""
+
+
+class QueueGoal(RequestedGoal):
+    """Append this goal to the queue."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +104,6 @@ class Preset:
 
     preset: str
     objects: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class QueueGoal:
-    """Append a goal to the queue."""
-
-    pose: Pose
-    tolerance: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,27 +186,12 @@ COMMANDS = (
     "run_queue",
     "hold_queue",
 )
-KINDS = (
-    "hello",
-    "seen",
-    "move",
-    "turn",
-    "place",
-    "goal",
-    "arrange",
-    "preset",
-    "queue_goal",
-    "unqueue",
-    "name_goal",
-    "forget_goal",
-    "confirm",
-    "set_ask",
-    "set_planner",
-    *COMMANDS,
-)
 LONGEST_NAME = 40
 MAX_OBJECTS = 20
 """Maximum number of objects in a request."""
+
+Content = dict[str, Any]
+"""A parsed message. Its values are checked by the functions below."""
 
 
 def parse(text: str | bytes) -> Request:
@@ -223,48 +209,14 @@ def parse(text: str | bytes) -> Request:
     if not isinstance(content, dict):
         raise BadRequest("the message is not a JSON object")
     kind = content.get("do")
-    if kind == "hello":
-        return Hello(content.get("token"))
-    if kind == "seen":
-        return Seen(_whole(content, "number"))
-    if kind == "move":
-        angle = math.radians(_number(content, "angle"))
-        u, v = _number(content, "u"), _number(content, "v")
-        return Move(_whole(content, "number"), u, v, angle, _object(content))
-    if kind == "turn":
-        x, y = 1e-3 * _number(content, "x"), 1e-3 * _number(content, "y")
-        u, v = _number(content, "u"), _number(content, "v")
-        return Turn(_whole(content, "number"), x, y, u, v, _object(content))
-    if kind == "place":
-        return Place(_whole(content, "number"), _pose(content), _object(content))
-    if kind == "goal":
-        return SendGoal(_pose(content), _tolerance(content))
-    if kind == "arrange":
-        in_order = _truth({"in_order": False, **content}, "in_order")
-        return Arrange(_goals(content), _tolerance(content), in_order)
-    if kind == "preset":
-        names = tuple(_name({"object": each}, "object") for each in _list(content, "objects"))
-        return Preset(_name(content, "preset"), names)
-    if kind == "queue_goal":
-        return QueueGoal(_pose(content), _tolerance(content))
-    if kind == "unqueue":
-        return Unqueue(_whole(content, "number"))
-    if kind == "name_goal":
-        return NameGoal(_name(content, "name"), _pose(content))
-    if kind == "forget_goal":
-        return ForgetGoal(_name(content, "name"))
-    if kind == "confirm":
-        return Confirm(_whole(content, "tap_id"), _truth(content, "confirm"))
-    if kind == "set_ask":
-        return SetAsk(_truth(content, "ask"))
-    if kind == "set_planner":
-        return SetPlanner(_name(content, "planner"))
     if kind in COMMANDS:
         return Command(str(kind))
+    if isinstance(kind, str) and kind in PARSERS:
+        return PARSERS[kind](content)
     raise BadRequest(f"'do' is {_shown(kind)}, but must be one of {', '.join(KINDS)}")
 
 
-def _pose(content: dict[str, object]) -> Pose:
+def _pose(content: Content) -> Pose:
     return Pose(
         1e-3 * _number(content, "x"),
         1e-3 * _number(content, "y"),
@@ -272,7 +224,7 @@ def _pose(content: dict[str, object]) -> Pose:
     )
 
 
-def _goals(content: dict[str, object]) -> tuple[tuple[str, Pose], ...]:
+def _goals(content: Content) -> tuple[tuple[str, Pose], ...]:
     """Parse the goals of an arrangement, each for a different object."""
     rows = [each for each in _list(content, "goals") if isinstance(each, dict)]
     goals = tuple((_name(row, "object"), _pose(row)) for row in rows)
@@ -281,26 +233,30 @@ def _goals(content: dict[str, object]) -> tuple[tuple[str, Pose], ...]:
     return goals
 
 
-def _object(content: dict[str, object]) -> str:
+def _object(content: Content) -> str:
     """Parse the name of an object. A missing value selects the cell's own object."""
     return _name(content, "object") if "object" in content else ""
 
 
-def _list(content: dict[str, object], name: str) -> list[object]:
+def _objects(content: Content) -> tuple[str, ...]:
+    return tuple(_name({"object": each}, "object") for each in _list(content, "objects"))
+
+
+def _list(content: Content, name: str) -> list[object]:
     value = content.get(name)
     if not isinstance(value, list) or len(value) > MAX_OBJECTS:
         raise BadRequest(f"{name} is not a list of at most {MAX_OBJECTS} entries")
     return value
 
 
-def _tolerance(content: dict[str, object]) -> tuple[float, float]:
+def _tolerance(content: Content) -> tuple[float, float]:
     """Parse a tolerance in mm and degrees. A missing value selects the cell's default."""
     given = {"position_tolerance": 0.0, "angle_tolerance": 0.0, **content}
     position, angle = (_number(given, name) for name in ("position_tolerance", "angle_tolerance"))
     return 1e-3 * position, math.radians(angle)
 
 
-def _name(content: dict[str, object], name: str) -> str:
+def _name(content: Content, name: str) -> str:
     value = content.get(name)
     shown = value.strip() if isinstance(value, str) else ""
     if not shown or len(shown) > LONGEST_NAME or not shown.isprintable():
@@ -310,14 +266,14 @@ def _name(content: dict[str, object], name: str) -> str:
     return shown
 
 
-def _truth(content: dict[str, object], name: str) -> bool:
+def _truth(content: Content, name: str) -> bool:
     value = content.get(name)
     if not isinstance(value, bool):
         raise BadRequest(f"{name} is {_shown(value)}; true or false is expected")
     return value
 
 
-def _number(content: dict[str, object], name: str) -> float:
+def _number(content: Content, name: str) -> float:
     value = content.get(name)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise BadRequest(f"{name} is {_shown(value)}; type a number such as 12.5")
@@ -329,7 +285,7 @@ def _number(content: dict[str, object], name: str) -> float:
     return float(value)
 
 
-def _whole(content: dict[str, object], name: str) -> int:
+def _whole(content: Content, name: str) -> int:
     value = content.get(name)
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**53:
         raise BadRequest(f"{name} is {_shown(value)}, not a whole number of at least 0")
@@ -342,3 +298,41 @@ def _shown(value: object) -> str:
         return "a list" if isinstance(value, list) else "an object"
     shown = json.dumps(value)
     return shown if len(shown) <= 40 else shown[:37] + "..."
+
+
+# The arguments are in the order in which they are checked.
+PARSERS: dict[str, Callable[[Content], Request]] = {
+    "hello": lambda c: Hello(c.get("token")),
+    "seen": lambda c: Seen(_whole(c, "number")),
+    "move": lambda c: Move(
+        angle=math.radians(_number(c, "angle")),
+        u=_number(c, "u"),
+        v=_number(c, "v"),
+        number=_whole(c, "number"),
+        object=_object(c),
+    ),
+    "turn": lambda c: Turn(
+        x=1e-3 * _number(c, "x"),
+        y=1e-3 * _number(c, "y"),
+        u=_number(c, "u"),
+        v=_number(c, "v"),
+        number=_whole(c, "number"),
+        object=_object(c),
+    ),
+    "place": lambda c: Place(_whole(c, "number"), _pose(c), _object(c)),
+    "goal": lambda c: SendGoal(_pose(c), _tolerance(c)),
+    "arrange": lambda c: Arrange(
+        in_order=_truth({"in_order": False, **c}, "in_order"),
+        goals=_goals(c),
+        tolerance=_tolerance(c),
+    ),
+    "preset": lambda c: Preset(objects=_objects(c), preset=_name(c, "preset")),
+    "queue_goal": lambda c: QueueGoal(_pose(c), _tolerance(c)),
+    "unqueue": lambda c: Unqueue(_whole(c, "number")),
+    "name_goal": lambda c: NameGoal(_name(c, "name"), _pose(c)),
+    "forget_goal": lambda c: ForgetGoal(_name(c, "name")),
+    "confirm": lambda c: Confirm(_whole(c, "tap_id"), _truth(c, "confirm")),
+    "set_ask": lambda c: SetAsk(_truth(c, "ask")),
+    "set_planner": lambda c: SetPlanner(_name(c, "planner")),
+}
+KINDS = (*PARSERS, *COMMANDS)

@@ -141,7 +141,7 @@ class PageServer:
 
     def close(self, patience: float = 3.0) -> None:
         """Close every page and end the thread."""
-        self._call(self._ending.set)
+        self.call(self._ending.set)
         self._thread.join(patience)
         for each in self._sockets:
             each.close()
@@ -153,32 +153,26 @@ class PageServer:
 
     def show(self, state: dict[str, object]) -> None:
         """Send this state to every page. May be called from any thread."""
-        self._call(self._show, json.dumps({"type": "state", **state}, allow_nan=False))
+        self.call(self._show, json.dumps({"type": "state", **state}, allow_nan=False))
 
     def show_runs(self, runs: list[dict[str, object]]) -> None:
         """Send the list of runs to every page. May be called from any thread."""
         content = {"type": "runs", "folder": str(self.backend.runs.folder), "runs": runs}
-        self._call(self._show_runs, json.dumps(content, allow_nan=False))
+        self.call(self._show_runs, json.dumps(content, allow_nan=False))
 
     def show_picture(self, jpeg: bytes, stamp: float, age: float) -> None:
         """Send an image to every page that waits for one. May be called from any thread."""
-        self._call(self._show_picture, jpeg, stamp, age)
+        self.call(self._show_picture, jpeg, stamp, age)
 
-    def later(self, give: Callable[[dict[str, object]], None], answer: dict[str, object]) -> None:
-        """Send a response in the server's thread. May be called from any thread."""
-        self._call(give, answer)
-
-    # The methods below run in the server's thread, except ``_call``. Other threads use ``_call`` to
-    # run a function in the server's thread.
-
-    def _call(self, function: Callable[..., object], *arguments: object) -> None:
+    def call(self, function: Callable[..., object], *arguments: object) -> None:
+        """Call a function in the server's thread. May be called from any thread."""
         loop = self._loop
-        if loop is None:
-            return
-        try:
-            loop.call_soon_threadsafe(function, *arguments)
-        except RuntimeError:  # the event loop has ended, so there is no page left
-            return
+        if loop is not None:
+            # After the event loop has ended, there is no page left.
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(function, *arguments)
+
+    # The methods below run in the server's thread.
 
     def _run(self) -> None:
         asyncio.run(self._serve())
@@ -186,23 +180,16 @@ class PageServer:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         handlers: list[Any] = [
-            ("/live", PageSocket, {"server": self}),
-            ("/stop-port", StopPortHandler, {"server": self, "port": self._stop_port}),
-            ("/palette.css", PaletteHandler, {"server": self}),
-            (
-                r"/runs/([\w-]{22})/([^/]{1,400})/(report\.html|run\.zip)",
-                RunHandler,
-                {"server": self},
-            ),
-            (
-                "/(.*)",
-                FileHandler,
-                {"server": self, "path": str(STATIC), "default_filename": "index.html"},
-            ),
+            ("/live", PageSocket),
+            ("/stop-port", StopPortHandler),
+            ("/palette.css", PaletteHandler),
+            (r"/runs/([\w-]{22})/([^/]{1,400})/(report\.html|run\.zip)", RunHandler),
+            ("/(.*)", FileHandler, {"path": str(STATIC), "default_filename": "index.html"}),
         ]
         application = Application(
             handlers,
             log_function=lambda _: None,
+            page_server=self,
             stop_port=self._stop_port,
             websocket_ping_interval=PING_PERIOD_S,
             websocket_max_message_size=LARGEST_MESSAGE,
@@ -267,7 +254,12 @@ class _Guarded(RequestHandler):
     """Checks that precede every handler."""
 
     command = False
-    server: PageServer
+
+    @property
+    def server(self) -> PageServer:
+        """Return the server."""
+        found: PageServer = self.settings["page_server"]
+        return found
 
     def set_default_headers(self) -> None:
         """Set the security headers of every response, including refusals."""
@@ -304,31 +296,17 @@ class _Guarded(RequestHandler):
 class FileHandler(_Guarded, StaticFileHandler):
     """Serve the files of the page: index.html, style.css, page.js and the icon."""
 
-    def initialize(self, server: PageServer, path: str, default_filename: str) -> None:  # type: ignore[override]
-        """Store the server."""
-        self.server = server
-        super().initialize(path, default_filename)
-
 
 class StopPortHandler(_Guarded):
     """Serve the port number of STOP."""
 
-    def initialize(self, server: PageServer, port: int) -> None:
-        """Store the server."""
-        self.server = server
-        self._port = port
-
     def get(self) -> None:
         """Return the port number."""
-        self.write(str(self._port))
+        self.write(str(self.settings["stop_port"]))
 
 
 class PaletteHandler(_Guarded):
     """Serve the colours that the page shares with reports and plots."""
-
-    def initialize(self, server: PageServer) -> None:
-        """Store the server."""
-        self.server = server
 
     def get(self) -> None:
         """Return the style sheet."""
@@ -338,10 +316,6 @@ class PaletteHandler(_Guarded):
 
 class RunHandler(_Guarded):
     """Serve reports and archives of recorded runs to everyone who has a page open."""
-
-    def initialize(self, server: PageServer) -> None:
-        """Store the server."""
-        self.server = server
 
     async def get(self, key: str, name: str, what: str) -> None:
         """Send the report as a page, or the run's archive in chunks."""
@@ -393,9 +367,8 @@ class PageSocket(_Guarded, WebSocketHandler):
 
     command = True
 
-    def initialize(self, server: PageServer) -> None:
-        """Store the server."""
-        self.server = server
+    def initialize(self) -> None:
+        """Prepare an unconnected page."""
         self.joined = False
         self.key = secrets.token_urlsafe(16)
         self._answers: deque[str] = deque()
@@ -457,7 +430,7 @@ class PageSocket(_Guarded, WebSocketHandler):
                 self,
                 request,
                 self.request.remote_ip or "?",
-                lambda answer: self.server.later(self.answer, answer),
+                lambda answer: self.server.call(self.answer, answer),
             )
 
     def _is_too_much(self, request: Request) -> bool:
@@ -516,27 +489,23 @@ class PageSocket(_Guarded, WebSocketHandler):
                 await self._wake.wait()
                 self._wake.clear()
                 while self._answers:
-                    await self._send(self._answers.popleft(), binary=False)
+                    await self._send(self._answers.popleft())
                 state, self._state = self._state, ""
                 if state:
-                    await self._send(state, binary=False)
+                    await self._send(state)
                 picture, self._picture = self._picture, b""
                 if picture:
-                    await self._send(picture, binary=True)
+                    await self._send(picture)
         except (WebSocketClosedError, StreamClosedError):
             return
         except (TimeoutError, asyncio.TimeoutError):
-            self._drop()
+            # The closing handshake would block, so only the stream is closed.
+            if self.ws_connection is not None and self.ws_connection.stream is not None:
+                self.ws_connection.stream.close()
 
-    def _drop(self) -> None:
-        """Disconnect a page that does not read, without the closing handshake, which would
-        block."""
-        stream = self.ws_connection.stream if self.ws_connection is not None else None
-        if stream is not None:
-            stream.close()
-
-    async def _send(self, content: str | bytes, *, binary: bool) -> None:
-        await asyncio.wait_for(self.write_message(content, binary), WRITE_TIMEOUT_S)
+    async def _send(self, content: str | bytes) -> None:
+        sent = self.write_message(content, binary=isinstance(content, bytes))
+        await asyncio.wait_for(sent, WRITE_TIMEOUT_S)
 
 
 class _Count:

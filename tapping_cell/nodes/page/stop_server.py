@@ -80,15 +80,9 @@ class StopLevel:
 class StopHandler(RequestHandler):
     """Handle one stop, or one check that a stop would be received."""
 
-    def initialize(
-        self, level: StopLevel, guard: Guard, page_port: int, admit: Callable[[Any], None]
-    ) -> None:
-        """Store the objects that every request needs. ``admit`` is called with the connection of an
-        admitted request."""
-        self._level = level
-        self._guard = guard
-        self._page_port = page_port
-        self._admit = admit
+    def initialize(self, server: StopServer) -> None:
+        """Store the server."""
+        self._server = server
 
     def set_default_headers(self) -> None:
         """Set headers against caching, content sniffing and framing."""
@@ -99,8 +93,9 @@ class StopHandler(RequestHandler):
     async def post(self) -> None:
         """Process a request."""
         origin = self.request.headers.get("Origin")
-        refusal = self._guard.refusal(
-            self.request.host, origin, command=True, page_port=self._page_port
+        guard, level = self._server.guard, self._server.level
+        refusal = guard.refusal(
+            self.request.host, origin, command=True, page_port=self._server.page_port
         )
         if refusal:
             await self._refuse(403, refusal)
@@ -112,16 +107,16 @@ class StopHandler(RequestHandler):
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
             await self._refuse(400, "the request is not a JSON object with 'do'")
             return
-        if not self._guard.admits(token):
+        if not guard.admits(token):
             await self._refuse(401, "the token is wrong or missing")
             return
-        self._admit(self.request.connection)
+        self._server.admit(self.request.connection)
         if asked == "stop":
-            self._level.stop(self.request.remote_ip or "?")
+            level.stop(self.request.remote_ip or "?")
             self.write({"held": True})
         elif asked == "check":
             await asyncio.sleep(SLOW_ANSWER_S)
-            self.write({"held": self._level.held})
+            self.write({"held": level.held})
         else:
             await self._refuse(400, "'do' is neither stop nor check")
 
@@ -141,6 +136,10 @@ class StopServer(HTTPServer):
     """Serve on sockets that are already bound. The oldest connection is closed to accept a new
     one."""
 
+    level: StopLevel
+    guard: Guard
+    page_port: int
+
     def initialize(self, *arguments: Any, **options: Any) -> None:
         """Initialise without connections."""
         super().initialize(*arguments, **options)
@@ -151,7 +150,6 @@ class StopServer(HTTPServer):
     def make(cls, level: StopLevel, guard: Guard, page_port: int) -> StopServer:
         """Return a server for ``level``. It accepts requests of pages that are served at
         ``page_port``, if they meet the requirements of ``guard``."""
-        requirements = {"level": level, "guard": guard, "page_port": page_port}
         application = Application(log_function=lambda _: None)
         made = cls(
             application,
@@ -160,8 +158,8 @@ class StopServer(HTTPServer):
             idle_connection_timeout=20.0,
             body_timeout=2.0,
         )
-        handler = ("/", StopHandler, {**requirements, "admit": made.admit})
-        application.add_handlers(".*", [handler])
+        made.level, made.guard, made.page_port = level, guard, page_port
+        application.add_handlers(".*", [("/", StopHandler, {"server": made})])
         return made
 
     def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:

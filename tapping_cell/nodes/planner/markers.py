@@ -8,19 +8,19 @@ path so far, and fixed tappers with the lines along which they strike.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 from geometry_msgs.msg import Point
 from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA
-from tapping_cell_msgs.msg import PlanState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tapping_cell.configuration.cell import Cell
+from tapping_cell.logic.planner import Scene
 from tapping_cell.nodes.conversions import to_message
-from tapping_cell.planning import CircleArea, KeepOut, Strike
+from tapping_cell.nodes.message_conversion import to_ros
+from tapping_cell.planning import CircleArea, Strike
 from tapping_cell.se2 import Pose
 
 Points = NDArray[np.float64]
@@ -33,73 +33,56 @@ AMBER = ColorRGBA(r=1.0, g=0.7, b=0.2, a=1.0)
 RED = ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0)
 GREY = ColorRGBA(r=0.6, g=0.6, b=0.65, a=0.7)
 LINE_WIDTH = 0.002
+ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
-def cell_markers(
-    cell: Cell,
-    state: PlanState,
-    pose: Pose | None,
-    goal: Pose | None,
-    strike: Strike | None,
-    way: Sequence[Pose] = (),
-    region: Marker | None = None,
-    others: Sequence[KeepOut | None] = (),
-) -> MarkerArray:
+def cell_markers(cell: Cell, scene: Scene, region: Points) -> MarkerArray:
     """Return markers of the table, object, goal and current tap. Absent items are deleted.
 
-    ``way``: poses of the object before each tap of this goal. ``region``: result of
-    :func:`region_marker`. ``others``: the cell's other objects, None for an object that is not on
-    the table.
+    ``region``: edges (n, 2, 2) of the object's workspace in m.
     """
+    goal, strike = scene.goal, scene.strike
     table, keep_outs = cell.file.table, cell.file.keep_outs
     half = np.array([table.length, table.width]) / 2
     corners = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     outline = np.asarray(cell.outline())
     reach = float(np.max(np.hypot(*outline.T)))
     heading = np.array([(0.0, 0.0), (reach, 0.0)])
-    markers = [_line("table", 0, corners, Pose(0.0, 0.0, 0.0), WHITE)]
+    markers = [_line("table", 0, corners, ORIGIN, WHITE)]
     for number, (x, y, radius) in enumerate(keep_outs.circles):
         markers.append(_line("keep_out", number, _circle(radius), Pose(x, y, 0.0), RED))
     for number, polygon in enumerate(keep_outs.polygons, start=len(keep_outs.circles)):
-        markers.append(_line("keep_out", number, np.asarray(polygon), Pose(0.0, 0.0, 0.0), RED))
-    for number, area in enumerate(others):
+        markers.append(_line("keep_out", number, np.asarray(polygon), ORIGIN, RED))
+    for number, area in enumerate(scene.others):
         if area is None:
             markers.append(_deletion("other_object", number))
         elif isinstance(area, CircleArea):
             centre = Pose(area.x, area.y, 0.0)
             markers.append(_line("other_object", number, _circle(area.radius), centre, RED))
         else:
-            corners = np.asarray(area.vertices)
-            markers.append(_line("other_object", number, corners, Pose(0.0, 0.0, 0.0), RED))
+            markers.append(_line("other_object", number, np.asarray(area.vertices), ORIGIN, RED))
     if cell.file.fixed_tappers is not None:
         markers += _tapper_markers(cell)
     predicted = strike.predicted if strike is not None else None
-    for name, place, colour in (
-        ("object", pose, BLUE),
-        ("goal", goal, GREEN),
-        ("predicted", predicted, AMBER),
-    ):
-        if place is None:
-            markers += [_deletion(name, 0), _deletion(name, 1)]
-            continue
+    drawn = (("object", scene.pose, BLUE), ("goal", goal, GREEN), ("predicted", predicted, AMBER))
+    for name, place, colour in drawn:
         markers.append(_line(name, 0, outline, place, colour))
         markers.append(_line(name, 1, heading, place, colour))
-    if goal is not None:
-        markers.append(_line("goal", 2, _circle(state.position_tolerance), goal, GREEN))
-        markers.append(_line("goal", 3, _sector(reach, state.angle_tolerance), goal, GREEN))
-    else:
-        markers += [_deletion("goal", 2), _deletion("goal", 3)]
-    places = np.array([(place.x, place.y) for place in (*way, *([pose] if pose else []))])
-    if way:
+    markers.append(_line("goal", 2, _circle(scene.state.position_tolerance), goal, GREEN))
+    markers.append(_line("goal", 3, _sector(reach, scene.state.angle_tolerance), goal, GREEN))
+    way = [*scene.path, *([scene.pose] if scene.pose else [])]
+    places = np.array([(place.x, place.y) for place in way])
+    if scene.path:
         markers.append(_points("way", Marker.LINE_STRIP, places, LINE_WIDTH / 2, GREY))
         markers.append(_points("taps", Marker.POINTS, places, 3 * LINE_WIDTH, GREY))
     else:
         markers += [_deletion("way", 0), _deletion("taps", 0)]
-    if region is not None:
-        markers.append(region)
+    edges = region.reshape(-1, 2)
+    markers.append(_points("tappable", Marker.LINE_LIST, edges, LINE_WIDTH / 2, GREY))
     markers.append(_strike_arrow(strike) if strike is not None else _deletion("strike", 0))
+    header = to_ros(scene.state.header)
     for marker in markers:
-        marker.header = state.header
+        marker.header = header
     return MarkerArray(markers=markers)
 
 
@@ -116,12 +99,6 @@ def _tapper_markers(cell: Cell) -> list[Marker]:
         way.scale.x = LINE_WIDTH / 4
         markers += [drawn, way]
     return markers
-
-
-def region_marker(edges: Points) -> Marker:
-    """Return the marker of the object's workspace from its edges (n, 2, 2) in m. Computed only
-    once."""
-    return _points("tappable", Marker.LINE_LIST, edges.reshape(-1, 2), LINE_WIDTH / 2, GREY)
 
 
 def _circle(radius: float) -> Points:
@@ -151,7 +128,11 @@ def _message_points(numbers: bytes) -> tuple[Point, ...]:
     return tuple(Point(x=x, y=y) for x, y in np.frombuffer(numbers).reshape(-1, 2).tolist())
 
 
-def _line(name: str, number: int, points: Points, pose: Pose, colour: ColorRGBA) -> Marker:
+def _line(name: str, number: int, points: Points, pose: Pose | None, colour: ColorRGBA) -> Marker:
+    """Return a closed line through points (n, 2) in the frame at ``pose``, open if n is 2; the
+    deletion of the line if ``pose`` is None."""
+    if pose is None:
+        return _deletion(name, number)
     marker = Marker(ns=name, id=number, type=Marker.LINE_STRIP, action=Marker.ADD, color=colour)
     marker.pose = to_message(pose)
     marker.scale.x = LINE_WIDTH

@@ -7,31 +7,31 @@ import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from std_msgs.msg import Bool
 from tapping_cell_msgs.action import ArrangeObjects, PositionObject, SingleTap
 from visualization_msgs.msg import MarkerArray
 
 from tapping_cell import messages
 from tapping_cell.configuration.cell import load_cell, load_further_objects
 from tapping_cell.configuration.schema import ConfigurationError, text
-from tapping_cell.logic import effects, stops
+from tapping_cell.logic import effects
 from tapping_cell.logic.fixed_goal_handling import goal_handling_class
-from tapping_cell.logic.host import Activated, Configured, Deactivated, ShutDown
+from tapping_cell.logic.host import Configured
 from tapping_cell.logic.other_objects import OtherObjects
 from tapping_cell.logic.planner import PlannerLogic, Scene
 from tapping_cell.logic.planner_settings import PlannerSettings
 from tapping_cell.nodes.cell_identity import key_of, state_folder
-from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, CellNode, run
-from tapping_cell.nodes.logic_host import LogicHost
+from tapping_cell.nodes.cell_node import BEST_EFFORT_COMMAND, COMMAND, LATCHED, run
+from tapping_cell.nodes.logic_host import LogicHost, LogicNode
 from tapping_cell.nodes.message_conversion import from_ros, to_ros
 from tapping_cell.nodes.planner.deferred_action_server import DeferredActionServer
-from tapping_cell.nodes.planner.markers import cell_markers, region_marker
+from tapping_cell.nodes.planner.markers import cell_markers
 from tapping_cell.nodes.planner.tf_frames import open_frames
 from tapping_cell.planning import PlanningError
 
@@ -59,25 +59,14 @@ class PlannerHost(LogicHost[PlannerLogic]):
         if not (isinstance(effect, effects.Publish) and isinstance(effect.message, Scene)):
             super()._perform(effect)
             return
-        goals, scene = self._logic.goals, effect.message
-        self._publishers["markers"].publish(
-            cell_markers(
-                goals.cell,
-                scene.state,
-                scene.pose,
-                scene.goal,
-                scene.strike,
-                scene.path,
-                region_marker(goals.outline()),
-                scene.others,
-            )
-        )
+        goals = self._logic.goals
+        markers = cell_markers(goals.cell, effect.message, goals.outline())
+        self._publishers["markers"].publish(markers)
 
 
-class TapPlanner(CellNode[Parameters]):
+class TapPlanner(LogicNode[Parameters]):
     """See the module's docstring."""
 
-    carries_pictures = False
     changeable = ("planner", "ask")
 
     def __init__(self) -> None:
@@ -111,9 +100,12 @@ class TapPlanner(CellNode[Parameters]):
         self._actions = DeferredActionServer(
             self,
             {
-                "arrange_objects": (ArrangeObjects, self._on_arrange_objects),
-                "position_object": (PositionObject, self._on_position_object),
-                "single_tap": (SingleTap, self._on_single_tap),
+                name: (kind, partial(self._on_goal, name, goal))
+                for name, kind, goal in (
+                    ("arrange_objects", ArrangeObjects, messages.ArrangeObjects.Goal),
+                    ("position_object", PositionObject, messages.PositionObject.Goal),
+                    ("single_tap", SingleTap, messages.SingleTap.Goal),
+                )
             },
             self._on_cancel,
         )
@@ -145,19 +137,6 @@ class TapPlanner(CellNode[Parameters]):
         age = self.host.goal_file.age() if kept is not None else math.inf
         self.host.lifecycle(Configured(cell, goals, kept_goal=kept, kept_goal_age=age))
 
-    def activate(self) -> None:
-        """Allow the state machine to act."""
-        self.host.lifecycle(Activated())
-
-    def deactivate(self) -> None:
-        """Make the state machine abort its current goal."""
-        self.host.lifecycle(Deactivated())
-
-    def cleanup(self) -> None:
-        """Deactivate the state machine, because an orderly shutdown also ends the goal."""
-        self.host.lifecycle(ShutDown())
-        self.host.close()
-
     def change(self, name: str, value: object) -> None:
         """Change the planning method, or whether every tap requires confirmation."""
         if name == "ask":
@@ -166,15 +145,11 @@ class TapPlanner(CellNode[Parameters]):
         elif self.configured:
             self.logic.goals.use(str(value))
 
-    def on_emergency_stop(self, message: Bool) -> None:
-        """Pass an emergency stop message to the state machine, which aborts its goal."""
-        self.host.receive(stops.TOPIC, messages.Bool(data=message.data))
-
     def destroy_node(self) -> None:
         """Also destroy the action servers, which rclpy does not destroy. Otherwise, clients would
         see an incomplete planner until garbage collection."""
         self._actions.close()
-        CellNode.destroy_node(self)
+        LogicNode.destroy_node(self)
 
     def health(self) -> tuple[bytes, str, dict[str, object]]:
         """Report the state and the remaining error of the goal."""
@@ -199,16 +174,7 @@ class TapPlanner(CellNode[Parameters]):
 
     # Actions
 
-    def _on_arrange_objects(self, handle: ServerGoalHandle) -> None:
-        self._take("arrange_objects", handle, messages.ArrangeObjects.Goal)
-
-    def _on_position_object(self, handle: ServerGoalHandle) -> None:
-        self._take("position_object", handle, messages.PositionObject.Goal)
-
-    def _on_single_tap(self, handle: ServerGoalHandle) -> None:
-        self._take("single_tap", handle, messages.SingleTap.Goal)
-
-    def _take(self, action: str, handle: ServerGoalHandle, kind: type[Any]) -> None:
+    def _on_goal(self, action: str, kind: type[Any], handle: ServerGoalHandle) -> None:
         goal = bytes(handle.goal_id.uuid)
         answered = False
 

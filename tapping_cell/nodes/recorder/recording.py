@@ -16,6 +16,7 @@ from tapping_cell_msgs.msg import ArrangementState, GoalReport, PlanState
 
 from tapping_cell.configuration.cell import Cell, cells_of
 from tapping_cell.logic.planner import WORKING_STATES
+from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.arrangement_folder import write_arrangement_folder
 from tapping_cell.report.bag import BagError, BagWriter, Quality
 from tapping_cell.report.message_types import MessageTypes, UnknownMessageType
@@ -219,11 +220,11 @@ class Recording:
             write_folder(self.folder, pictures=pictures)
 
 
-def is_own_goal(plan: PlanState, method_of_experiments: str) -> bool:
+def is_own_goal(plan: PlanState) -> bool:
     """Return whether a plan_state belongs to a goal that the recorder records. Single taps are not
     among these goals, because they have their own records."""
     busy = plan.state in WORKING_STATES
-    return bool(busy and plan.goal.header.frame_id and plan.planner != method_of_experiments)
+    return bool(busy and plan.goal.header.frame_id and plan.planner != PRESCRIBED)
 
 
 def same_goal(plan: PlanState, other: PlanState | GoalReport) -> bool:

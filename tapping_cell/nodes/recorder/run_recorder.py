@@ -12,9 +12,9 @@ import os
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +39,13 @@ from tapping_cell_msgs.msg import (
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.schema import ConfigurationError, quantity, text
 from tapping_cell.logic.goal_watch import FINAL_STATES
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED, CellNode, run
+from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import seconds
+from tapping_cell.nodes.recorder.message_buffer import MessageBuffer
 from tapping_cell.nodes.recorder.message_reader import MessageReader
 from tapping_cell.nodes.recorder.polled_topics import PolledTopics
 from tapping_cell.nodes.recorder.recording import (
@@ -63,7 +64,6 @@ from tapping_cell.nodes.recorder.recording import (
 )
 from tapping_cell.nodes.recorder.run_names import LONGEST_NAME, is_run_name
 from tapping_cell.nodes.worker import Worker
-from tapping_cell.planning.prescribed import METHOD as PRESCRIBED
 from tapping_cell.report.bag import BagError, Quality
 from tapping_cell.report.message_types import MessageTypes
 from tapping_cell.report.run_reader import NOTES, PICTURES
@@ -131,14 +131,9 @@ FRAMES: dict[str, type] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(ObjectParameters):
     """Parameters of run_recorder."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
-    object_file: str = text(
-        "path of the object file; if empty, the one named in the cell file", default=""
-    )
     folder: str = text("folder in which a subfolder is created for each run", default="runs")
     name: str = text("name of the run's folder; if empty, made from time and goal", default="")
     picture_rate: float = quantity(
@@ -200,14 +195,10 @@ class RunRecorder(CellNode[Parameters]):
 
     def __init__(self) -> None:
         super().__init__("run_recorder", Parameters)
-        self._cell: Cell | None = None
         self._notes: dict[str, Any] = {}
-        self._lock = threading.Lock()
-        self._lead: deque[ReceivedMessage] = deque()
-        self._latched: dict[str, ReceivedMessage] = {}
-        self._waiting: deque[ReceivedMessage] = deque()
+        self._buffer = MessageBuffer(LEAD_S)
         self._plan: PlanState | None = None
-        self._bag_begins = 0
+        """Goal that is being recorded; None if there is no recording."""
         self._ends_at: float | None = None
         self._end: PlanState | GoalReport | None = None
         self._arranging = False
@@ -233,21 +224,15 @@ class RunRecorder(CellNode[Parameters]):
             "arrangement_state": self._on_arrangement_state,
         }
         for name, kind in STATES.items():
-            self._register(name, kind, Quality(1, latched=True))
-            self._polled.add(kind, name, _STATE)
+            self._subscribe(name, kind, Quality(1, latched=True), _STATE)
         for name, kind in STREAMS.items():
-            self._register(name, kind, Quality())
-            self._polled.add(kind, name, _STREAM)
+            self._subscribe(name, kind, Quality(), _STREAM)
         for name, kind in FRAMES.items():
-            self._register(name, kind, Quality(reliable=kind is not CameraInfo))
-            self._polled.add(kind, name, images.PICTURES if kind is CameraInfo else _STREAM)
-        self._register(PICTURES, CompressedImage, Quality())
-        self._polled.add(CompressedImage, PICTURES, images.COMPRESSED_PICTURES)
-        self._notes_topic = self._recorded_name(NOTES)
-        self._topics[self._notes_topic] = RecordedTopic(
-            "std_msgs/msg/String", Quality(1, latched=True)
-        )
-        self._kinds[self._notes_topic] = String
+            reliable = kind is not CameraInfo
+            profile = _STREAM if reliable else images.PICTURES
+            self._subscribe(name, kind, Quality(reliable=reliable), profile)
+        self._subscribe(PICTURES, CompressedImage, Quality(), images.COMPRESSED_PICTURES)
+        self._notes_topic = self._register(NOTES, String, Quality(1, latched=True))
         self.create_timer(POLL_PERIOD_S, self._tick)
 
     def _recorded_name(self, name: str) -> str:
@@ -255,11 +240,16 @@ class RunRecorder(CellNode[Parameters]):
         the report finds the topic in every bag."""
         return self.resolve_topic_name(name, only_expand=True)
 
-    def _register(self, name: str, kind: type, quality: Quality) -> None:
-        package = kind.__module__.partition(".")[0]
-        topic = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
-        self._topics[self._recorded_name(name)] = topic
-        self._kinds[self._recorded_name(name)] = kind
+    def _subscribe(self, name: str, kind: type, quality: Quality, profile: QoSProfile) -> None:
+        self._register(name, kind, quality)
+        self._polled.add(kind, name, profile)
+
+    def _register(self, name: str, kind: type, quality: Quality) -> str:
+        """Register a topic of the bag, and return its name there."""
+        recorded, package = self._recorded_name(name), kind.__module__.partition(".")[0]
+        self._topics[recorded] = RecordedTopic(f"{package}/msg/{kind.__name__}", quality)
+        self._kinds[recorded] = kind
+        return recorded
 
     # Life cycle
 
@@ -270,12 +260,10 @@ class RunRecorder(CellNode[Parameters]):
             self._name = checked_name(self.settings.name)
         except ValueError as error:
             raise ConfigurationError(f"parameters of run_recorder: {error}") from error
-        cell = load_cell(self.settings.cell_file or None, self.settings.object_file or None)
-        self._cell = cell
-        self._notes = cell_notes(cell, self.settings.seed)
-        self._worker = Worker("recorder", self._write_on, WRITE_PERIOD_S)
+        self._notes = cell_notes(self.settings.load_cell(), self.settings.seed)
+        self._worker = Worker("recorder", lambda: self._write(self._buffer.take()), WRITE_PERIOD_S)
         self._worker.start()
-        self._reporter = Worker("teller", lambda: None, 60.0)
+        self._reporter = Worker("teller")
         self._reporter.start()
         for topic in self._topics.values():
             # The definition is loaded here in advance, so that it does not delay the first messages
@@ -343,9 +331,8 @@ class RunRecorder(CellNode[Parameters]):
         ]
         # At the beginning of an arrangement, plan_state can only be assigned to the arrangement if
         # arrangement_state is processed before it.
-        arrangements = [entry for entry in waiting if entry[1] == "arrangement_state"]
-        others = [entry for entry in waiting if entry[1] != "arrangement_state"]
-        for stamp, name, data in (*arrangements, *sorted(others, key=lambda entry: entry[0])):
+        waiting.sort(key=lambda entry: -inf if entry[1] == "arrangement_state" else entry[0])
+        for stamp, name, data in waiting:
             if name == PICTURES and not self._is_picture_due(stamp):
                 continue
             received = ReceivedMessage(self._recorded_name(name), stamp, data)
@@ -354,7 +341,8 @@ class RunRecorder(CellNode[Parameters]):
                 self._note(name, received)
             elif (message := self._read(received)) is not None:
                 self._note(name, received)
-                process(message)
+                if self.active:
+                    process(message)
 
     def _read(self, message: ReceivedMessage) -> Any | None:
         """Return the deserialised message; None if it is of another version."""
@@ -368,54 +356,37 @@ class RunRecorder(CellNode[Parameters]):
         return due
 
     def _note(self, name: str, message: ReceivedMessage) -> None:
-        """Buffer a message for the current bag or the next one."""
         seldom = name == "camera/camera_info"
-        with self._lock:
-            last = self._latched.get(message.topic)
-            if seldom and last is not None and message.stamp - last.stamp < 1_000_000_000:
-                return
-            if name in STATES or seldom:
-                self._latched[message.topic] = message
-            if self._plan is not None:
-                if message.stamp >= self._bag_begins:
-                    self._waiting.append(message)
-                return
-            self._lead.append(message)
-            while self._lead[0].stamp < message.stamp - 1e9 * LEAD_S:
-                self._lead.popleft()
+        self._buffer.add(message, latched=name in STATES, seldom=seldom)
 
     def _on_plan_state(self, plan: PlanState) -> None:
-        if not self.active:
-            return
         self._planner_received = time.monotonic()
-        if self._arranging and self._ends_at is None:
+        ending = self._ends_at is not None
+        if (self._arranging and not ending) or self._is_late(plan):
             return
-        known = self._plan is not None and same_goal(self._plan, plan)
-        if self._is_late(plan):
-            return
-        if not is_own_goal(plan, PRESCRIBED):
-            if known and self._ends_at is None and plan.state in FINAL_STATES:
-                self._end = plan
-                self._ends_at = time.monotonic() + TAIL_S
-            return
-        if known and self._ends_at is None:
-            return
-        self._conclude(pictures=True)
-        self._begin(plan, refused=False)
+        known = self._plan is not None and not ending and same_goal(self._plan, plan)
+        if is_own_goal(plan):
+            if not known:
+                self._conclude(pictures=True)
+                self._begin(plan, refused=False)
+        elif known and plan.state in FINAL_STATES:
+            self._end_after(plan)
 
     def _on_arrangement_state(self, report: ArrangementState) -> None:
         """Begin or end the recording of an arrangement. Each move of an arrangement is a goal of
         the planner."""
-        if not self.active:
-            return
         if self._arranging and self._ends_at is None:
             self._planner_received = time.monotonic()
             if not report.active:
-                self._end = PlanState(header=report.header)
-                self._ends_at = time.monotonic() + TAIL_S
+                self._end_after(PlanState(header=report.header))
         elif report.active:
             self._conclude(pictures=True)
             self._begin(PlanState(header=report.header), refused=False, arrangement=report)
+
+    def _end_after(self, end: PlanState) -> None:
+        """End the recording soon, because its goal has ended."""
+        self._end = end
+        self._ends_at = time.monotonic() + TAIL_S
 
     def _is_late(self, plan: PlanState) -> bool:
         """Return whether a ``plan_state`` is older than the end of its goal, which is already
@@ -426,8 +397,6 @@ class RunRecorder(CellNode[Parameters]):
         return seconds(plan.header.stamp) <= seconds(end.header.stamp)
 
     def _on_goal_report(self, report: GoalReport) -> None:
-        if not self.active:
-            return
         if not report.refused:
             self._end = report
             if self._plan is not None and not self._arranging and same_goal(self._plan, report):
@@ -455,28 +424,10 @@ class RunRecorder(CellNode[Parameters]):
             name = self._name or arrangement_name(began, self.get_namespace(), arrangement)
         else:
             name = self._name or run_name(began, self.get_namespace(), plan.goal)
-        notes = {
-            **self._notes,
-            "began": began,
-            "refused": refused,
-            "arrangement": self._arranging,
-        }
-        with self._lock:
-            lead = list(self._lead)
-            first = lead[0].stamp if lead else self._now()
-            self._bag_begins = first
-            # Latched messages older than the lead time are written at the start of the bag.
-            topics = {message.topic for message in lead}
-            old = [
-                ReceivedMessage(message.topic, first, message.data)
-                for message in self._latched.values()
-                if message.topic not in topics
-            ]
-            self._lead.clear()
-            text = serialize_message(String(data=json.dumps(notes)))
-            self._waiting.append(ReceivedMessage(self._notes_topic, first, text))
-            self._waiting.extend(old + lead)
-            self._plan = plan
+        this_run = {"began": began, "refused": refused, "arrangement": self._arranging}
+        text = serialize_message(String(data=json.dumps(self._notes | this_run)))
+        self._buffer.begin(self._now(), self._notes_topic, text)
+        self._plan = plan
         self._ends_at = None
         self._planner_received = time.monotonic()
         folder = Path(self._folder).expanduser().absolute()
@@ -494,13 +445,11 @@ class RunRecorder(CellNode[Parameters]):
 
     def _conclude(self, pictures: bool) -> None:
         """End the current recording, if any."""
-        with self._lock:
-            if self._plan is None:
-                return
-            self._plan = self._ends_at = None
-            self._arranging = False
-            rest = sorted(self._waiting, key=_stamp)
-            self._waiting.clear()
+        if self._plan is None:
+            return
+        self._plan = self._ends_at = None
+        self._arranging = False
+        rest = self._buffer.take(end=True)
         self._submit(lambda: self._close(rest, pictures and self.settings.pictures))
 
     def _submit(self, job: Callable[[], None]) -> None:
@@ -520,12 +469,6 @@ class RunRecorder(CellNode[Parameters]):
             return
         self._error = ""
         self.get_logger().info(f"recording to {made}")
-
-    def _write_on(self) -> None:
-        with self._lock:
-            messages = sorted(self._waiting, key=_stamp)
-            self._waiting.clear()
-        self._write(messages)
 
     def _write(self, messages: list[ReceivedMessage]) -> None:
         recording = self._recording
@@ -578,10 +521,6 @@ class RunRecorder(CellNode[Parameters]):
     def _complain(self, sentence: str, expected: bool = False) -> None:
         self._error = f"({ErrorCode.RECORDING_FAILED}) {sentence}"
         self.get_logger().error(self._error)
-
-
-def _stamp(message: ReceivedMessage) -> int:
-    return message.stamp
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -25,7 +25,6 @@ from tapping_cell_msgs.srv import ResetWorld
 from tapping_cell.configuration.cell import (
     Cell,
     TapperSection,
-    load_cell,
     load_further_objects,
     refuse_own_drivers,
 )
@@ -36,6 +35,7 @@ from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.picture_publisher import PicturePublisher
 from tapping_cell.nodes.cell_identity import claim, key_of
 from tapping_cell.nodes.cell_node import CellNode, NotReady, run
+from tapping_cell.nodes.cell_parameters import ObjectParameters
 from tapping_cell.nodes.conversions import from_message, is_finite, to_message
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.devices import SimulatedDevices
@@ -49,14 +49,9 @@ from tapping_cell.simulation.truth import TruthFile
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class Parameters(ObjectParameters):
     """Parameters of sim_world."""
 
-    autostart: bool = text("configure and activate automatically at start-up", default=True)
-    cell_file: str = text("path of the cell file; if empty, the package's default", default="")
-    object_file: str = text(
-        "path of the object file; if empty, the one named in the cell file", default=""
-    )
     other_object_files: str = text(
         "paths of the object files of additional objects on the table, besides those of the cell "
         "file, separated by commas",
@@ -120,7 +115,7 @@ class SimWorld(CellNode[Parameters]):
     def configure(self) -> None:
         """Create the world and open the two ports."""
         settings = self.settings
-        cell = load_cell(settings.cell_file or None, settings.object_file or None)
+        cell = settings.load_cell()
         refuse_own_drivers(cell)
         truth = load(TruthFile, settings.truth_file or shared_folder() / "truth" / "default.yaml")
         further = load_further_objects(cell, settings.other_object_files)
@@ -158,7 +153,6 @@ class SimWorld(CellNode[Parameters]):
         self._cell, self._truth, self._world, self._devices = cell, truth, world, devices
         self._renderer = renderer
         self._info = images.to_camera_info(cell.camera)
-        self._info.header.frame_id = "camera_optical"
 
     def _make_devices(self, cell: Cell, truth: TruthFile) -> SimulatedDevices | FixedDevices:
         settings = self.settings
@@ -245,7 +239,7 @@ class SimWorld(CellNode[Parameters]):
         picture = images.to_message(
             self._renderer.render([*opening.values()], [*closing.values()], solids), "mono8"
         )
-        picture.header.frame_id = "camera_optical"
+        picture.header.frame_id = images.OPTICAL_FRAME
         picture.header.stamp = stamp.to_msg()
         self._late.append((now + camera.latency, picture))
         self._send_late()
@@ -261,11 +255,8 @@ class SimWorld(CellNode[Parameters]):
 
     def _send_late(self) -> None:
         while self._late and self._late[0][0] <= time.monotonic():
-            self._send(self._late.popleft()[1])
-
-    def _send(self, picture: Image) -> None:
-        self._publisher.publish(picture, self._info)
-        self._frames += 1
+            self._publisher.publish(self._late.popleft()[1], self._info)
+            self._frames += 1
 
     def _publish_truth(self, poses: dict[str, Pose], stamp: Time) -> None:
         message = PoseStamped()
@@ -312,41 +303,39 @@ class SimWorld(CellNode[Parameters]):
             response.message = "the world is not active yet; call again when sim_world is active"
             return response
         name = request.object_id or self._cell.object.name
-        if name not in self._world.worlds:
-            response.message = (
-                f"there is no object '{name}'; name one of "
-                + ", ".join(f"'{each}'" for each in self._world.worlds)
-                + "; nothing was moved"
-            )
+        try:
+            with self._lock:
+                pose = self._place(name, request, self._world, self._cell)
+        except ValueError as error:
+            response.message = f"{error}; nothing was moved"
             return response
-        table = self._cell.file.table
-        with self._lock:
-            if request.seed:
-                self._world.reseed(request.seed)
-            if request.random:
-                fixed = self._cell.file.fixed_tappers
-                try:
-                    pose = self._world.free_pose(
-                        name, disc=None if fixed is None else fixed.working_area
-                    )
-                except ValueError as error:
-                    response.message = f"{error}; nothing was moved"
-                    return response
-            elif is_finite(request.object_pose):
-                pose = from_message(request.object_pose)
-            else:
-                response.message = "the pose contains an infinity or NaN; nothing was moved"
-                return response
-            if abs(pose.x) > table.length / 2 or abs(pose.y) > table.width / 2:
-                response.message = (
-                    f"x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm is off the table of "
-                    f"{1000 * table.length:.0f} x {1000 * table.width:.0f} mm; nothing was moved"
-                )
-                return response
-            self._world.place(name, pose)
         response.success = True
         response.message = f"'{name}' is at x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm"
         return response
+
+    def _place(self, name: str, request: ResetWorld.Request, world: Tabletop, cell: Cell) -> Pose:
+        """Place an object as requested and return its pose. Raises ValueError with the reason why
+        nothing was moved."""
+        if name not in world.worlds:
+            known = ", ".join(f"'{each}'" for each in world.worlds)
+            raise ValueError(f"there is no object '{name}'; name one of {known}")
+        if request.seed:
+            world.reseed(request.seed)
+        if request.random:
+            fixed = cell.file.fixed_tappers
+            pose = world.free_pose(name, disc=None if fixed is None else fixed.working_area)
+        elif is_finite(request.object_pose):
+            pose = from_message(request.object_pose)
+        else:
+            raise ValueError("the pose contains an infinity or NaN")
+        table = cell.file.table
+        if abs(pose.x) > table.length / 2 or abs(pose.y) > table.width / 2:
+            raise ValueError(
+                f"x {1000 * pose.x:.1f} mm, y {1000 * pose.y:.1f} mm is off the table of "
+                f"{1000 * table.length:.0f} x {1000 * table.width:.0f} mm"
+            )
+        world.place(name, pose)
+        return pose
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -5,7 +5,7 @@ class Arrangement {
   constructor() {
     this.names = [];
     this.rows = new Map();     // by object name: the table row and the goal of the object
-    document.getElementById("arrange").addEventListener("click", () => this.send());
+    $("arrange").addEventListener("click", () => this.send());
     for (const button of document.querySelectorAll("[data-preset]")) {
       button.addEventListener("click", () => this.ask(button.dataset.preset));
     }
@@ -13,7 +13,7 @@ class Arrangement {
 
   // The cell's own object uses the outline of the goal card; each further object uses a copy of it.
   welcome(message) {
-    document.getElementById("arrange-card").hidden = !message.objects.length;
+    $("arrange-card").hidden = !message.objects.length;
     if (message.objects.join("\n") === this.names.join("\n")) {
       for (const row of this.rows.values()) this.revive(row);
       return;
@@ -30,10 +30,8 @@ class Arrangement {
   }
 
   row(name, own) {
-    const element = document.createElement("tr"), label = document.createElement("label"), box = document.createElement("input");
-    box.type = "checkbox";
-    label.append(box, name);
-    element.insertCell().append(label);
+    const element = create("tr"), box = create("input", { type: "checkbox" });
+    element.insertCell().append(create("label", {}, box, name));
     const goal = element.insertCell(), progress = element.insertCell();
     const made = { name, element, box, goal, progress, ghost: own ? ghost : this.copy(name), pose: null };
     made.ghost.parts.label.textContent = name;
@@ -42,7 +40,7 @@ class Arrangement {
   }
 
   copy(name) {
-    const group = document.getElementById("ghost").cloneNode(true);
+    const group = $("ghost").cloneNode(true);
     for (const part of [group, ...group.querySelectorAll("[id]")]) part.removeAttribute("id");
     group.setAttribute("hidden", "");
     group.setAttribute("class", "ghost");
@@ -50,7 +48,7 @@ class Arrangement {
     for (const part of group.querySelectorAll("[aria-label]")) {
       part.setAttribute("aria-label", part.getAttribute("aria-label").replace("the goal", `the goal of ${name}`));
     }
-    document.getElementById("overlay").append(group);
+    $("overlay").append(group);
     return new Ghost(group, name, say, (pose) => this.moved(name, pose));
   }
 
@@ -102,7 +100,7 @@ class Arrangement {
   }
 
   describe(row) {
-    const has = row.box.checked, part = (tag, text) => Object.assign(document.createElement(tag), { textContent: text });
+    const has = row.box.checked, part = (tag, text) => create(tag, {}, text);
     row.element.classList.toggle("refused", has && Boolean(row.trouble));
     const texts = has && row.pose ? [part("span", `${signed(row.pose.x)}, ${signed(row.pose.y)} mm`), part("span", signed(row.pose.angle, 1, "\u00b0"))]
       : [part("span", has ? "not placed yet" : "none")];
@@ -127,13 +125,13 @@ class Arrangement {
     }
     request("arrange", {
       goals: goals.map(({ name, pose }) => ({ object: name, x: pose.x, y: pose.y, angle: pose.angle })),
-      in_order: document.getElementById("in-order").checked, ...tolerance.value,
+      in_order: $("in-order").checked, ...tolerance.value,
     });
   }
 
   enable() {
     const free = connected && state && state.placeable;
-    document.getElementById("arrange").disabled = !free || Boolean(state.blocked) || !this.ticked().some((row) => row.pose);
+    $("arrange").disabled = !free || Boolean(state.blocked) || !this.ticked().some((row) => row.pose);
     for (const button of document.querySelectorAll("[data-preset]")) button.disabled = !free;
     for (const row of this.rows.values()) row.box.disabled = !free;
   }
@@ -142,20 +140,17 @@ class Arrangement {
     if (!this.names.length) return;
     const { progress, active, taps, objects } = state.arrangement;
     const told = Object.values(progress), reached = told.filter((one) => one.state === "reached").length;
-    setText(document.getElementById("arrange-words"), !told.length ? ""
-      : `${reached} of ${told.length} objects ${active ? "reached so far" : "reached"}, ${taps} ${taps === 1 ? "tap" : "taps"}.`);
+    setText($("arrange-words"), !told.length ? ""
+      : `${reached} of ${told.length} objects ${active ? "reached so far" : "reached"}, ${counted(taps, "tap")}.`);
     for (const row of this.rows.values()) {
       const one = progress[row.name], seen = objects.find((each) => each.name === row.name);
-      const key = JSON.stringify([one, seen && Boolean(seen.pose), connected]);
-      if (row.key === key) continue;
-      row.key = key;
+      if (isShown(row.element, one, seen && Boolean(seen.pose), connected)) continue;
       row.element.classList.toggle("reached", Boolean(one) && one.state === "reached");
       row.element.classList.toggle("active", Boolean(one) && active && ["being tapped", "making way"].includes(one.state));
       const words = one ? one.state : seen && seen.pose ? "" : "not seen";
       const numbers = one && one.distance !== null
-        ? `${one.distance.toFixed(one.distance < 10 ? 2 : 0)} mm, ${signed(one.rotation)}\u00b0, ${one.taps} ${one.taps === 1 ? "tap" : "taps"}` : "";
-      row.progress.replaceChildren(...[["span", words], ["small", numbers]].map(
-        ([tag, text]) => Object.assign(document.createElement(tag), { textContent: text })));
+        ? `${one.distance.toFixed(one.distance < 10 ? 2 : 0)} mm, ${signed(one.rotation)}\u00b0, ${counted(one.taps, "tap")}` : "";
+      row.progress.replaceChildren(create("span", {}, words), create("small", {}, numbers));
     }
     this.enable();
   }

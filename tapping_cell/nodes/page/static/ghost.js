@@ -16,7 +16,7 @@ class Ghost {
     this.hold = null;
     this.parts = {};
     for (const part of group.querySelectorAll("[data-part]")) this.parts[part.dataset.part] = part;
-    this.overlay = document.getElementById("overlay");
+    this.overlay = $("overlay");
     Ghost.all.add(this);
     for (const [name, kind] of [["outline", "move"], ["handle", "turn"]]) {
       const part = this.parts[name];
@@ -136,23 +136,20 @@ class Ghost {
 
   size() {
     const unit = 1000 / (this.overlay.clientWidth || 1000);
-    this.parts.handle.setAttribute("r", 24 * unit);
-    this.parts.knob.setAttribute("r", 10 * unit);
-    this.parts.knob.setAttribute("stroke-width", 2 * unit);
-    this.parts.centre.setAttribute("r", 4 * unit);
-    this.parts.label.setAttribute("font-size", 15 * unit);
+    this.set("handle", { r: 24 * unit });
+    this.set("knob", { r: 10 * unit, "stroke-width": 2 * unit });
+    this.set("centre", { r: 4 * unit });
+    this.set("label", { "font-size": 15 * unit });
   }
 
   draw() {
     const { outline, centre, handle } = this.shape;
-    const scale = ([u, v]) => [1000 * u, 1000 * Ghost.aspect * v];
-    const c = scale(centre), h = scale(handle);
+    const c = scaled(centre), h = scaled(handle);
+    const [x, y] = this.hold ? scaled([this.hold.u, this.hold.v]) : c;
     let moved = (p) => p;
     if (this.hold && this.hold.kind === "move") {
-      const [x, y] = scale([this.hold.u, this.hold.v]);
       moved = ([px, py]) => [px + x - c[0], py + y - c[1]];
     } else if (this.hold) {
-      const [x, y] = scale([this.hold.u, this.hold.v]);
       const turn = Math.atan2(y - c[1], x - c[0]) - Math.atan2(h[1] - c[1], h[0] - c[0]);
       const cos = Math.cos(turn), sin = Math.sin(turn);
       moved = ([px, py]) => [
@@ -160,20 +157,17 @@ class Ghost {
         c[1] + sin * (px - c[0]) + cos * (py - c[1]),
       ];
     }
-    const points = outline.map((p) => moved(scale(p)).map((n) => n.toFixed(1)).join(",")).join(" ");
+    const points = pointList(outline.map((p) => moved(scaled(p))));
     const [cx, cy] = moved(c), [hx, hy] = moved(h);
-    for (const name of ["outline", "shade"]) this.parts[name].setAttribute("points", points);
-    for (const name of ["arm", "arm-shade"]) {
-      for (const [key, value] of Object.entries({ x1: cx, y1: cy, x2: hx, y2: hy })) {
-        this.parts[name].setAttribute(key, value);
-      }
-    }
-    this.parts.label.setAttribute("x", cx);
-    this.parts.label.setAttribute("y", cy + 1.4 * Number(this.parts.label.getAttribute("font-size")));
-    for (const [name, x, y] of [["centre", cx, cy], ["knob", hx, hy], ["handle", hx, hy]]) {
-      this.parts[name].setAttribute("cx", x);
-      this.parts[name].setAttribute("cy", y);
-    }
+    for (const name of ["outline", "shade"]) this.set(name, { points });
+    for (const name of ["arm", "arm-shade"]) this.set(name, { x1: cx, y1: cy, x2: hx, y2: hy });
+    this.set("label", { x: cx, y: cy + 1.4 * Number(this.parts.label.getAttribute("font-size")) });
+    this.set("centre", { cx, cy });
+    for (const name of ["knob", "handle"]) this.set(name, { cx: hx, cy: hy });
+  }
+
+  set(name, attributes) {
+    for (const [key, value] of Object.entries(attributes)) this.parts[name].setAttribute(key, value);
   }
 }
 
@@ -181,10 +175,10 @@ Ghost.all = new Set();
 Ghost.aspect = 0.8;  // height of the image divided by its width
 Ghost.size = (aspect = Ghost.aspect) => {
   Ghost.aspect = aspect;
-  document.getElementById("overlay").setAttribute("viewBox", `0 0 1000 ${1000 * aspect}`);
+  $("overlay").setAttribute("viewBox", `0 0 1000 ${1000 * aspect}`);
   for (const each of Ghost.all) {
     each.size();
     if (each.shape) each.draw();
   }
 };
-new ResizeObserver(() => Ghost.size()).observe(document.getElementById("overlay"));
+new ResizeObserver(() => Ghost.size()).observe($("overlay"));

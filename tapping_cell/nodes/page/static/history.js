@@ -13,7 +13,7 @@ function drawn(name, attributes, text = "") {
 // Plot the distance to the goal before the first tap and after each tap, on a logarithmic scale.
 // The area within the tolerance is filled.
 function renderPlot(taps, tolerance) {
-  const plot = document.getElementById("plot");
+  const plot = $("plot");
   const points = taps.length && taps[0].before[0] !== null ? [[0, taps[0].before[0]]] : [];
   for (const tap of taps) if (tap.remaining[0] !== null) points.push([tap.number, tap.remaining[0]]);
   if (points.length < 2 || !tolerance) {
@@ -43,36 +43,27 @@ function renderPlot(taps, tolerance) {
 }
 
 function runLink(key, run, file, text) {
-  const link = document.createElement("a");
-  link.href = `runs/${key}/${encodeURIComponent(run.name)}/${file}`;
-  link.textContent = text;
-  if (file === "report.html") {
-    link.target = "_blank";
-    link.rel = "noopener";
-  }
+  const href = `runs/${key}/${encodeURIComponent(run.name)}/${file}`;
+  const link = create("a", file === "report.html" ? { href, target: "_blank", rel: "noopener" } : { href }, text);
   link.setAttribute("aria-label", `${text} of ${run.name}`);
   return link;
 }
 
 function renderRuns(runs, key, hint, connected) {
   const last = runs.find((run) => run.outcome !== "refused");
-  const words = hint || (last ? `Last run: ${last.name}, ${last.outcome}.` : "No run has been recorded yet.");
-  const place = document.getElementById("run-words");
-  if (place.textContent !== words) place.textContent = words;
-  const report = document.getElementById("last-report"), archive = document.getElementById("download");
+  setText($("run-words"), hint || (last ? `Last run: ${last.name}, ${last.outcome}.` : "No run has been recorded yet."));
+  const report = $("last-report"), archive = $("download");
   report.hidden = !connected || !last || !last.report;
   archive.hidden = !connected || !last;
   if (last) {
     report.href = runLink(key, last, "report.html", "").href;
     archive.href = runLink(key, last, "run.zip", "").href;
   }
-  const body = document.getElementById("runs").tBodies[0], shown = JSON.stringify([key, runs]);
-  document.getElementById("runs-scroll").hidden = !runs.length;
-  if (body.dataset.key === shown) return;
-  body.dataset.key = shown;
+  const body = $("runs").tBodies[0];
+  $("runs-scroll").hidden = !runs.length;
+  if (isShown(body, key, runs)) return;
   body.replaceChildren(...runs.map((run) => {
-    const row = document.createElement("tr");
-    row.className = run.outcome === "refused" ? "refused" : "";
+    const row = create("tr", { className: run.outcome === "refused" ? "refused" : "", title: run.name });
     const when = run.began === null ? run.name : new Date(1000 * run.began).toLocaleString([], {
       month: "2-digit", day: "2-digit", hour: "2-digit", minute: "2-digit", hour12: false });
     const goal = run.objects > 1 ? `${run.objects} objects` : run.goal ? `${run.goal.map((n) => n === null ? "?" : n.toFixed(0)).join(", ")}\u00b0` : "?";
@@ -80,7 +71,6 @@ function renderRuns(runs, key, hint, connected) {
       ? `${run.residual[0].toFixed(2)} mm, ${run.residual[1].toFixed(1)}\u00b0` : "";
     for (const text of [when, goal, run.outcome, run.taps === null ? "" : String(run.taps), residual]) row.insertCell().textContent = text;
     row.cells[2].title = run.error;
-    row.title = run.name;
     const files = row.insertCell();
     if (run.report) files.append(runLink(key, run, "report.html", "report"), " ");
     files.append(runLink(key, run, "run.zip", "zip"));

@@ -2,7 +2,6 @@
 // The operator's page: shows the state that the node operator_page sends, and sends a person's
 // commands to that node.
 
-const $ = (id) => document.getElementById(id);
 const SILENCE_MS = 3000;        // timeout for messages of the node; then the connection is lost
 const ANSWER_MS = 6000;         // timeout for the response to a request
 const STALE_S = 2;              // age above which an image is greyed out
@@ -30,21 +29,6 @@ const CONFIRMED = {
   },
 };
 const waiting = new Map();          // time of each request without a response so far
-
-function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
-}
-
-function sentence(text) {
-  return text ? text[0].toUpperCase() + text.slice(1) + (/[.!?)]$/.test(text) ? "" : ".") : "";
-}
-
-function signed(value, digits = 1, unit = "") {
-  if (value === null || value === undefined) return "?";
-  const text = Math.abs(value).toFixed(digits);
-  const sign = Number(text) === 0 ? "" : value < 0 ? "\u2212" : "+";
-  return sign + text + unit;
-}
 
 // ---- The connection
 
@@ -201,7 +185,7 @@ function renderPicture() {
   if (seen.sentence && !words) parts.push(`${seen.sentence} (${seen.code})`);
   if (!stale) parts.push(`image ${age.toFixed(1)} s old`);
   const unknown = state ? state.arrangement.unknown : 0;
-  if (unknown) parts.push(`the planner avoids ${unknown} ${unknown === 1 ? "object" : "objects"} without an object file (red outline)`);
+  if (unknown) parts.push(`the planner avoids ${counted(unknown, "object")} without an object file (red outline)`);
   setText($("picture-words"), parts.join(" \u00b7 "));
 }
 
@@ -259,28 +243,19 @@ function renderAttention(mode) {
 }
 
 function renderSteps(steps) {
-  const key = JSON.stringify([steps, connected]), list = $("steps");
-  if (list.dataset.key === key) return;
-  const focused = document.activeElement && document.activeElement.dataset.command;
-  list.dataset.key = key;
-  list.replaceChildren(...steps.map((step) => {
-    const row = document.createElement("li");
-    row.className = step.state;
-    if (step.state === "now") row.setAttribute("aria-current", "step");
-    const words = document.createElement("span");
-    words.textContent = (step.state === "done" ? "Done: " : "") + step.text;
-    row.append(words);
-    if (step.command && step.state === "now") {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.id = "step-" + step.command.replace("_", "-");
-      button.dataset.command = step.command;
-      button.className = "strong";
-      button.disabled = !connected;
-      button.textContent = STEP_BUTTONS[step.command];
-      button.addEventListener("click", () => step.command in CONFIRMED ? ask(step.command) : request(step.command));
-      row.append(button);
-    }
+  const list = $("steps"), focused = document.activeElement && document.activeElement.dataset.command;
+  if (isShown(list, steps, connected)) return;
+  list.replaceChildren(...steps.map(({ text, state, command }) => {
+    const row = create("li", { className: state }, create("span", {}, (state === "done" ? "Done: " : "") + text));
+    if (state !== "now") return row;
+    row.setAttribute("aria-current", "step");
+    if (!command) return row;
+    const button = create("button", {
+      type: "button", id: "step-" + command.replace("_", "-"), className: "strong", disabled: !connected,
+    }, STEP_BUTTONS[command]);
+    button.dataset.command = command;
+    button.addEventListener("click", () => command in CONFIRMED ? ask(command) : request(command));
+    row.append(button);
     return row;
   }));
   const again = focused && list.querySelector(`[data-command="${focused}"]`);
@@ -337,17 +312,17 @@ function renderGoal() {
     setText($("to-go-taps-unit"), plan.taps === 1 ? "tap" : "taps");
     $("to-go").classList.toggle("reached", plan.state === "reached");
   }
+  const own = !plan.object || plan.object === cell.object;
   let words = "No goal.";
   if (plan.goal) {
     const [x, y, angle] = plan.goal;
     const within = plan.tolerance[0] ? `, within ${plan.tolerance[0]} mm and ${plan.tolerance[1]}\u00b0` : "";
-    const whose = !plan.object || plan.object === cell.object ? "Goal" : `Goal of ${plan.object}:`;
+    const whose = own ? "Goal" : `Goal of ${plan.object}:`;
     words = `${whose} x ${signed(x)} mm, y ${signed(y)} mm, ${signed(angle)}\u00b0${within}: ${plan.state}.`;
   }
   const why = plan.code ? `${plan.sentence} (${plan.code})` : "";
   if (why && why !== $("goal-answer").textContent) words += ` ${why}`;
   setText($("goal-words"), words);
-  const own = !plan.object || plan.object === cell.object;
   follow(plan.busy && own ? plan.goal : state.object.visible ? state.object.pose : null);
 }
 
@@ -367,22 +342,20 @@ function triple(values) {
 }
 
 function renderTaps() {
-  const taps = state.taps, key = JSON.stringify([taps, state.plan.tolerance]);
-  const body = $("taps").tBodies[0];
+  const taps = state.taps, body = $("taps").tBodies[0];
   $("taps").hidden = $("taps-note").hidden = !taps.length;
   renderPlot(taps, state.plan.tolerance && state.plan.tolerance[0]);
   $("no-taps").hidden = Boolean(taps.length);
-  if (body.dataset.key === key) return;
-  body.dataset.key = key;
+  if (isShown(body, taps, state.plan.tolerance)) return;
   const [mm, degrees] = state.plan.tolerance || [0, 0];
   body.replaceChildren(...taps.map((tap) => {
-    const row = document.createElement("tr");
+    const row = create("tr");
     const cell = (name, lines, kind = "", note = "") => {
       const made = row.insertCell();
       made.dataset.name = name;
       made.className = kind;
-      made.append(...lines.map((text) => Object.assign(document.createElement("span"), { textContent: text })));
-      if (note) made.append(Object.assign(document.createElement("small"), { textContent: note }));
+      made.append(...lines.map((text) => create("span", {}, text)));
+      if (note) made.append(create("small", {}, note));
     };
     const speed = tap.speed === null ? "" : `${tap.speed.toFixed(0)} mm/s, `;
     const outcome = tap.outcome === "fired" ? "" : `${tap.outcome}, `;
@@ -399,37 +372,23 @@ function renderTaps() {
 }
 
 function renderNodes() {
-  const key = JSON.stringify(state.nodes), list = $("nodes");
-  if (list.dataset.key === key) return;
-  list.dataset.key = key;
+  if (isShown($("nodes"), state.nodes)) return;
   const words = { ok: "ok", warn: "warning", error: "error" };
-  list.replaceChildren(...state.nodes.map((node) => {
-    const row = document.createElement("li");
-    row.className = node.level;
-    const part = (kind, text) => row.append(
-      Object.assign(document.createElement("span"), { className: kind, textContent: text }));
-    part("dot", "");
-    part("name", node.name);
-    part("life", `${node.life}, ${words[node.level] || "unknown"}`);
-    if (node.sentence && node.sentence !== "ok") part("said", node.sentence);
-    return row;
-  }));
+  const part = (className, text) => create("span", { className }, text);
+  $("nodes").replaceChildren(...state.nodes.map((node) => create(
+    "li", { className: node.level }, part("dot", ""), part("name", node.name),
+    part("life", `${node.life}, ${words[node.level] || "unknown"}`),
+    ...(node.sentence && node.sentence !== "ok" ? [part("said", node.sentence)] : []))));
 }
 
 function renderLog() {
   const kind = $("log-kind").value, words = $("log-words").value.trim().toLowerCase();
   const lines = state.log.filter((line) => (!kind || line.kind === kind) && line.text.toLowerCase().includes(words));
-  const key = JSON.stringify(lines), list = $("log");
   $("no-log").hidden = Boolean(lines.length);
-  if (list.dataset.key === key) return;
-  list.dataset.key = key;
-  list.replaceChildren(...lines.reverse().map((line) => {
-    const row = document.createElement("li");
-    const time = document.createElement("time");
-    time.textContent = new Date(1000 * line.time).toLocaleTimeString([], { hour12: false });
-    row.append(time, Object.assign(document.createElement("span"), { textContent: line.text, className: line.kind }));
-    return row;
-  }));
+  if (isShown($("log"), lines)) return;
+  $("log").replaceChildren(...lines.reverse().map(({ time, text, kind }) => create(
+    "li", {}, create("time", {}, new Date(1000 * time).toLocaleTimeString([], { hour12: false })),
+    create("span", { className: kind }, text))));
 }
 
 // ---- Commands of the operator

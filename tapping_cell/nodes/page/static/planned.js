@@ -7,7 +7,7 @@ class Planned {
     this.tap = null;
     this.answerBy = 0;
     for (const [id, confirm] of [["planned-yes", true], ["planned-no", false]]) {
-      document.getElementById(id).addEventListener("click", () => {
+      $(id).addEventListener("click", () => {
         if (this.tap) request("confirm", { tap_id: this.tap.tap_id, confirm });
       });
     }
@@ -21,7 +21,7 @@ class Planned {
   // disabled for a moment.
   render(tap, drawing) {
     this.draw(drawing);
-    const waiting = tap && tap.waiting ? tap : null, card = document.getElementById("planned");
+    const waiting = tap && tap.waiting ? tap : null, card = $("planned");
     const other = waiting && (!this.tap || this.tap.tap_id !== waiting.tap_id);
     this.tap = waiting;
     card.hidden = !waiting;
@@ -30,12 +30,12 @@ class Planned {
     this.tick();
     if (!other) return;
     card.dataset.tap = waiting.tap_id;
-    setText(document.getElementById("planned-answer"), "");
-    setText(document.getElementById("planned-title"), `Make tap ${waiting.number}?`);
-    setText(document.getElementById("planned-words"), this.words(waiting));
+    setText($("planned-answer"), "");
+    setText($("planned-title"), `Make tap ${waiting.number}?`);
+    setText($("planned-words"), this.words(waiting));
     // A click that was meant for the previous tap must not confirm this one.
     for (const id of ["planned-yes", "planned-no"]) {
-      const button = document.getElementById(id);
+      const button = $(id);
       button.disabled = true;
       setTimeout(() => { button.disabled = false; }, 400);
     }
@@ -54,24 +54,19 @@ class Planned {
   tick() {
     if (!this.tap) return;
     const left = Math.max(0, Math.ceil((this.answerBy - performance.now()) / 1000));
-    setText(document.getElementById("planned-clock"), `Without an answer, the goal ends in ${left} s.`);
+    setText($("planned-clock"), `Without an answer, the goal ends in ${left} s.`);
   }
 
   draw(drawing) {
-    const group = document.getElementById("planned-drawing");
+    const group = $("planned-drawing");
     group.toggleAttribute("hidden", !drawing);
     if (!drawing) return;
-    const scale = ([u, v]) => [1000 * u, 1000 * Ghost.aspect * v];
-    const points = (list) => list.map((p) => scale(p).map((n) => n.toFixed(1)).join(",")).join(" ");
-    const set = (id, list) => document.getElementById(id).setAttribute("points", points(list));
-    set("planned-ellipse", drawing.ellipse);
-    set("planned-outline", drawing.outline);
-    set("planned-way", drawing.way);
-    set("planned-arrow", drawing.arrow);
-    set("planned-shade", drawing.arrow);
-    const [from, to] = drawing.arrow.map(scale), length = Math.hypot(to[0] - from[0], to[1] - from[1]) || 1;
+    const set = (id, points) => $(`planned-${id}`).setAttribute("points", pointList(points));
+    for (const id of ["ellipse", "outline", "way", "arrow"]) set(id, drawing[id].map(scaled));
+    set("shade", drawing.arrow.map(scaled));
+    const [from, to] = drawing.arrow.map(scaled), length = Math.hypot(to[0] - from[0], to[1] - from[1]) || 1;
     const [x, y] = [(to[0] - from[0]) / length, (to[1] - from[1]) / length];
     const head = [[0, 0], [-22, 9], [-22, -9]].map(([a, b]) => [to[0] + a * x - b * y, to[1] + a * y + b * x]);
-    document.getElementById("planned-head").setAttribute("points", head.map((p) => p.map((n) => n.toFixed(1)).join(",")).join(" "));
+    set("head", head);
   }
 }

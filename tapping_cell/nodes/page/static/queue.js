@@ -3,8 +3,6 @@
 
 class Settings {
   constructor() {
-    this.rows = "";
-    this.names = "";
     this.asked = null;  // new value of the check box, until the planner reports the same value
     this.on("ask", "change", (box) => {
       this.asked = { value: box.checked, at: performance.now() };
@@ -18,7 +16,7 @@ class Settings {
       if (goal) request("queue_goal", goal, "queue");
     });
     this.on("keep", "click", () => {
-      const goal = readGoal(), name = document.getElementById("new-name");
+      const goal = readGoal(), name = $("new-name");
       if (!name.value.trim()) {
         show("goal", "Type a name for this goal first.", "bad");
         name.focus();
@@ -29,29 +27,29 @@ class Settings {
     });
     this.on("named", "change", (list) => {
       const chosen = list.selectedOptions[0];
-      document.getElementById("forget").disabled = !list.value;
+      $("forget").disabled = !list.value;
       if (!list.value) return;
       const [x, y, angle] = JSON.parse(chosen.dataset.pose);
       ghost.touched = true;
       ghost.place(x, y, angle);
     });
-    this.on("forget", "click", () => request("forget_goal", { name: document.getElementById("named").value }, "queue"));
+    this.on("forget", "click", () => request("forget_goal", { name: $("named").value }, "queue"));
     for (const id of ["tolerance-position", "tolerance-angle"]) this.on(id, "input", () => readGoal());
   }
 
   on(id, kind, act) {
-    const element = document.getElementById(id);
+    const element = $(id);
     element.addEventListener(kind, () => act(element));
   }
 
   welcome(message) {
-    const list = document.getElementById("planner"), kept = list.value;
+    const list = $("planner"), kept = list.value;
     list.replaceChildren(...message.planners.map((name) => new Option(
       name === message.planner ? `${name} (this cell's default)` : name, name)));
     list.value = kept || message.planner;
-    document.getElementById("tolerance-position").placeholder = `${message.tolerance[0]}`;
-    document.getElementById("tolerance-angle").placeholder = `${message.tolerance[1]}`;
-    document.getElementById("settings-answer").textContent = "";
+    $("tolerance-position").placeholder = `${message.tolerance[0]}`;
+    $("tolerance-angle").placeholder = `${message.tolerance[1]}`;
+    setText($("settings-answer"), "");
   }
 
   // Empty fields select the cell's tolerance.
@@ -59,12 +57,12 @@ class Settings {
     const value = {};
     let trouble = "";
     for (const [id, name, unit] of [["tolerance-position", "position_tolerance", "mm"], ["tolerance-angle", "angle_tolerance", "degrees"]]) {
-      const field = document.getElementById(id), typed = field.value.trim().replace(",", ".");
+      const field = $(id), typed = field.value.trim().replace(",", ".");
       const good = !typed || (/^(\d+\.?\d*|\.\d+)$/.test(typed) && Number(typed) > 0);
       field.setAttribute("aria-invalid", String(!good));
       if (!good) {
         trouble = trouble || `The tolerance is '${typed}': type a number of ${unit} above 0, or leave the field empty for the cell's tolerance.`;
-        document.getElementById("more").open = true;
+        $("more").open = true;
       } else if (typed) {
         value[name] = Number(typed);
       }
@@ -73,52 +71,44 @@ class Settings {
   }
 
   render(state, connected) {
-    const ask = document.getElementById("ask");
+    const ask = $("ask");
     const waiting = this.asked && performance.now() - this.asked.at < 2000 && this.asked.value !== state.plan.ask;
     if (!waiting) {
       this.asked = null;
       ask.checked = state.plan.ask;
     }
-    for (const id of ["ask", "planner", "enqueue", "keep"]) document.getElementById(id).disabled = !connected;
+    for (const id of ["ask", "planner", "enqueue", "keep"]) $(id).disabled = !connected;
     this.renderQueue(state.queue, connected);
     this.renderNames(state.named);
   }
 
   renderQueue(queue, connected) {
-    const count = queue.rows.length, run = document.getElementById("queue-run"), hold = document.getElementById("queue-hold");
+    const count = queue.rows.length, run = $("queue-run"), hold = $("queue-hold");
     run.hidden = !count || queue.running;
     hold.hidden = !queue.running;
     run.disabled = !connected || Boolean(state.blocked);
     hold.disabled = !connected;
     const words = count ? `${count} ${count === 1 ? "goal is waiting" : "goals are waiting"}. ${queue.running ? "The next goal follows when the current goal is reached." : queue.held}`
       : queue.running ? "The last goal of the queue is active." : "No goal is waiting.";
-    setText(document.getElementById("queue-words"), words);
-    const key = JSON.stringify([queue.rows, connected]);
-    if (key === this.rows) return;
-    this.rows = key;
-    document.getElementById("queue").replaceChildren(...queue.rows.map(([number, x, y, angle]) => {
-      const row = document.createElement("li"), button = document.createElement("button");
-      button.type = "button";
-      button.textContent = "Remove";
-      button.disabled = !connected;
+    setText($("queue-words"), words);
+    if (isShown($("queue"), queue.rows, connected)) return;
+    $("queue").replaceChildren(...queue.rows.map(([number, x, y, angle]) => {
+      const button = create("button", { type: "button", disabled: !connected }, "Remove");
       button.setAttribute("aria-label", `Remove the goal x ${x} mm, y ${y} mm, ${angle} degrees from the queue`);
       button.addEventListener("click", () => request("unqueue", { number }, "queue"));
-      row.append(Object.assign(document.createElement("span"), { textContent: `${signed(x)}, ${signed(y)} mm, ${signed(angle)}\u00b0` }), button);
-      return row;
+      return create("li", {}, create("span", {}, `${signed(x)}, ${signed(y)} mm, ${signed(angle)}\u00b0`), button);
     }));
   }
 
   renderNames(named) {
-    const key = JSON.stringify(named), list = document.getElementById("named");
-    if (key === this.names) return;
-    this.names = key;
-    const kept = list.value;
+    const list = $("named"), kept = list.value;
+    if (isShown(list, named)) return;
     list.replaceChildren(new Option("choose", ""), ...named.map(([name, ...pose]) => {
       const option = new Option(name, name);
       option.dataset.pose = JSON.stringify(pose);
       return option;
     }));
     list.value = named.some(([name]) => name === kept) ? kept : "";
-    document.getElementById("forget").disabled = !list.value;
+    $("forget").disabled = !list.value;
   }
 }

@@ -1,0 +1,82 @@
+"""Calls of other nodes at the request of a page, which receives the outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.action import ActionClient
+from rclpy.client import Client
+from rclpy.task import Future
+from tapping_cell_msgs.msg import ErrorCode
+
+from tapping_cell.nodes.page.cell_view import with_code
+from tapping_cell.nodes.page.server import Answer
+from tapping_cell.report.error_codes import hint
+from tapping_cell.report.words import counted
+
+
+def answer_to(request: str, ok: bool, sentence: str) -> dict[str, object]:
+    """Return the message that answers a request of a page."""
+    return {"type": "answer", "to": request, "ok": ok, "text": sentence}
+
+
+def call_service(
+    client: Client,
+    content: object,
+    request: str,
+    name: str,
+    answer: Answer,
+    on_reply: Callable[[Any], None] | None = None,
+) -> None:
+    """Call a service. The page receives the response of the service, or a message that no server
+    is available. ``on_reply`` answers the page instead if the response is not that of a Trigger."""
+    if not client.service_is_ready():
+        answer(answer_to(request, False, f"{name}: does not answer; is it running?"))
+        return
+
+    def done(future: Future) -> None:
+        response = future.result()
+        if on_reply is not None:
+            on_reply(response)
+        else:
+            answer(answer_to(request, response.success, f"{name}: {response.message}"))
+
+    client.call_async(content).add_done_callback(done)
+
+
+def send_goal(
+    action: ActionClient,
+    goal: object,
+    request: str,
+    what: str,
+    answer: Answer,
+    on_response: Callable[[], None] = lambda: None,
+) -> bool:
+    """Send a goal of the planner, called ``what``, and its result to the page when it has ended.
+    ``on_response`` is called when the planner has accepted or rejected the goal. Return False if
+    the planner is not running."""
+    if not action.server_is_ready():
+        answer(answer_to(request, False, "the planner is not running; start tap_planner"))
+        return False
+
+    def taken(future: Future) -> None:
+        on_response()
+        handle = future.result()
+        if not handle.accepted:
+            answer(answer_to(request, False, f"the planner did not accept the {what}"))
+            return
+        answer(answer_to(request, True, f"{what} sent"))
+        handle.get_result_async().add_done_callback(ended)
+
+    def ended(future: Future) -> None:
+        result = future.result().result
+        if result.error_code == ErrorCode.NONE:
+            sentence = f"{what} reached after {counted(result.taps, 'tap')}"
+            answer(answer_to(request, True, sentence))
+            return
+        sentence = with_code(result.error_msg, result.error_code)
+        answer({**answer_to(request, False, sentence), "hint": hint(result.error_code)})
+
+    action.send_goal_async(goal).add_done_callback(taken)
+    return True

@@ -1,0 +1,139 @@
+"""Previews of goals and of the planned tap on the camera's image, while a page is open."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import CameraInfo
+from tapping_cell_msgs.msg import PlannedTap
+
+from tapping_cell.logic.poses import covariance_from_message
+from tapping_cell.nodes.camera import images
+from tapping_cell.nodes.camera.pose_messages import camera_from_message
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.conversions import from_message, is_finite
+from tapping_cell.nodes.page.arrangements import Arrangements
+from tapping_cell.nodes.page.ghost import Ghost
+from tapping_cell.nodes.page.previews import Previews
+from tapping_cell.nodes.page.requests import BadRequest, Move, Place, Turn
+from tapping_cell.nodes.page.server import Answer
+from tapping_cell.vision import CameraError, CameraModel, View
+
+
+class GoalPreview:
+    """Ghosts of the cell's objects. Called in the executor's thread, except for ``ask``."""
+
+    def __init__(self, node: Node, arrangements: Arrangements) -> None:
+        self._node = node
+        self._arrangements = arrangements
+        self._camera: CameraModel | None = None
+        self._camera_info: Subscription | None = None
+        self._ghosts: dict[str, Ghost] = {}
+        self._drawn: tuple[int, dict[str, object]] | None = None
+        self._previews: Previews[tuple[Move | Turn | Place, Answer]] | None = None
+
+    def start(self) -> None:
+        """Start to answer requests, in a separate thread."""
+        self._previews = Previews(self._answer)
+
+    def close(self) -> None:
+        """End the thread."""
+        if self._previews is not None:
+            self._previews.close()
+            self._previews = None
+
+    def subscribe(self) -> list[Subscription]:
+        """Subscribe to the camera's calibration and pose."""
+        subscribe = self._node.create_subscription
+        self._camera_info = subscribe(
+            CameraInfo, "camera/camera_info", self._on_camera_info, images.PICTURES
+        )
+        return [subscribe(PoseStamped, "camera/pose", self._on_camera_pose, LATCHED)]
+
+    def forget(self) -> None:
+        """Discard the ghosts when no page is open."""
+        self._drop_camera_info()
+        self._ghosts = {}
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the camera's pose is known."""
+        return bool(self._ghosts)
+
+    def ask(self, page: object, request: Move | Turn | Place, answer: Answer) -> None:
+        """Send a page the pose and drawing of a ghost. May be called from any thread."""
+        if request.object not in ("", *self._arrangements.cells):
+            answer(_failure(request, f"the cell has no object '{request.object}'"))
+        elif self._previews is not None:
+            self._previews.ask((page, request.object), (request, answer))
+
+    def planned(self, tap: PlannedTap | None, name: str) -> dict[str, object] | None:
+        """Return the drawing of a planned tap of the object ``name``, in fractions of the image
+        size; None if there is no tap or the camera's pose is unknown. Computed once per tap."""
+        ghost = self._ghost_of(name) or self._ghost_of("")
+        if tap is None or ghost is None:
+            self._drawn = None
+            return None
+        if self._drawn is None or self._drawn[0] != tap.tap_id:
+            drawing = ghost.planned(
+                from_message(tap.object_pose),
+                from_message(tap.strike_pose),
+                from_message(tap.predicted_pose.pose),
+                covariance_from_message(tap.predicted_pose.covariance)[:2, :2],
+            )
+            self._drawn = tap.tap_id, drawing
+        return self._drawn[1]
+
+    def _answer(self, asked: tuple[Move | Turn | Place, Answer]) -> None:
+        """Answer a request. Called in the previews' thread."""
+        request, answer = asked
+        try:
+            ghost = self._ghost_of(request.object)
+            if ghost is None:
+                raise BadRequest(
+                    "the camera's pose above the table is not known yet; type the goal instead"
+                )
+            answer(ghost.answer(request))
+        except BadRequest as error:
+            answer(_failure(request, str(error)))
+
+    def _ghost_of(self, name: str) -> Ghost | None:
+        """Return the ghost of an object, or of the cell's own object if ``name`` is empty; None
+        while the camera's pose is unknown."""
+        ghosts = self._ghosts
+        return ghosts.get(name) if name else next(iter(ghosts.values()), None)
+
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        """Store the calibration. One message suffices, because all images have the same
+        calibration."""
+        try:
+            self._camera = images.from_camera_info(message)
+        except CameraError:
+            return
+        self._drop_camera_info()
+
+    def _drop_camera_info(self) -> None:
+        if self._camera_info is not None:
+            self._node.destroy_subscription(self._camera_info)
+            self._camera_info = None
+
+    def _on_camera_pose(self, message: PoseStamped) -> None:
+        if self._camera is None or not is_finite(message.pose):
+            return
+        view = View(self._camera, camera_from_message(message.pose))
+        self._ghosts = {
+            name: Ghost(
+                view,
+                np.asarray(cell.outline()),
+                cell.object.height,
+                self._arrangements.checks[name].refusal_if_ready,
+            )
+            for name, cell in self._arrangements.cells.items()
+        }
+
+
+def _failure(request: Move | Turn | Place, sentence: str) -> dict[str, object]:
+    head = {"type": "ghost", "number": request.number, "object": request.object}
+    return {**head, "trouble": sentence}

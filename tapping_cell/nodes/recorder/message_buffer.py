@@ -1,0 +1,67 @@
+"""Buffer of received messages, so that a bag starts before its goal."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import replace
+
+from tapping_cell.nodes.recorder.recording import ReceivedMessage
+
+SELDOM_NS = 1_000_000_000
+"""Minimum interval between buffered messages of a topic that is recorded seldom."""
+
+
+class MessageBuffer:
+    """Messages of the last seconds before a recording, and then those that are not written yet. All
+    methods may be called from any thread."""
+
+    def __init__(self, lead: float) -> None:
+        """``lead``: time (s) for which messages are kept while there is no recording."""
+        self._lead_ns = 1e9 * lead
+        self._lock = threading.Lock()
+        self._lead: deque[ReceivedMessage] = deque()
+        self._latched: dict[str, ReceivedMessage] = {}
+        self._waiting: list[ReceivedMessage] = []
+        self._begins: int | None = None
+        """Time of the first message of the current bag; None if there is no recording."""
+
+    def add(self, message: ReceivedMessage, *, latched: bool, seldom: bool) -> None:
+        """Add a message. ``latched``: the last message of its topic is written at the start of each
+        bag. ``seldom``: the same, and it is dropped if the last one was added recently."""
+        with self._lock:
+            last = self._latched.get(message.topic)
+            if seldom and last is not None and message.stamp - last.stamp < SELDOM_NS:
+                return
+            if latched or seldom:
+                self._latched[message.topic] = message
+            if self._begins is not None:
+                if message.stamp >= self._begins:
+                    self._waiting.append(message)
+                return
+            self._lead.append(message)
+            while self._lead[0].stamp < message.stamp - self._lead_ns:
+                self._lead.popleft()
+
+    def begin(self, now: int, notes_topic: str, notes: bytes) -> None:
+        """Begin a recording at ``now`` (ns) with the messages of the last seconds. The bag starts
+        with ``notes`` and with the latched messages that are older."""
+        with self._lock:
+            first = self._lead[0].stamp if self._lead else now
+            topics = {message.topic for message in self._lead}
+            self._waiting += [
+                ReceivedMessage(notes_topic, first, notes),
+                *(replace(m, stamp=first) for m in self._latched.values() if m.topic not in topics),
+                *self._lead,
+            ]
+            self._lead.clear()
+            self._begins = first
+
+    def take(self, *, end: bool = False) -> list[ReceivedMessage]:
+        """Remove and return the messages to write, in the order of their reception. ``end``: end
+        the recording."""
+        with self._lock:
+            taken, self._waiting = self._waiting, []
+            if end:
+                self._begins = None
+        return sorted(taken, key=lambda message: message.stamp)
