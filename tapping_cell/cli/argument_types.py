@@ -7,9 +7,14 @@ import argparse
 import math
 import re
 from collections.abc import Callable
+from typing import Any
 
 _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*/?")
 LONGEST_NAMESPACE = 200
+
+MM_AND_DEGREES: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("MM", "DEG")}
+POSE: dict[str, Any] = {"type": float, "nargs": 3, "metavar": ("X", "Y", "THETA")}
+"""Settings of ``add_argument`` for a length and an angle, and for a pose, in mm and degrees."""
 
 
 def finite(text: str) -> float:
