@@ -56,7 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=0,
         help="random seed of the bootstrap (default: 0)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)
 
 
@@ -64,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the fit. Return 0 on success, 2 for unusable records or files."""
     from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.calibration.experiment import read_experiment
-    from tapping_cell.calibration.keep import KeptFile, refuse_existing, write_kept
+    from tapping_cell.calibration.keep import KeptFile, write_kept
     from tapping_cell.calibration.object_file import fit_record, fitted_object, object_yaml
     from tapping_cell.calibration.object_fit import fit_object
     from tapping_cell.cli.output_arguments import output_of
@@ -73,8 +72,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     try:
         output = None if arguments.output is None else output_of(arguments)
-        if output is not None:
-            refuse_existing(output)
         experiments = [read_experiment(place.expanduser()) for place in arguments.records]
         content = _content(experiments, arguments.object)
         fit = fit_object(experiments, content, arguments.seed)

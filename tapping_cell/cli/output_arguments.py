@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tapping_cell.calibration.keep import Output
+from tapping_cell.calibration.keep import Output, refuse_existing
 
 
 def add_output_arguments(
     parser: argparse.ArgumentParser, default: str | None = None, required: bool = True
 ) -> None:
-    """Declare --output, --force and --accept-worse. If --output is left out, its value is
+    """Declare --json, --output, --force and --accept-worse. If --output is left out, its value is
     ``default``; without a default, --output must be given if ``required``."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
         "--output",
         type=Path,
@@ -33,7 +34,13 @@ def add_output_arguments(
 def output_of(
     arguments: argparse.Namespace, record_at: tuple[str, ...] = ("calibration",)
 ) -> Output:
-    """Return the calibration's output file and whether it may be overwritten. ``record_at`` is the
-    key path of the calibration record in that file."""
+    """Return the output file and whether it may be overwritten. ``record_at`` is the key path of
+    the calibration record in that file.
+
+    Raises:
+        KeptFile: the file exists and may not be overwritten, or its folder is missing.
+    """
     path = arguments.output.expanduser()
-    return Output(path, arguments.force, arguments.accept_worse, record_at)
+    output = Output(path, arguments.force, arguments.accept_worse, record_at)
+    refuse_existing(output)
+    return output

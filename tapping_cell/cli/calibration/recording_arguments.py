@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from rich.console import Console
-
 from tapping_cell.calibration.csv_table import RecordError
 
 
@@ -35,8 +33,3 @@ def check_count(name: str, count: int, least: int) -> None:
     """
     if not least <= count <= 1000:
         raise RecordError(f"{name} is {count}; it must be {least} to 1000")
-
-
-def recording_console(arguments: argparse.Namespace) -> Console:
-    """Return the console for progress messages, which is stderr with --json."""
-    return Console(stderr=arguments.json)

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.calibration.camera import CalibrationRefused
-from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.calibration.print_sheet import RULER
 from tapping_cell.calibration.table import (
     MarkerView,
@@ -111,14 +111,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help="measured length of the sheet's 100 mm ruler in mm (required with --sheet)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the table file. Return 0 on success."""
     output = output_of(arguments)
-    refuse_existing(output)
     if arguments.sheet is not None:
         references, record, result = *_from_sheet(arguments), None
     else:

@@ -28,10 +28,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import CsvTable, read_csv
-from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.calibration.tapper import (
     MIN_TAPS,
     RECORD_COLUMNS,
@@ -40,11 +41,7 @@ from tapping_cell.calibration.tapper import (
     TapRecord,
     calibrate_tapper,
 )
-from tapping_cell.cli.calibration.recording_arguments import (
-    add_recording_arguments,
-    check_count,
-    recording_console,
-)
+from tapping_cell.cli.calibration.recording_arguments import add_recording_arguments, check_count
 from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.provenance import Provenance
@@ -75,7 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="approximate number of taps to record (only with --record; default: 30)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
 
 
@@ -83,13 +79,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the calibration. Return 0 if the file was written, 130 if the recording was
     interrupted."""
     output = output_of(arguments, ("tapper", "calibration"))
-    refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
     if arguments.record_first:
         check_count("--taps", arguments.taps, MIN_TAPS)
         from tapping_cell.cli.calibration.tapper_recording import record as make_record
 
-        if not make_record(arguments, cell, recording_console(arguments)):
+        if not make_record(arguments, cell, Console(stderr=arguments.json)):
             return 130
     table = read_csv(arguments.record, RECORD_COLUMNS)
     tap = cell.object.tap(cell.file.tapper.striker())
