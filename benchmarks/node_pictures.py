@@ -10,26 +10,24 @@ from __future__ import annotations
 import os
 import statistics
 import tempfile
-import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
-from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import CameraInfo, Image
 from tapping_cell_msgs.msg import ObjectState
 
+from benchmarks.rigs import cpu_seconds, wait_until
 from tapping_cell.cli.graph import Graph
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
@@ -38,7 +36,6 @@ RATE = 30.0
 PICTURES = 60
 """Number of different images, which are published repeatedly."""
 WARM_UP_S = 4.0
-TIMEOUT_S = 60.0
 MARKED, PLAIN = "aluminium_disk.yaml", "plain_disk_with_dot.yaml"
 
 
@@ -66,37 +63,30 @@ CASES = (
 )
 
 
-def measure(
-    seconds: float, environment: dict[str, str], cpu_seconds: Callable[[int], float]
-) -> list[dict[str, Any]]:
-    """Run each case with a separate node process; rclpy must be initialised."""
-    return [_measure(case, seconds, environment, cpu_seconds) for case in CASES]
+def measure(seconds: float) -> list[dict[str, Any]]:
+    """Run each case with a separate node process."""
+    return [_measure(case, seconds) for case in CASES]
 
 
-def _measure(
-    case: Case, seconds: float, environment: dict[str, str], cpu_seconds: Callable[[int], float]
-) -> dict[str, Any]:
+def _measure(case: Case, seconds: float) -> dict[str, Any]:
     path = shared_folder() / "objects" / case.object_file
     shown = _pictures(case, path)
     parameters = {"camera_pose": {"object_file": path}}
     with (
         tempfile.TemporaryDirectory() as folder,
-        Graph(("camera_pose",), parameters, Path(folder), environment) as graph,
+        Graph(("camera_pose",), parameters, Path(folder)) as graph,
+        _Player(case, shown) as player,
     ):
-        player = _Player(case, shown)
-        try:
-            player.play(WARM_UP_S, graph)
-            (pid,) = graph.process_ids.values()
-            before, begin = cpu_seconds(pid), time.monotonic()
-            player.play(seconds, graph)
-            took = time.monotonic() - begin
-            return player.report(seconds) | {
-                "case": case.name,
-                "cores": (cpu_seconds(pid) - before) / took,
-                "load": os.getloadavg()[0],
-            }
-        finally:
-            player.node.destroy_node()
+        player.play(WARM_UP_S, graph)
+        (pid,) = graph.process_ids.values()
+        before, begin = cpu_seconds(pid), time.monotonic()
+        player.play(seconds, graph)
+        took = time.monotonic() - begin
+        return player.report(seconds) | {
+            "case": case.name,
+            "cores": (cpu_seconds(pid) - before) / took,
+            "load": os.getloadavg()[0],
+        }
 
 
 def _pictures(case: Case, path: Path) -> list[Image]:
@@ -126,11 +116,11 @@ def _encoded(grey: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
     return grey if empty is None else np.stack([np.full_like(grey, empty), grey], axis=-1)
 
 
-class _Player:
+class _Player(ClientNode):
     """Publishes images at the camera's rate and receives the results."""
 
     def __init__(self, case: Case, shown: list[Image]) -> None:
-        self.node = rclpy.create_node("camera_player")
+        super().__init__("camera_player")
         self._shown = shown
         self._info = images.to_camera_info(load_cell().camera)
         self._late: list[float] = []
@@ -147,24 +137,22 @@ class _Player:
 
     def play(self, seconds: float, graph: Graph) -> None:
         """Publish for ``seconds`` and discard earlier measurements."""
-        executor = SingleThreadedExecutor()
-        executor.add_node(self.node)
-        deadline = time.monotonic() + TIMEOUT_S
-        while not (
-            self._pictures.get_subscription_count() and self._infos.get_subscription_count()
-        ):
-            graph.check()
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"camera_pose did not become ready within {TIMEOUT_S:.0f} s")
-            executor.spin_once(timeout_sec=0.1)
+        topics = (self._pictures, self._infos)
+        wait_until(
+            lambda: all(topic.get_subscription_count() for topic in topics),
+            "camera_pose did not become ready",
+            graph,
+        )
         self._late.clear()
         self._inside_before = self._inside
-        thread = threading.Thread(target=self._publish, args=(round(seconds * RATE),))
-        thread.start()
-        while thread.is_alive():
-            executor.spin_once(timeout_sec=0.05)
-        thread.join()
-        executor.remove_node(self.node)
+        begin = time.monotonic()
+        for number in range(round(seconds * RATE)):
+            picture = self._shown[number % len(self._shown)]
+            stamp = self.node.get_clock().now().to_msg()
+            picture.header.stamp = self._info.header.stamp = stamp
+            self._infos.publish(self._info)
+            self._pictures.publish(picture)
+            time.sleep(max(0.0, begin + (number + 1) / RATE - time.monotonic()))
 
     def report(self, seconds: float) -> dict[str, Any]:
         """Return the rate and the latency of the results."""
@@ -176,16 +164,6 @@ class _Player:
             "latency_p95_ms": float(np.percentile(late, 95)),
             "inside_ms": (busy - busy_0) / max(1, pictures - pictures_0),
         }
-
-    def _publish(self, count: int) -> None:
-        begin = time.monotonic()
-        for number in range(count):
-            picture = self._shown[number % len(self._shown)]
-            stamp = self.node.get_clock().now().to_msg()
-            picture.header.stamp = self._info.header.stamp = stamp
-            self._infos.publish(self._info)
-            self._pictures.publish(picture)
-            time.sleep(max(0.0, begin + (number + 1) / RATE - time.monotonic()))
 
     def _on_state(self, message: ObjectState) -> None:
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
