@@ -75,16 +75,15 @@ def simulated_experiment(
     noise_known: bool = True,
 ) -> Experiment:
     """Return one experiment as it is read from its folder. ``noise_known``: whether the header
-    contains the noise of a pose at rest."""
-    place, turn = design.rest_noise if noise_known else (0.0, 0.0)
+    contains the noise of a pose at rest; otherwise, its default values are used."""
+    noise = zip(("rest_position_std", "rest_rotation_std"), design.rest_noise, strict=True)
     header = ExperimentFile(
         format=1,
         made="",
         source="simulated",
         striker=striker,
         camera_rate_hz=design.rate,
-        rest_position_std=place,
-        rest_rotation_std=turn,
+        **(dict(noise) if noise_known else {}),
     )
     trials = simulated_trials(content, striker.striker(), truth, design, seed)
     return Experiment(Path(), header, tuple(trials), ())

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from single_taps import Design
+from single_taps import Design, simulated_experiment
 
 from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.calibration.model_error import Taps, lack_of_fit, model_errors
