@@ -61,10 +61,6 @@ CAMERA = "/dev/video0"
 READY_TIMEOUT_S = 60.0
 
 
-class NotReadyInTime(GraphError):
-    """The cell was not ready in time. The message names the missing conditions."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
@@ -257,7 +253,7 @@ class _Running:
                 if start.person:
                     deadline = time.monotonic() + self._arguments.wait
                 elif time.monotonic() > deadline:
-                    raise NotReadyInTime(
+                    raise GraphError(
                         f"the cell was not ready after {self._arguments.wait:.0f} s: {start.reason}"
                     )
                 time.sleep(CHECK_PERIOD_S)

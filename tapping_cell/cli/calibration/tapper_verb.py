@@ -153,21 +153,8 @@ def _provenance(result: TapperCalibration, table: CsvTable, object_path: Path) -
 def report(result: TapperCalibration, table: CsvTable, path: Path) -> dict[str, Any]:
     """Return the result for JSON output: energies, speeds and distances in SI units, deviations and
     scatter as fractions."""
-    return {
-        "output": str(path),
-        "energies": list(result.energies),
-        "speeds": list(result.speeds),
-        "deviations": list(result.deviations),
-        "scatter": result.scatter,
-        "used": result.used,
-        "draws": [asdict(draw) for draw in result.draws],
-        "left_out": _left_out(result, table),
-        "least_energy": result.least_energy,
-        "least_travel": result.least_travel,
-        "by_friction": result.by_friction,
-        "by_restitution": result.by_restitution,
-        "notes": list(result.notes),
-    }
+    figures = asdict(result) | {"left_out": _left_out(result, table), "notes": list(result.notes)}
+    return {"output": str(path), **figures}
 
 
 def lines(found: dict[str, Any]) -> list[str]:
