@@ -1,5 +1,5 @@
-"""Argument types that several verbs use. Each type rejects an invalid value with a readable
-message."""
+"""Argument types and options that several verbs use. Each type rejects an invalid value with a
+readable message."""
 
 from __future__ import annotations
 
@@ -77,3 +77,20 @@ def namespace(text: str) -> str:
             "and no digit at the beginning of a part, such as left or hall/cell_2"
         )
     return text.strip("/")
+
+
+def add_namespace(
+    parser: argparse.ArgumentParser, text: str = "namespace of the cell's nodes (default: none)"
+) -> None:
+    """Declare --namespace with the help text ``text``."""
+    parser.add_argument("--namespace", type=namespace, default="", help=text)
+
+
+def add_wait(parser: argparse.ArgumentParser) -> None:
+    """Declare --wait of a verb that sends goals."""
+    parser.add_argument(
+        "--wait",
+        type=within(0, 3600),
+        default=20.0,
+        help="longest wait for the cell, in seconds (default: 20)",
+    )

@@ -17,12 +17,9 @@ TIMEOUT_S = 6.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that select the cell."""
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="namespace of the cell's nodes (default: none); the ROS domain is set by "
-        "ROS_DOMAIN_ID",
+    argument_types.add_namespace(
+        parser,
+        "namespace of the cell's nodes (default: none); the ROS domain is set by ROS_DOMAIN_ID",
     )
 
 

@@ -71,12 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     parser.add_argument("--planner", help="planning method (default: the cell's)")
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="namespace of the nodes (default: none)",
-    )
+    argument_types.add_namespace(parser, "namespace of the nodes (default: none)")
     parser.add_argument(
         "--camera",
         help="camera device, video file or image folder (only with --hardware; default: "
