@@ -42,7 +42,6 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tapping_cell.cli import argument_types, sweep
-from tapping_cell.cli.cluster import cluster_executor
 from tapping_cell.cli.errors import print_refusal
 from tapping_cell.cli.evaluate_common import (
     add_scatter_arguments,
@@ -603,7 +602,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
                 functools.partial(_measure_point, arguments),
                 arguments.processes,
                 lambda count: bar.advance(task, count),
-                cluster_executor(arguments.cluster) if arguments.cluster else None,
+                sweep.cluster_executor(arguments.cluster) if arguments.cluster else None,
             )
         except KeyboardInterrupt:
             bar.stop()

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
-from tapping_cell.cli.fit_words import shown, speed_lines
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    from tapping_cell.cli.output_arguments import add_output_arguments
+    from tapping_cell.cli.calibration_arguments import add_output_arguments
 
     parser.add_argument(
         "records", nargs="+", type=Path, metavar="RECORDS", help="folder of records, or CSV file"
@@ -66,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     from tapping_cell.calibration.keep import KeptFile, write_kept
     from tapping_cell.calibration.object_file import fit_record, fitted_object, object_yaml
     from tapping_cell.calibration.object_fit import fit_object
-    from tapping_cell.cli.output_arguments import output_of
+    from tapping_cell.cli.calibration_arguments import output_of
     from tapping_cell.configuration.objects import load_object
     from tapping_cell.configuration.schema import ConfigurationError
 
@@ -215,3 +214,46 @@ def _run_rows(fit: ObjectFit) -> Iterator[str]:
                 else f"{linear} {100 * pair[0]:+.1f}, {turning} {100 * pair[1]:+.1f}"
             )
         yield f"    {run.label:<5}{run.trials:>5} " + "".join(f"  {cell:>36}" for cell in cells)
+
+
+_WORDS = {
+    "friction": "friction with the table",
+    "torque_factor": "torque factor",
+    "restitution": "restitution",
+    "contact_friction": "friction with the striker",
+    "scale_b1": "scale of B1",
+    "scale_b2": "scale of B2",
+    "scale_b3": "scale of B3",
+    "scatter_speed": "scatter of launch speed (%)",
+    "scatter_spin": "scatter of launch spin (%)",
+    "scatter_direction": "scatter of direction (degrees)",
+    "scatter_distance": "scatter of distance (%)",
+    "scatter_rotation": "scatter of rotation (%)",
+    "scatter_position_floor": "scatter of small taps (mm)",
+    "scatter_angle_floor": "scatter of small rotations (degrees)",
+}
+
+
+def speed_lines(fit: ObjectFit) -> list[str]:
+    """Format the measured striker speed at each setting."""
+    found = []
+    for point in fit.tapper:
+        setting = (
+            f"commanded {1e3 * point.commanded:.0f} mm/s"
+            if math.isnan(point.draw)
+            else f"spring deflection {1e3 * point.draw:.2f} mm"
+        )
+        found.append(
+            f"{setting}: {1e3 * point.measured:.1f} mm/s, scatter {1e3 * point.scatter:.1f} mm/s "
+            f"in {point.trials} taps"
+        )
+    return found
+
+
+def shown(entry: Estimate) -> tuple[str, float]:
+    """Return the label of an estimate, and the factor that converts its value to the unit in the
+    label."""
+    factor = 1.0
+    if entry.name.startswith("scatter"):
+        factor = {"rad": 180 / math.pi, "m": 1e3}.get(entry.unit, 100.0)
+    return _WORDS[entry.name], factor

@@ -32,12 +32,12 @@ from rich.console import Console
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.keep import KeptFile, write_kept
 from tapping_cell.cli import argument_types, session
+from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import GraphError
 from tapping_cell.cli.measured_taps import measured_taps
 from tapping_cell.cli.measuring_graph import add_graph_arguments
 from tapping_cell.cli.object_probing import ProbingStopped, probe
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.configuration.objects import ObjectFile, load_object
 from tapping_cell.configuration.schema import ConfigurationError

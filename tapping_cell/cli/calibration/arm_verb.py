@@ -40,8 +40,12 @@ from tapping_cell.calibration.arm import (
 from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import CsvTable, read_csv
 from tapping_cell.calibration.keep import fingerprints, now, write_kept
-from tapping_cell.cli.calibration.recording_arguments import add_recording_arguments, check_count
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.cli.calibration_arguments import (
+    add_output_arguments,
+    add_recording_arguments,
+    check_count,
+    output_of,
+)
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.se2 import Pose

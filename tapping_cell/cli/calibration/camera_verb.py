@@ -37,7 +37,7 @@ from tapping_cell.calibration.camera_views import Rejected
 from tapping_cell.calibration.keep import write_kept
 from tapping_cell.calibration.target import Target, TargetError, TargetView, find_target
 from tapping_cell.calibration.target_hint import hint
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.table import load_camera_model
 
 IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}

@@ -37,8 +37,8 @@ from tapping_cell.calibration.mounts import (
     fit_mount,
 )
 from tapping_cell.calibration.yaml_edit import numbers_text, with_entry
+from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.cli.measured_taps import measured_taps
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.report.run import TapRow

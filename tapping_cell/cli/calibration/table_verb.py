@@ -42,7 +42,7 @@ from tapping_cell.calibration.table_frame import (
     scaled,
 )
 from tapping_cell.cli.calibration.camera_verb import image_files, one_size, read_grey
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.table import load_camera_model, load_reference_map

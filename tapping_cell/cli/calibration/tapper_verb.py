@@ -41,8 +41,12 @@ from tapping_cell.calibration.tapper import (
     TapRecord,
     calibrate_tapper,
 )
-from tapping_cell.cli.calibration.recording_arguments import add_recording_arguments, check_count
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.cli.calibration_arguments import (
+    add_output_arguments,
+    add_recording_arguments,
+    check_count,
+    output_of,
+)
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.provenance import Provenance
 

@@ -1,10 +1,12 @@
-"""Options of verbs that write a calibrated file."""
+"""Options of verbs that write a calibrated file, and that can record their own data with a running
+cell."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.keep import Output, refuse_existing
 
 
@@ -44,3 +46,31 @@ def output_of(
     output = Output(path, arguments.force, arguments.accept_worse, record_at)
     refuse_existing(output)
     return output
+
+
+def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare --record, --resume and --namespace."""
+    parser.add_argument(
+        "--record",
+        action="store_true",
+        dest="record_first",
+        help="first record the data with the running cell (started with the verb `up`)",
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="continue an existing record (only with --record)"
+    )
+    parser.add_argument(
+        "--namespace",
+        default="",
+        help="namespace of the running cell's nodes (only with --record; default: none)",
+    )
+
+
+def check_count(name: str, count: int, least: int) -> None:
+    """Reject a number of measurements that is insufficient for a calibration.
+
+    Raises:
+        RecordError: the number is out of range. The message names the option, value and range.
+    """
+    if not least <= count <= 1000:
+        raise RecordError(f"{name} is {count}; it must be {least} to 1000")
