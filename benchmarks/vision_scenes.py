@@ -11,9 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.objects import load_object
-from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from tapping_cell.configuration.cell import load_cell
 from tapping_cell.se2 import wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
 from tapping_cell.vision import CameraModel, CameraPose, ObjectMarker, Observation, ReferenceMap
@@ -33,14 +31,10 @@ class Cell:
     @classmethod
     def load(cls) -> Cell:
         """Load the files from the package's share folder."""
-        folder = shared_folder()
-        marker = load_object(folder / "objects" / "aluminium_disk.yaml").seen()
+        cell = load_cell()
+        marker = cell.object.seen()
         assert isinstance(marker, ObjectMarker)
-        return cls(
-            load_camera_model(folder / "camera_info.yaml"),
-            load_reference_map(folder / "table.yaml"),
-            marker,
-        )
+        return cls(cell.camera, cell.references, marker)
 
 
 def random_scene(

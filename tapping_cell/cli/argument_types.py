@@ -79,6 +79,11 @@ def namespace(text: str) -> str:
     return text.strip("/")
 
 
+def add_seed(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
+    """Declare --seed with the help text ``text``."""
+    parser.add_argument("--seed", type=seed, default=default, help=text)
+
+
 def add_namespace(
     parser: argparse.ArgumentParser, text: str = "namespace of the cell's nodes (default: none)"
 ) -> None:

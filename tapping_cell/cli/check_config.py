@@ -88,15 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         findings += _draw(arguments.files, arguments.drawing)
     good = not any(entry.errors for entry in findings)
     if arguments.json:
-        files = [
-            {
-                "file": str(entry.file),
-                "kind": entry.kind,
-                "errors": entry.errors,
-                "warnings": entry.warnings,
-            }
-            for entry in findings
-        ]
+        files = [{**vars(entry), "file": str(entry.file)} for entry in findings]
         print(json.dumps({"ok": good, "files": files}, indent=2))
     else:
         _print(findings, Console(soft_wrap=True))

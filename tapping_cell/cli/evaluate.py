@@ -311,9 +311,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="number of taps after which a trial is aborted and counted as endless (default: 100)",
     )
-    parser.add_argument(
-        "--seed", type=argument_types.seed, default=0, help="random seed (default: 0)"
-    )
+    argument_types.add_seed(parser, 0, "random seed (default: 0)")
     parser.add_argument(
         "--processes", type=int, metavar="N", help="number of processes (default: one per core)"
     )

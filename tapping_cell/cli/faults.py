@@ -71,9 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=[dialect.value for dialect in Dialect],
         help="controller of the arm (default: all, one after the other)",
     )
-    parser.add_argument(
-        "--seed", type=argument_types.seed, default=0, help="random seed of the faults (default: 0)"
-    )
+    argument_types.add_seed(parser, 0, "random seed of the faults (default: 0)")
     parser.add_argument(
         "--jobs",
         type=int,

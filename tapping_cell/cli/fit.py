@@ -49,12 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="folder for figures and report.html"
     )
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        default=0,
-        help="random seed of the bootstrap (default: 0)",
-    )
+    argument_types.add_seed(parser, 0, "random seed of the bootstrap (default: 0)")
     add_output_arguments(parser, required=False)
 
 
@@ -188,31 +183,24 @@ def _row(entry: Estimate) -> str:
     return row + f"   {factor * entry.low:.4g} to {factor * entry.high:.4g}"
 
 
+_ERRORS = (
+    ("sliding", ("distance", "rotation"), "displacement from measured velocity"),
+    ("inverse", ("speed", "spin"), "velocity from measured displacement"),
+    ("impact", ("speed", "spin"), "velocity from the striker"),
+    ("tap", ("distance", "rotation"), "displacement from the striker"),
+)
+"""Predictions that are compared with the measurements: name, quantities and title."""
+
+
 def _run_rows(fit: ObjectFit) -> Iterator[str]:
-    titles = (
-        ("sliding", "displacement from measured velocity"),
-        ("inverse", "velocity from measured displacement"),
-        ("impact", "velocity from the striker"),
-        ("tap", "displacement from the striker"),
-    )
-    yield "    run  trials" + "".join(f"  {title:>36}" for _, title in titles)
+    yield "    run  trials" + "".join(f"  {title:>36}" for *_, title in _ERRORS)
     for run in fit.runs:
         cells = []
-        for name, _ in titles:
-            linear, turning = (
-                ("speed", "spin")
-                if name in ("inverse", "impact")
-                else (
-                    "distance",
-                    "rotation",
-                )
-            )
-            pair = (getattr(run, f"{name}_{linear}"), getattr(run, f"{name}_{turning}"))
-            cells.append(
-                "-"
-                if math.isnan(pair[0])
-                else f"{linear} {100 * pair[0]:+.1f}, {turning} {100 * pair[1]:+.1f}"
-            )
+        for name, quantities, _ in _ERRORS:
+            errors = {each: getattr(run, f"{name}_{each}") for each in quantities}
+            known = not math.isnan(errors[quantities[0]])
+            texts = (f"{each} {100 * error:+.1f}" for each, error in errors.items())
+            cells.append(", ".join(texts) if known else "-")
         yield f"    {run.label:<5}{run.trials:>5} " + "".join(f"  {cell:>36}" for cell in cells)
 
 

@@ -78,11 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"maximum number of goals to send (default: {MAX_GOALS})",
     )
     add_graph_arguments(parser)
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        default=1,
-        help="random seed of noise and scatter (only in simulation; default: 1)",
+    argument_types.add_seed(
+        parser, 1, "random seed of noise and scatter (only in simulation; default: 1)"
     )
     parser.add_argument(
         "--runs-folder",

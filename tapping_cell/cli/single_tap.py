@@ -114,10 +114,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_graph_arguments(parser)
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        help="random seed of noise and scatter (only in simulation; default: 1)",
+    argument_types.add_seed(
+        parser, None, "random seed of noise and scatter (only in simulation; default: 1)"
     )
     parser.add_argument(
         "--camera-rate",

@@ -78,10 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "/dev/video0)",
     )
     add_truth_arguments(parser)
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        help="random seed of noise and scatter (only in simulation; default: 1)",
+    argument_types.add_seed(
+        parser, None, "random seed of noise and scatter (only in simulation; default: 1)"
     )
     parser.add_argument(
         "--set-up",

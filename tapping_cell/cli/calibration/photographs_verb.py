@@ -57,12 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=20,
         help="number of images (default: 20)",
     )
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        default=1,
-        help="random seed of the views and the noise (default: 1)",
-    )
+    argument_types.add_seed(parser, 1, "random seed of the views and the noise (default: 1)")
     parser.add_argument(
         "--camera", type=Path, help="ROS camera_info file (default: the package's camera_info.yaml)"
     )
