@@ -75,7 +75,10 @@ def progress(
     arguments: argparse.Namespace, name: str, total: int
 ) -> Iterator[Callable[[int], None]]:
     """Show a progress bar on stderr if it is a terminal. Yield a function that advances the bar."""
-    hidden = arguments.json or not sys.stderr.isatty()
-    with Progress(console=Console(stderr=True), transient=True, disable=hidden) as bar:
+    if arguments.json or not sys.stderr.isatty():
+        # Even a disabled progress bar would print an empty line at its end.
+        yield lambda count: None
+        return
+    with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(name, total=total)
         yield lambda count: bar.advance(task, count)
