@@ -48,8 +48,11 @@ def output_of(
     return output
 
 
-def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare --record, --resume and --namespace."""
+def add_recording_arguments(
+    parser: argparse.ArgumentParser, number: str, default: int, text: str
+) -> None:
+    """Declare --record, --resume, --namespace and the option ``number``, with the help text
+    ``text``, for the number of measurements."""
     parser.add_argument(
         "--record",
         action="store_true",
@@ -63,6 +66,13 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
         "--namespace",
         default="",
         help="namespace of the running cell's nodes (only with --record; default: none)",
+    )
+    parser.add_argument(
+        number,
+        type=int,
+        default=default,
+        metavar="N",
+        help=f"{text} (only with --record; default: {default})",
     )
 
 

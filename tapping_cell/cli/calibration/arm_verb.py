@@ -71,14 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pose of the held marker in the frame striker, if known, in mm, mm and degrees; the "
         "position of the tip on the tool is then also calibrated",
     )
-    add_recording_arguments(parser)
-    parser.add_argument(
-        "--poses",
-        type=int,
-        default=20,
-        metavar="N",
-        help="number of poses to record (only with --record; default: 20)",
-    )
+    add_recording_arguments(parser, "--poses", 20, "number of poses to record")
     add_output_arguments(parser)
 
 

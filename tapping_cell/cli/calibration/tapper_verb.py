@@ -68,14 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="file of the object that was tapped (default: the cell's)",
     )
-    add_recording_arguments(parser)
-    parser.add_argument(
-        "--taps",
-        type=int,
-        default=30,
-        metavar="N",
-        help="approximate number of taps to record (only with --record; default: 30)",
-    )
+    add_recording_arguments(parser, "--taps", 30, "approximate number of taps to record")
     add_output_arguments(parser)
 
 
