@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.client import Client
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState, TapperState
@@ -124,7 +125,8 @@ def _stops(
                 wait(lambda: not ready(client))
                 with terminal.lock:
                     person()
-                clear.call_async(Trigger.Request())
+                publisher.publish(Bool(data=False))
+                wait(lambda: _cleared(clear, wait))
             graph.stop()
             bare = [_bare(path, device) for _ in range(STOPS)]
     return {
@@ -134,6 +136,13 @@ def _stops(
         "bare_p99": float(np.percentile(bare, 99)),
         "load": os.getloadavg()[0],
     }
+
+
+def _cleared(clear: Client, wait: Callable[..., None]) -> bool:
+    """Request that the stop is cleared. The node refuses this until it has received the release."""
+    answer = clear.call_async(Trigger.Request())
+    wait(answer.done)
+    return bool(answer.result().success)
 
 
 def _bare(path: Path, device: StopTimer) -> float:
