@@ -30,7 +30,6 @@ from benchmarks.rigs import cpu_seconds, simulated_graph, wait_for_rest
 from tapping_cell.cli.graph import RECORDER, SIMULATED, Graph, own_domain
 from tapping_cell.nodes.camera.images import PICTURES, to_message
 from tapping_cell.nodes.cell_node import choose_transport
-from tapping_cell.nodes.clients.goal_client import GoalClient
 
 DEFAULT_COUNT = 20
 """Duration of the measurement, s."""
@@ -80,11 +79,9 @@ def measure(seconds: int) -> dict[str, Any]:
 
 @contextmanager
 def _cell() -> Iterator[Graph]:
-    """Run the cell. The node that waits for the object at rest ends before the measurement."""
     nodes = (*SIMULATED, RECORDER, "operator_page")
     with simulated_graph(nodes, {"operator_page": {"port": 0}}) as graph:
-        with GoalClient("idle_benchmark") as client:
-            wait_for_rest(graph, client)
+        wait_for_rest(graph)
         yield graph
 
 

@@ -31,7 +31,6 @@ from tapping_cell.configuration.files import shared_folder
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.client_node import ClientNode
-from tapping_cell.nodes.clients.goal_client import GoalClient
 from tapping_cell.se2 import Pose
 from tapping_cell.simulation.scene import make_renderer
 from tapping_cell.simulation.truth import CameraTruth
@@ -92,11 +91,14 @@ def _watch(graph: Graph, seconds: int) -> dict[str, Any]:
             if status.name.endswith("camera_pose"):
                 values.update({entry.key: entry.value for entry in status.values})
 
-    with GoalClient("node_benchmark") as client:
-        wait_for_rest(graph, client)
+    wait_for_rest(graph)
+    with ClientNode("node_benchmark") as client:
         subscribe = client.node.create_subscription
         subscribe(ObjectState, "object_state", on_state, LATCHED)
         subscribe(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
+        # The first message is an old one, which the publisher has kept.
+        wait_until(lambda: ages, "object_state was not received", graph)
+        ages.clear()
         before = {name: cpu_seconds(pid) for name, pid in graph.process_ids.items()}
         begin = time.monotonic()
         time.sleep(seconds)

@@ -9,8 +9,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from tapping_cell_msgs.msg import ObjectState
+
 from tapping_cell.cli.graph import Graph, with_own_ports
-from tapping_cell.nodes.clients.goal_client import GoalClient
+from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.clients.client_node import ClientNode
 
 TIMEOUT_S = 60.0
 
@@ -53,13 +56,13 @@ def wait_until(
         time.sleep(poll)
 
 
-def wait_for_rest(graph: Graph, client: GoalClient) -> None:
-    """Wait until the camera has seen the object at rest."""
-    wait_until(
-        lambda: client.object_state is not None and client.object_state.at_rest,
-        "the object was not seen at rest",
-        graph,
-    )
+def wait_for_rest(graph: Graph) -> None:
+    """Wait until the camera has seen the object at rest. The node that waits ends before this
+    function returns, so that it does not add to the load of the graph."""
+    states: list[ObjectState] = []
+    with ClientNode("waiting_for_rest") as client:
+        client.node.create_subscription(ObjectState, "object_state", states.append, LATCHED)
+        wait_until(lambda: states and states[-1].at_rest, "the object was not seen at rest", graph)
 
 
 def cpu_seconds(pid: int) -> float:
