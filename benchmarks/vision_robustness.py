@@ -284,17 +284,13 @@ class Tally:
 def measure(count: int) -> dict[str, Any]:
     """Run all cases with changing cameras for at least ``count`` frames."""
     refused = _other_resolution(Cell.load())
-    return {**measure_cases(CASES, count), "other_resolution_refused": refused}
-
-
-def measure_cases(cases: dict[str, Case], count: int) -> dict[str, Any]:
-    """Run these cases in random order with changing cameras for at least ``count`` frames."""
-    *_, report = reports_of_cases(cases, count)
-    return report
+    *_, report = reports_of_cases(CASES, count)
+    return {**report, "other_resolution_refused": refused}
 
 
 def reports_of_cases(cases: dict[str, Case], count: int) -> Iterator[dict[str, Any]]:
-    """Run the cases as :func:`measure_cases` does, and yield the report after each camera."""
+    """Run these cases in random order with changing cameras for at least ``count`` frames. Yield
+    the report after each camera."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     tallies = {name: Tally() for name in cases}
@@ -376,7 +372,7 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def lines_of_cases(report: dict[str, Any]) -> list[str]:
-    """Format a report of :func:`measure_cases` as lines of text."""
+    """Format a report of :func:`reports_of_cases` as lines of text."""
     width = max(len(name) for name in report["cases"])
     rows = [
         f"{report['frames']} frames, {report['wrong']} wrong (off by more than "

@@ -3,6 +3,7 @@ together."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import json
@@ -254,10 +255,8 @@ def last_output(log: Path, begin: int = 0, lines: int = 3) -> str:
 
 def _signal_group(child: Child, number: signal.Signals) -> None:
     if child.process.poll() is None:
-        try:
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(child.process.pid, number)
-        except ProcessLookupError:
-            return
 
 
 def _die_with_parent() -> None:
