@@ -272,43 +272,29 @@ def joints(session: Session) -> Proof:
     shoulder and elbow almost to their limits."""
     values: dict[str, float | str] = {}
     arm = session.cell().arm
-    lower, upper = Joints(*arm.lower), Joints(*arm.upper)
     park = Joints(*arm.park)
+    limits = {"lower": Joints(*arm.lower), "upper": Joints(*arm.upper)}
     session.instruct(
         "clear everything within the arm's reach and hold the enabling device: shoulder,"
         " elbow and tool move a little, then shoulder and elbow move almost to their limits"
     )
     with _homed(session, set_up=True) as (graph, client):
+
+        def go(target: Joints) -> None:
+            client.go(target, SPEED, graph.check)
+
         try:
-            client.go(park, SPEED, graph.check)
+            go(park)
             for name in ("shoulder", "elbow", "tool"):
-                start = client.joints()
-                assert start is not None
-                aside = start._replace(**{name: getattr(start, name) + JOINT_STEP})
-                client.go(aside, SPEED, graph.check)
-                here = client.joints()
-                assert here is not None
-                moved = getattr(here, name) - getattr(start, name)
-                if abs(moved - JOINT_STEP) > 0.2 * JOINT_STEP:
-                    raise StepFailed(f"{name} moved {moved:.3f} rad instead of {JOINT_STEP} rad")
+                moved = _checked_step(session, client, go, name)
                 values[f"{name}_step_deg"] = round(math.degrees(moved), 3)
-                question = f"did the {name} turn counter-clockwise, seen from above?"
-                turned = session.ask(question, "yes")
-                if not turned.lower().startswith("y"):
-                    raise StepFailed(
-                        f"the {name} turns in the wrong direction: reverse this joint's direction "
-                        "in the controller"
-                    )
-                client.go(start, SPEED, graph.check)
             for name in ("shoulder", "elbow"):
-                for limit in (lower, upper):
-                    to = getattr(park, name) + LIMIT_SHARE * (
-                        getattr(limit, name) - getattr(park, name)
-                    )
-                    client.go(park._replace(**{name: to}), SPEED, graph.check)
-                    side = "lower" if limit is lower else "upper"
+                start = getattr(park, name)
+                for side, limit in limits.items():
+                    to = start + LIMIT_SHARE * (getattr(limit, name) - start)
+                    go(park._replace(**{name: to}))
                     values[f"{name}_{side}_deg"] = round(math.degrees(to), 1)
-                client.go(park, SPEED, graph.check)
+                go(park)
         except ArmRefused as refused:
             raise StepFailed(str(refused)) from refused
     return Proof(
@@ -316,6 +302,33 @@ def joints(session: Session) -> Proof:
         "limit",
         values,
     )
+
+
+def _checked_step(
+    session: Session, client: ArmPoseClient, go: Callable[[Joints], None], name: str
+) -> float:
+    """Move one joint a little and back. Return the measured rotation in rad.
+
+    Raises:
+        StepFailed: the joint moved too far or not far enough, or in the wrong direction.
+        ArmRefused: the arm did not move.
+    """
+    start = client.joints()
+    assert start is not None
+    go(start._replace(**{name: getattr(start, name) + JOINT_STEP}))
+    here = client.joints()
+    assert here is not None
+    moved = float(getattr(here, name) - getattr(start, name))
+    if abs(moved - JOINT_STEP) > 0.2 * JOINT_STEP:
+        raise StepFailed(f"{name} moved {moved:.3f} rad instead of {JOINT_STEP} rad")
+    turned = session.ask(f"did the {name} turn counter-clockwise, seen from above?", "yes")
+    if not turned.lower().startswith("y"):
+        raise StepFailed(
+            f"the {name} turns in the wrong direction: reverse this joint's direction in the "
+            "controller"
+        )
+    go(start)
+    return moved
 
 
 def object_at_rest(session: Session) -> Proof:
