@@ -15,18 +15,20 @@ import calibration_truths as truths
 import cv2
 import numpy as np
 
+from benchmarks.vision_scenes import one_opencv_thread
 from tapping_cell.calibration.arm import calibrate_arm, wrist
 from tapping_cell.calibration.camera import calibrate_camera
 from tapping_cell.calibration.table import calibrate_table, observe_markers
 from tapping_cell.calibration.table_frame import frame_of_map, in_frame
 from tapping_cell.calibration.tapper import SHARES, calibrate_tapper
 from tapping_cell.calibration.target import Target, TargetView, find_target
+from tapping_cell.cli.calibration.photographs_verb import view_of_table
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.hardware.energy import EnergyCurve
 from tapping_cell.hardware.scara import ScaraGeometry
 from tapping_cell.se2 import wrap_angle
 from tapping_cell.simulation.rendered_sheet import SheetCamera
-from tapping_cell.vision import CameraModel, CameraPose
+from tapping_cell.vision import CameraModel
 
 VIEWS = 20
 CORNER_SETS, PHOTO_SETS, TABLES, ARMS, TAPPERS = 12, 4, 4, 100, 300
@@ -41,9 +43,7 @@ TARGETS = (
 
 def measure() -> dict[str, Any]:
     """Return the errors of all calibrations."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
+    with one_opencv_thread():
         return {
             "camera_corners": _cameras_of_corners(),
             "camera_photographs": _cameras_of_photographs(),
@@ -51,8 +51,6 @@ def measure() -> dict[str, Any]:
             "arm": _arms(),
             "tapper": _tappers(),
         }
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def _camera_errors(
@@ -131,10 +129,7 @@ def _tables() -> dict[str, float]:
         eye, sheet = SheetCamera(model, seed), truths.markers_sheet(references)
         views = []
         for number in range(6):
-            side = number * math.pi / 3 + random.uniform(-0.3, 0.3)
-            height = 0.80 * model.fx / model.width + random.uniform(0.0, 0.1)
-            place = (0.35 * math.cos(side), 0.35 * math.sin(side), height)
-            image = eye.photograph(sheet, CameraPose.above(place, spin=random.uniform(-3, 3)))
+            image = eye.photograph(sheet, view_of_table(random, model, number))
             found = observe_markers(image, f"view {number}", model, references.dictionary)
             if not isinstance(found, str):
                 views.append(found)

@@ -14,14 +14,13 @@ import math
 import os
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from single_taps import Design, simulated_trials
+from single_taps import Design, simulated_experiment
 
 from benchmarks.closed_loop import measure_loop
-from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
+from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.calibration.object_fit import fit_object, predict
 from tapping_cell.configuration.objects import MarkerSection, ObjectFile, ShapeSection
 from tapping_cell.simulation.truth import ImpactTruth, ScatterTruth, SupportTruth, TruthFile
@@ -92,7 +91,7 @@ def trial(shape: str, seed: int) -> dict[str, Any]:
     multiple of 4, also return the errors with which the fit predicts the taps of a new experiment.
     """
     content, truth, true = draw(shape, seed)
-    experiment = _experiment(content, truth, 2 * seed)
+    experiment = simulated_experiment(content, _STRIKER, truth, Design(), 2 * seed)
     began = time.process_time()
     fit = fit_object([experiment], content)
     row: dict[str, Any] = {"seconds": time.process_time() - began, "sliding": [], "tap": []}
@@ -104,7 +103,8 @@ def trial(shape: str, seed: int) -> dict[str, Any]:
             found.low <= true[name] <= found.high,
         )
     if seed % _PREDICTING == 0:
-        for run in predict(fit, [_experiment(content, truth, 2 * seed + 1)]):
+        new = simulated_experiment(content, _STRIKER, truth, Design(), 2 * seed + 1)
+        for run in predict(fit, [new]):
             row["sliding"].append((run.sliding_distance, run.sliding_rotation))
             row["tap"].append((run.tap_distance, run.tap_rotation))
     return row
@@ -180,18 +180,3 @@ def draw(shape: str, seed: int) -> tuple[ObjectFile, TruthFile, dict[str, float]
         scatter=_SCATTER,
     )
     return content, truth, true
-
-
-def _experiment(content: ObjectFile, truth: TruthFile, seed: int) -> Experiment:
-    design = Design()
-    header = ExperimentFile(
-        format=1,
-        made="",
-        source="simulated",
-        striker=_STRIKER,
-        camera_rate_hz=design.rate,
-        rest_position_std=design.rest_noise[0],
-        rest_rotation_std=design.rest_noise[1],
-    )
-    trials = simulated_trials(content, _STRIKER.striker(), truth, design, seed)
-    return Experiment(Path(), header, tuple(trials), ())

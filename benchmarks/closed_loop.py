@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-from single_taps import Design, simulated_trials
+from single_taps import Design, simulated_experiment
 
-from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
+from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.calibration.object_file import fit_record, fitted_object
 from tapping_cell.calibration.object_fit import fit_object
 from tapping_cell.configuration.files import shared_folder
@@ -50,10 +49,7 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
             impact=ImpactTruth(restitution, contact),
             scatter=ScatterTruth(0.05, 0.15, math.radians(1.0)),
         )
-        header = ExperimentFile(1, "", "simulated", striker=_STRIKER, camera_rate_hz=30.0)
-        taps = simulated_trials(initial, _STRIKER.striker(), truth, Design(), seed)
-        fit = fit_object([Experiment(Path(), header, tuple(taps), ())], initial)
-        fitted = fitted_object(fit, fit_record(fit, ()))
+        fitted = fitted_file(initial, _STRIKER, truth, seed)
         true = replace(
             initial,
             friction=friction * initial.friction,
@@ -72,6 +68,15 @@ def measure_loop(trials: int = TRIALS) -> list[dict[str, Any]]:
             }
         )
     return report
+
+
+def fitted_file(
+    content: ObjectFile, striker: StrikerSection, truth: TruthFile, seed: int
+) -> ObjectFile:
+    """Return the object file that is fitted to 4 runs of 10 single taps in a world."""
+    experiment = simulated_experiment(content, striker, truth, Design(), seed, noise_known=False)
+    fit = fit_object([experiment], content)
+    return fitted_object(fit, fit_record(fit, ()))
 
 
 def _mean_taps(assumed: ObjectFile, true: ObjectFile, trials: int) -> float:

@@ -28,7 +28,8 @@ WARM_UP = 20
 def measure(count: int) -> dict[str, Any]:
     """Return the processor time of a callback (µs) for each node alone, and with all nodes in one
     process."""
-    own_domain().use()
+    domain = own_domain()  # the domain stays reserved until this function returns
+    domain.use()
     rclpy.init(args=["--ros-args", "-p", "autostart:=false"])
     nodes = {name: _make(name) for name in (*SIMULATED, RECORDER)}
     try:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import io
 import math
 import os
-import tempfile
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,8 +27,9 @@ import numpy as np
 from rich.console import Console
 from tapping_cell_msgs.msg import ArmState, ObjectState, PlanState, TapCommand, TapperState
 
+from benchmarks.rigs import simulated_graph
 from tapping_cell.cli import session
-from tapping_cell.cli.graph import Graph, nodes_of, own_domain, with_own_ports
+from tapping_cell.cli.graph import nodes_of, own_domain
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.logic.arm_times import arm_times
 from tapping_cell.logic.poses import from_message
@@ -285,29 +285,21 @@ def in_graph(
     the goals are those of the published task. ``cell_file``: path of the cell file (default: that
     of the package).
     """
-    own_domain().use()
+    domain = own_domain()  # the domain stays reserved until this function returns
+    domain.use()
     cell = load_cell(cell_file)
     watch = Stopwatch(cell)
     quiet = Console(file=io.StringIO())
     nodes = nodes_of(cell, hardware=False)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        parameters: dict[str, dict[str, object]] = {
-            node: {"cell_file": cell.path} for node in nodes
-        }
-        with (
-            Graph(nodes, with_own_ports(parameters, folder), folder / "logs") as graph,
-            GoalClient("cycle_bench") as client,
-        ):
-            for topic, (kind, quality) in TOPICS.items():
-                client.node.create_subscription(
-                    kind, topic, partial(watch.on_message, topic), quality
-                )
-            for number in range(count):
-                session.wait_until_ready(client, READY_TIMEOUT_S, graph.check, quiet)
-                observed = client.object_state
-                client.send((next_goal or _goal)(client.object_pose(), number), observed=observed)
-                session.follow(client, graph.check, quiet)
+    parameters: dict[str, dict[str, object]] = {node: {"cell_file": cell.path} for node in nodes}
+    with simulated_graph(nodes, parameters) as graph, GoalClient("cycle_bench") as client:
+        for topic, (kind, quality) in TOPICS.items():
+            client.node.create_subscription(kind, topic, partial(watch.on_message, topic), quality)
+        for number in range(count):
+            session.wait_until_ready(client, READY_TIMEOUT_S, graph.check, quiet)
+            observed = client.object_state
+            client.send((next_goal or _goal)(client.object_pose(), number), observed=observed)
+            session.follow(client, graph.check, quiet)
     return watch
 
 

@@ -12,16 +12,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from single_taps import Design, simulated_trials
 
-from benchmarks.closed_loop import TRUTHS
-from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
-from tapping_cell.calibration.object_file import fit_record, fitted_object
-from tapping_cell.calibration.object_fit import fit_object
+from benchmarks.closed_loop import TRUTHS, fitted_file
+from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.configuration import assembly
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.files import shared_folder
@@ -43,6 +39,8 @@ _MEASUREMENT_STD = (1.5e-5, 1.5e-5, 3e-4)
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
     """Return the mean number of taps over ``count`` demos for each ground truth."""
     configured = load_cell()
+    tapper = configured.file.tapper
+    striker = StrikerSection(tapper.mass, tapper.tip_radius, tapper.constraint)
     rows = []
     for seed, (friction, torque, restitution, contact) in enumerate(TRUTHS):
         default = load(TruthFile, shared_folder() / "truth" / "default.yaml")
@@ -52,7 +50,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
             impact=ImpactTruth(restitution, contact, default.impact.striker_speed_factor),
         )
         old = _demos(configured, configured.object, truth, count)
-        fitted = replace(configured, object=_fitted(configured, truth, seed))
+        fitted = replace(configured, object=fitted_file(configured.object, striker, truth, seed))
         new = _demos(fitted, configured.object, truth, count)
         # Simulate a cell after `calibrate tapper`, which corrects the tapper's speed curve, so that
         # the true speed of the striker equals the commanded speed.
@@ -94,15 +92,6 @@ def lines(report: dict[str, Any]) -> list[str]:
     shares = [f"{100 * (1 - taps / before):.0f} %" for taps in after]
     text.append(f"  all: {shares[0]} fewer, {shares[1]} with the tapper calibrated as well")
     return text
-
-
-def _fitted(cell: Cell, truth: TruthFile, seed: int) -> ObjectFile:
-    tapper = cell.file.tapper
-    striker = StrikerSection(tapper.mass, tapper.tip_radius, tapper.constraint)
-    header = ExperimentFile(1, "", "simulated", striker=striker, camera_rate_hz=30.0)
-    taps = simulated_trials(cell.object, tapper.striker(), truth, Design(), seed)
-    fit = fit_object([Experiment(Path(), header, tuple(taps), ())], cell.object)
-    return fitted_object(fit, fit_record(fit, ()))
 
 
 def _demos(cell: Cell, assumed: ObjectFile, truth: TruthFile, count: int) -> list[int]:

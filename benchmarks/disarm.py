@@ -154,7 +154,7 @@ class ChargingCell:
 def measure(count: int) -> dict[str, Any]:
     """Return, for each kind of loss, the times until the striker is discharged, s."""
     domain = own_domain()
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    domain.use()
     chance = random.Random(1)
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, ChargingCell(Path(folder)) as cell:

@@ -17,13 +17,15 @@ import tempfile
 import threading
 import time
 import tty
+from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tapping_cell.cli.fault_trials import WINDOW, Dialect, TrialCell
+from tapping_cell.cli.fault_trials import Dialect, TrialCell
 from tapping_cell.hardware.arm import ArmDriver
 from tapping_cell.hardware.faults import HardwareFault
 from tapping_cell.hardware.grbl import STOP
@@ -34,6 +36,7 @@ from tapping_cell.hardware.scara import ScaraGeometry
 from tapping_cell.hardware.serial_transport import SerialTransport
 from tapping_cell.hardware.tapper import TapperDriver
 from tapping_cell.hardware.transport import Transport
+from tapping_cell.logic.tapper_jobs import WINDOW_S
 from tapping_cell.simulation.device_emulator import DeviceEmulator
 from tapping_cell.simulation.fault_layer import Direction
 from tapping_cell.simulation.grbl_emulator import GrblEmulator
@@ -95,11 +98,7 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
     cell = TrialCell(dialect, 3)
     cell.recover()
     before = cell.arm_line.count(Direction.TO_DEVICE)
-    in_position: list[float] = []
-    withdrawn: list[float] = []
-    to_release: list[float] = []
-    whole: list[float] = []
-    readings: list[float] = []
+    times: dict[str, list[float]] = defaultdict(list)
     spring = cell.tapper_device.machine.spring
     for shot in range(1, taps + 1):
         began = cell.clock.now
@@ -108,33 +107,35 @@ def overhead(dialect: Dialect, taps: int) -> dict[str, float]:
         needed = path_duration(cell.geometry, here, path) + cell.arm.settings.settle_time
         cell.goal, cell.shot, cell.firing = path[-1].joints, shot, True
         cell.arm.follow(path)
-        in_position.append(cell.clock.now - began)
+        times["in_position"].append(cell.clock.now - began)
         energy = float(cell.rng.uniform(0.001, 0.2))
         needed += spring.steps_for(energy) / spring.step_rate + SETTLE_TIME
         cell.tapper.charge(shot, energy)
-        cell.tapper.fire(shot, WINDOW, cell.allowed)
-        to_release.append(cell.tapper_device.fires[-1][2] - began - needed)
+        cell.tapper.fire(shot, WINDOW_S, partial(_allow, cell))
+        times["to_release"].append(cell.tapper_device.fires[-1][2] - began - needed)
         # The node reads the joints while it waits for the end of firing. Here they are read after
         # firing, so the duration of the reading is not counted as a delay.
         reading = cell.clock.now
         here = cell.arm.read_joints()
-        readings.append(cell.clock.now - reading)
-        needed += readings[-1]
+        times["reading"].append(cell.clock.now - reading)
+        needed += times["reading"][-1]
         back = withdraw_path(cell.geometry, here, cell.motion)
         needed += path_duration(cell.geometry, here, back)
         leaving = cell.clock.now
         for waypoint in back:
             cell.arm.move_to(waypoint.joints, waypoint.speed, via=waypoint.via)
-        withdrawn.append(cell.clock.now - leaving)
-        whole.append(cell.clock.now - began - needed)
+        times["withdrawn"].append(cell.clock.now - leaving)
+        times["whole"].append(cell.clock.now - began - needed)
     return {
-        "in_position": statistics.fmean(in_position),
-        "withdrawn": statistics.fmean(withdrawn),
-        "to_release": statistics.fmean(to_release),
-        "whole": statistics.fmean(whole),
-        "reading": statistics.fmean(readings),
+        **{name: statistics.fmean(values) for name, values in times.items()},
         "sent": (cell.arm_line.count(Direction.TO_DEVICE) - before) / taps,
     }
+
+
+def _allow(cell: TrialCell, release_by: float) -> bool:
+    """Store the deadline of the release for the cell's checks, and allow the shot."""
+    cell.release_by = release_by
+    return True
 
 
 def stop_to_wire(stops: int) -> dict[str, float]:

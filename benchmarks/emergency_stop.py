@@ -11,14 +11,17 @@ import os
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rclpy.client import Client
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from tapping_cell_msgs.msg import ArmState, TapperState
 
+from benchmarks.rigs import wait_until
 from tapping_cell.cli.graph import Graph, own_domain
 from tapping_cell.nodes.cell_node import LATCHED
 from tapping_cell.nodes.clients.goal_client import GoalClient
@@ -44,27 +47,14 @@ class StopTimer:
             self.stopped_at = time.monotonic()
         self.board.receive(data, now)
 
-    def advance(self, now: float) -> None:
-        """Advance the board to the time ``now``."""
-        self.board.advance(now)
-
-    def take_output(self, now: float) -> bytes:
-        """Return the board's output."""
-        return self.board.take_output(now)
-
-    def next_event(self) -> float | None:
-        """Return the time of the board's next event."""
-        return self.board.next_event()
-
-    def power_cycle(self, now: float) -> None:
-        """Restart the board."""
-        self.board.power_cycle(now)
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.board, name)
 
 
 def measure() -> dict[str, Any]:
     """Return the latencies for each node and for a plain byte through the terminal, s."""
     domain = own_domain()
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    domain.use()
     tapper = TapperEmulator(now=time.monotonic())
     return {
         "scara_arm": _stops(
@@ -117,18 +107,26 @@ def _stops(
         ):
             publisher = client.node.create_publisher(Bool, "emergency_stop", LATCHED)
             clear = client.node.create_client(Trigger, f"{name}/clear_fault")
+            wait = partial(
+                wait_until,
+                what="the awaited event did not occur",
+                graph=graph,
+                patience=TIMEOUT_S,
+                poll=0.001,
+            )
             times: list[float] = []
             for _ in range(STOPS):
-                _wait(lambda: ready(client) and clear.service_is_ready(), graph)
+                wait(lambda: ready(client) and clear.service_is_ready())
                 device.stopped_at = 0.0
                 began = time.monotonic()
                 publisher.publish(Bool(data=True))
-                _wait(lambda: device.stopped_at > 0, graph)
+                wait(lambda: device.stopped_at > 0)
                 times.append(device.stopped_at - began)
-                _wait(lambda: not ready(client), graph)
+                wait(lambda: not ready(client))
                 with terminal.lock:
                     person()
-                clear.call_async(Trigger.Request())
+                publisher.publish(Bool(data=False))
+                wait(lambda: _cleared(clear, wait))
             graph.stop()
             bare = [_bare(path, device) for _ in range(STOPS)]
     return {
@@ -138,6 +136,13 @@ def _stops(
         "bare_p99": float(np.percentile(bare, 99)),
         "load": os.getloadavg()[0],
     }
+
+
+def _cleared(clear: Client, wait: Callable[..., None]) -> bool:
+    """Request that the stop is cleared. The node refuses this until it has received the release."""
+    answer = clear.call_async(Trigger.Request())
+    wait(answer.done)
+    return bool(answer.result().success)
 
 
 def _bare(path: Path, device: StopTimer) -> float:
@@ -151,12 +156,3 @@ def _bare(path: Path, device: StopTimer) -> float:
         return device.stopped_at - began
     finally:
         os.close(port)
-
-
-def _wait(condition: Callable[[], bool], graph: Graph) -> None:
-    deadline = time.monotonic() + TIMEOUT_S
-    while not condition():
-        graph.check()
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"the awaited event did not occur within {TIMEOUT_S:.0f} s")
-        time.sleep(0.001)

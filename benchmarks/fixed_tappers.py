@@ -102,8 +102,7 @@ def _stored(part: Part) -> dict[str, list[Any]]:
     name = hashlib.sha256(inputs.encode()).hexdigest()[:32]
     file = cache_folder().parent / "fixed_tappers_benchmark" / f"{name}.json"
     if file.exists():
-        kept: dict[str, list[Any]] = json.loads(file.read_text(encoding="utf-8"))
-        return kept
+        return dict(json.loads(file.read_text(encoding="utf-8")))
     results = evaluate_fixed(evaluation)
     made = {
         "taps": results.taps.tolist(),

@@ -17,22 +17,19 @@ import os
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import rclpy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64
-from tapping_cell_msgs.msg import ObjectState
 
-from benchmarks.node import TIMEOUT_S, cpu_seconds
-from tapping_cell.cli.graph import RECORDER, SIMULATED, Graph, own_domain, with_own_ports
+from benchmarks.rigs import cpu_seconds, simulated_graph, wait_for_rest
+from tapping_cell.cli.graph import RECORDER, SIMULATED, Graph, own_domain
 from tapping_cell.nodes.camera.images import PICTURES, to_message
-from tapping_cell.nodes.cell_node import LATCHED, choose_transport
+from tapping_cell.nodes.cell_node import choose_transport
 
 DEFAULT_COUNT = 20
 """Duration of the measurement, s."""
@@ -50,11 +47,10 @@ def measure(seconds: int) -> dict[str, Any]:
     """Return the load of each process as a share of a core, and the ratio of the cell's total load
     to that of the minimal processes."""
     domain, other = own_domain(), own_domain()
-    local = {"ROS_DOMAIN_ID": str(domain.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    os.environ.update(local)
+    domain.use()
     choose_transport(pictures=True)
     turns = max(1, round(seconds / TURN_S))
-    with _cell(local) as graph, _pair({**os.environ, "ROS_DOMAIN_ID": str(other.number)}) as pair:
+    with _cell() as graph, _pair({**os.environ, "ROS_DOMAIN_ID": str(other.number)}) as pair:
         time.sleep(SETTLE_S)
         groups = {"cell": graph.process_ids, "pair": {n: each.pid for n, each in pair.items()}}
         spent = [_spent(groups, TURN_S) for _ in range(turns)]
@@ -82,33 +78,11 @@ def measure(seconds: int) -> dict[str, Any]:
 
 
 @contextmanager
-def _cell(local: dict[str, str]) -> Iterator[Graph]:
+def _cell() -> Iterator[Graph]:
     nodes = (*SIMULATED, RECORDER, "operator_page")
-    with tempfile.TemporaryDirectory() as folder:
-        parameters = with_own_ports({name: {} for name in nodes}, Path(folder))
-        parameters[RECORDER]["folder"] = Path(folder) / "runs"
-        parameters["operator_page"]["port"] = 0
-        with Graph(nodes, parameters, Path(folder) / "logs", local) as graph:
-            _wait_for_rest(graph)
-            yield graph
-
-
-def _wait_for_rest(graph: Graph) -> None:
-    """Wait until the object is stationary. The node that waits ends before the measurement."""
-    rclpy.init()
-    try:
-        node = rclpy.create_node("idle_benchmark")
-        states: list[ObjectState] = []
-        node.create_subscription(ObjectState, "object_state", states.append, LATCHED)
-        deadline = time.monotonic() + TIMEOUT_S
-        while not (states and states[-1].at_rest):
-            graph.check()
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"the object was not seen at rest within {TIMEOUT_S:.0f} s")
-            rclpy.spin_once(node, timeout_sec=0.1)
-        node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+    with simulated_graph(nodes, {"operator_page": {"port": 0}}) as graph:
+        wait_for_rest(graph)
+        yield graph
 
 
 @contextmanager

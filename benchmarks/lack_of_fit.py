@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
-from single_taps import Design, simulated_trials
+from single_taps import Design, simulated_experiment
 
-from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
+from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.calibration.object_fit import fit_object, predicted_taps
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.simulation.truth import (
@@ -66,18 +66,20 @@ def lines(report: dict[str, Any]) -> list[str]:
 def _world(truth: TruthFile, count: int) -> dict[str, Any]:
     misfits: Counter[str] = Counter()
     held: dict[str, list[list[float]]] = {"distance": [], "rotation": []}
+    content = load_cell().object
     for seed in range(count):
         random = np.random.default_rng(seed)
         spin = 0.05 if seed % 2 == 0 else 0.15
         world = replace(truth, scatter=ScatterTruth(0.025, spin, math.radians(1.0)))
-        fit = fit_object([_experiment(world, Design(), 2 * seed)], load_cell().object)
+        experiment = partial(simulated_experiment, content, _STRIKER, world)
+        fit = fit_object([experiment(Design(), 2 * seed)], content)
         misfits.update(f"{misfit.quantity} ({misfit.cause})" for misfit in fit.misfits)
         others = tuple(
             (float(random.uniform(0.012, 0.045)), math.radians(float(random.uniform(10, 50))))
             for _ in range(8)
         )
         new = [
-            predicted_taps(fit, [_experiment(world, design, 2 * seed + 1)]).deviations()
+            predicted_taps(fit, [experiment(design, 2 * seed + 1)]).deviations()
             for design in (Design(), Design(runs=others, trials=5))
         ]
         for error in fit.model_errors:
@@ -89,18 +91,3 @@ def _world(truth: TruthFile, count: int) -> dict[str, Any]:
         "misfits": dict(misfits),
         "held": {name: np.mean(rows, axis=0).tolist() for name, rows in held.items()},
     }
-
-
-def _experiment(truth: TruthFile, design: Design, seed: int) -> Experiment:
-    header = ExperimentFile(
-        format=1,
-        made="",
-        source="simulated",
-        striker=_STRIKER,
-        camera_rate_hz=design.rate,
-        rest_position_std=design.rest_noise[0],
-        rest_rotation_std=design.rest_noise[1],
-    )
-    content = load_cell().object
-    trials = simulated_trials(content, _STRIKER.striker(), truth, design, seed)
-    return Experiment(Path(), header, tuple(trials), ())

@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from scipy.integrate import solve_ivp
+from sliding_reference import disk_force_and_torque
 
 from tapping_cell.mechanics import Disk, Impact, Polygon, Sliding, Striker, Tap
 from tapping_cell.mechanics.slide_table import SlideTable
@@ -195,13 +197,11 @@ def _solve(speed: float, spin: float, kappa: float, tolerance: float) -> tuple[f
     end of the slide. The integration ends at 1e-7 of the initial speed; the omitted distance is
     1e-14 of the total.
     """
-    from scipy.integrate import solve_ivp
-
     r, g, gain = _DISK.radius, _FRICTION * _GRAVITY, kappa * _DISK.gamma
 
     def rates(_: float, state: np.ndarray) -> list[float]:
         v, s = math.exp(state[0]), math.exp(state[1])
-        force, torque = _textbook(v / s)
+        force, torque = disk_force_and_torque(v / s)
         size = math.hypot(v, s)
         per = size / max(force, gain * torque)
         return [-force * per / v, -gain * torque * per / s, v * per, s * per]
@@ -222,34 +222,6 @@ def _solve(speed: float, spin: float, kappa: float, tolerance: float) -> tuple[f
         events=stopped,
     )
     return solution.y[2, -1] / g, solution.y[3, -1] / (g * r)
-
-
-def _textbook(eps: float) -> tuple[float, float]:
-    """Return F and T of a disk at eps = v / (R omega), with a series where terms in K and E
-    cancel."""
-    from scipy.special import ellipe, ellipk
-
-    if eps > 20:
-        q = 1 / eps
-        q2 = q * q
-        return (
-            1 - q2 / 8 - q2**2 / 64 - 5 * q2**3 / 1024,
-            q * (1 / 4 + q2 / 48 + 3 * q2**2 / 512 + 25 * q2**3 / 10240),
-        )
-    e2 = eps * eps
-    if eps < 2e-3:
-        return eps * (1 - e2 / 8), 2 / 3 - e2 / 2
-    if eps <= 1:
-        k, e = (float(ellipk(e2)) if eps < 1 else 0.0), float(ellipe(e2))
-        return (
-            4 / (3 * math.pi) * ((e2 + 1) * e + (e2 - 1) * k) / eps,
-            4 / (9 * math.pi) * ((4 - 2 * e2) * e + (e2 - 1) * k),
-        )
-    k, e = float(ellipk(1 / e2)), float(ellipe(1 / e2))
-    return (
-        4 / (3 * math.pi) * ((e2 + 1) * e - (e2 - 1) * k),
-        4 * eps / (9 * math.pi) * ((4 - 2 * e2) * e + (2 * e2 - 5 + 3 / e2) * k),
-    )
 
 
 def _against_mujoco() -> dict:

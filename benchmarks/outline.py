@@ -7,11 +7,9 @@ import statistics
 import time
 from typing import Any
 
-import cv2
 import numpy as np
 
-from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from benchmarks.vision_scenes import BOUND_95, Cell, one_opencv_thread
 from tapping_cell.nodes.memory import keep_memory
 from tapping_cell.se2 import wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
@@ -33,8 +31,6 @@ PLACES = 10
 """Number of object positions per scene."""
 WRONG = 0.0003
 """Error above which an accepted pose counts as wrong, m."""
-CHI_SQUARE_95 = 7.815
-"""95 % quantile of the chi-square distribution with three degrees of freedom."""
 _SIDES = ((-0.04, -0.04), (0.04, -0.04), (0.04, 0.04), (-0.04, 0.04))
 OBJECTS = {
     "dark disk, light dot": ObjectOutline(
@@ -54,15 +50,11 @@ OBJECTS = {
 
 def measure(scenes: int) -> dict[str, Any]:
     """Return errors of single frames, normalised errors and times for each object."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
     keep_memory()  # the node uses this setting as well
-    try:
+    with one_opencv_thread():
         found = {name: _one([outline] * scenes, PLACES) for name, outline in OBJECTS.items()}
         found["objects of all kinds"] = _one(_of_all_kinds(scenes * PLACES), 1)
         return {"scenes": scenes, "places": PLACES, "objects": found}
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def _of_all_kinds(count: int) -> list[ObjectOutline]:
@@ -93,14 +85,12 @@ def _of_all_kinds(count: int) -> list[ObjectOutline]:
 
 
 def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
-    folder = shared_folder()
-    camera = load_camera_model(folder / "camera_info.yaml")
-    table = load_reference_map(folder / "table.yaml")
+    cell = Cell.load()
     random = np.random.default_rng(2)
     gaps, turns, normalised, follow, search = [], [], [], [], []
     missed = wrong = 0
     for number, outline in enumerate(outlines):
-        shared = OutlineFinder(outline, table).shared()
+        shared = OutlineFinder(outline, cell.table).shared()
         settings = SceneSettings(
             noise=random.uniform(2.0, 4.0),
             light_falloff=random.uniform(0.0, 0.67),
@@ -110,12 +100,12 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
         )
         pose = CameraPose.above((*random.uniform(-0.06, 0.06, 2), 0.7), spin=0.03)
         points = outline.points(720)
-        scene = SceneRenderer(camera, pose, table, points, outline, settings, seed=number)
+        scene = SceneRenderer(cell.camera, pose, cell.table, points, outline, settings, seed=number)
         for _ in range(places):
             true = random.uniform([-0.22, -0.15, -math.pi], [0.22, 0.15, math.pi])
             image = scene.render(true)
             begin = time.process_time()
-            found, _ = find_outlines(image, scene.view, outline, table.corners())
+            found, _ = find_outlines(image, scene.view, outline, cell.table.corners())
             search.append((time.process_time() - begin) * 1e3)
             missed += not found
             wrong += any(_off(fit.pose, true)[0] > WRONG for fit in found)
@@ -140,7 +130,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
         "median_deg": statistics.median(turns),
         "p95_deg": float(np.quantile(turns, 0.95)),
         "mean_normalised": statistics.fmean(normalised),
-        "within_95": float(np.mean(np.array(normalised) < CHI_SQUARE_95)),
+        "within_95": float(np.mean(np.array(normalised) < BOUND_95)),
         "tracking_ms": statistics.median(follow),
         "search_ms": statistics.median(search),
         "missed": missed,

@@ -25,17 +25,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import PoseStamped
-from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Bool
 
+from benchmarks.rigs import wait_until
 from tapping_cell.cli.graph import Graph, own_domain
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.nodes.camera import images
 from tapping_cell.nodes.camera.pose_messages import camera_to_message
 from tapping_cell.nodes.cell_node import LATCHED
+from tapping_cell.nodes.clients.client_node import ClientNode
 from tapping_cell.vision import CameraPose
 
 STOPS = 100
@@ -52,29 +52,22 @@ def measure() -> dict[str, Any]:
     """Return the times (s) from the request to the arrival of the message: without an attack,
     during each attack, and for messages that this process publishes itself."""
     domain = own_domain()
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    domain.use()
     page, stop = _free_port(), _free_port()
     with tempfile.TemporaryDirectory() as folder:
         given = {"operator_page": {"port": page, "stop_port": stop, "runs": Path(folder)}}
-        rclpy.init()
-        executor = SingleThreadedExecutor()
-        listener = Listener()
-        executor.add_node(listener.node)
-        spinning = threading.Thread(target=executor.spin, daemon=True)
-        spinning.start()
-        try:
-            with Graph(("operator_page",), given, Path(folder) / "logs") as graph:
-                _wait(lambda: _press(page, stop), graph, "STOP is served")
-                return {
-                    "no attack": _stops(listener, page, stop, None),
-                    "pages": _stops(listener, page, stop, attack_pages),
-                    "stop port": _stops(listener, page, stop, attack_stop),
-                    "bare topic": _bare(listener),
-                    "load": os.getloadavg()[0],
-                }
-        finally:
-            executor.shutdown()
-            rclpy.try_shutdown()
+        with (
+            Listener("page_stop_bench") as listener,
+            Graph(("operator_page",), given, Path(folder) / "logs") as graph,
+        ):
+            wait_until(lambda: _press(page, stop), "STOP was not served", graph, TIMEOUT_S, 0.1)
+            return {
+                "no attack": _stops(listener, page, stop, None),
+                "pages": _stops(listener, page, stop, attack_pages),
+                "stop port": _stops(listener, page, stop, attack_stop),
+                "bare topic": _bare(listener),
+                "load": os.getloadavg()[0],
+            }
 
 
 def lines(report: dict[str, Any]) -> list[str]:
@@ -89,12 +82,12 @@ def lines(report: dict[str, Any]) -> list[str]:
     return [*rows, f"load {report['load']:.1f} on {os.cpu_count()} cores"]
 
 
-class Listener:
+class Listener(ClientNode):
     """Records the arrival of a stop. This node also publishes camera data, so that handling a drag
     costs the page as much as in a real cell."""
 
-    def __init__(self) -> None:
-        self.node = rclpy.create_node("page_stop_bench")
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
         self.received = threading.Event()
         self.received_at = 0.0
         self.node.create_subscription(Bool, "emergency_stop", self._receive, LATCHED)
@@ -249,12 +242,3 @@ def _free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def _wait(condition: Callable[[], bool], graph: Graph, what: str) -> None:
-    end = time.monotonic() + TIMEOUT_S
-    while not condition():
-        graph.check()
-        if time.monotonic() > end:
-            raise RuntimeError(f"not received: {what}")
-        time.sleep(0.1)

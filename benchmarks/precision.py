@@ -33,12 +33,7 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
     rows = []
     for least in SMALLEST_TAPS_MM:
         for tolerance in TOLERANCES:
-            settings = PlannerSettings(
-                smallest_distance=1e-3 * least,
-                tolerance_position=1e-3 * tolerance,
-                tolerance_angle=math.radians(tolerance),
-                camera=CameraNoise(1e-5, math.radians(0.01)),
-            )
+            settings = settings_of(least, tolerance)
             began = time.process_time()
             solved = [(time.process_time() - began, plan) for plan in solutions(settings)]
             keep_policy(settings, solved[-1][1])  # so that the trials need not compute it again
@@ -56,6 +51,18 @@ def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
                 }
             )
     return {"trials": count, "rows": rows}
+
+
+def settings_of(least: float, tolerance: float, box: float | None = None) -> PlannerSettings:
+    """Return settings for a length of the smallest tap in mm, a tolerance in mm and degrees, and
+    a stopping box relative to the tolerance."""
+    return PlannerSettings(
+        smallest_distance=1e-3 * least,
+        tolerance_position=1e-3 * tolerance,
+        tolerance_angle=math.radians(tolerance),
+        camera=CameraNoise(1e-5, math.radians(0.01)),
+        box=box,
+    )
 
 
 def lines(report: dict[str, Any]) -> list[str]:

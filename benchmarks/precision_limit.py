@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 
-from tapping_cell.planning import CameraNoise, PlannerSettings
+from benchmarks.precision import SMALLEST_TAPS_MM, settings_of
+from tapping_cell.planning import PlannerSettings
 from tapping_cell.planning.expected_taps import ASIDE_NODES, normal_nodes
 from tapping_cell.planning.interface import Array
 from tapping_cell.planning.lookup import bracket
@@ -47,15 +48,9 @@ def measure() -> dict[str, Any]:
     """Return the minimum expected taps for two lengths of the smallest tap, two stopping boxes, and
     taps along the line or in all directions."""
     rows = []
-    for least in (1.7, 1.0):
+    for least in SMALLEST_TAPS_MM:
         for box in (None, 1.0):
-            settings = PlannerSettings(
-                smallest_distance=1e-3 * least,
-                tolerance_position=1e-3 * TOLERANCE,
-                tolerance_angle=math.radians(TOLERANCE),
-                camera=CameraNoise(1e-5, math.radians(0.01)),
-                box=box,
-            )
+            settings = settings_of(least, TOLERANCE, box)
             rows.append(
                 {
                     "smallest_tap_mm": least,

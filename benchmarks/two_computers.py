@@ -103,8 +103,7 @@ def _pictures(
     writer = source.start([*role, "writer", transport], own)
     try:
         output, _ = reader.communicate(timeout=TIMEOUT_S)
-        found: dict[str, Any] = json.loads(output)
-        return found
+        return dict(json.loads(output))
     finally:
         for process in (reader, writer):
             process.kill()

@@ -18,9 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.objects import load_object
-from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from benchmarks.vision_scenes import Cell, disk_outline, one_opencv_thread
 from tapping_cell.nodes.memory import keep_memory
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
@@ -43,23 +41,15 @@ Pose = np.ndarray | None
 def measure(count: int = DEFAULT_COUNT) -> dict[str, Any]:
     """Return errors and times over ``count`` random scenes and for a tracker of a stationary
     object."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
     keep_memory()  # the memory settings of the nodes that process images
-    try:
+    with one_opencv_thread():
         return _measure(count)
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def _measure(count: int) -> dict[str, Any]:
-    folder = shared_folder()
-    camera = load_camera_model(folder / "camera_info.yaml")
-    table = load_reference_map(folder / "table.yaml")
-    marker = load_object(folder / "objects" / "aluminium_disk.yaml").seen()
-    assert isinstance(marker, ObjectMarker)
-    angle = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
-    outline = 0.048 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    cell = Cell.load()
+    marker = cell.marker
+    outline = disk_outline()
     random = np.random.default_rng(1)
     results: dict[str, list[tuple[float, float, float]]] = {}
     missed: dict[str, int] = {}
@@ -75,7 +65,9 @@ def _measure(count: int) -> dict[str, Any]:
                 blur=random.uniform(0.5, 0.9),
             )
             pose = CameraPose.above(place, spin=random.uniform(-0.05, 0.05))
-            scene = SceneRenderer(camera, pose, table, outline, marker, settings, seed=number)
+            scene = SceneRenderer(
+                cell.camera, pose, cell.table, outline, marker, settings, seed=number
+            )
             methods = _methods(scene.view, marker)
         assert scene is not None
         true = random.uniform([-0.25, -0.17, -math.pi], [0.25, 0.17, math.pi])
@@ -102,7 +94,7 @@ def _measure(count: int) -> dict[str, Any]:
             for name in methods
             if name in results
         },
-        "tracker": _tracker(scene, marker),
+        "tracker": _tracker(scene, cell),
         "pupil_apriltags": importlib.util.find_spec("pupil_apriltags") is not None,
     }
 
@@ -242,12 +234,10 @@ def _cut(
     return np.ascontiguousarray(image[y0:y1, x0:x1]), np.array([x0, y0], dtype=float)
 
 
-def _tracker(scene: SceneRenderer, marker: ObjectMarker) -> dict[str, float]:
+def _tracker(scene: SceneRenderer, cell: Cell) -> dict[str, float]:
     """Measure the complete tracker with reference markers: time per frame for a stationary and for
     a sliding object, ms."""
-    folder = shared_folder()
-    table = load_reference_map(folder / "table.yaml")
-    tracker = PoseTracker(scene.view.camera, table, marker)
+    tracker = PoseTracker(scene.view.camera, cell.table, cell.marker)
     still, moving = [], []
     pose = np.array([-0.1, 0.05, 0.3])
     step = np.array([0.004, -0.001, 0.02])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from tapping_cell.configuration.cell import load_cell
 from tapping_cell.se2 import Pose, transform_points
 from tapping_cell.simulation.arm_picture import arm_solids
 from tapping_cell.simulation.rendered_camera import Occluder, SceneRenderer
-from tapping_cell.vision import Observation, PoseTracker, Problem
+from tapping_cell.vision import Observation, PoseTracker, Problem, ReferenceMarker
 
 DEFAULT_COUNT = 10_000
 PERIOD = 1.0 / 30.0
@@ -55,6 +55,16 @@ class Stage:
         """Generate frames of an undisturbed stationary object."""
         for _ in range(frames):
             yield Shot((scene or self.scene).render(self.place), self.place)
+
+    def lit(self, levels: Iterable[float]) -> Iterator[Shot]:
+        """Generate frames of an undisturbed stationary object with these levels of light."""
+        for level in levels:
+            yield Shot(self.scene.render(self.place, light=level), self.place)
+
+    def reference(self) -> ReferenceMarker:
+        """Return a random reference marker."""
+        markers = self.cell.table.markers
+        return markers[int(self.random.integers(len(markers)))]
 
     def covered(
         self, middle: np.ndarray, half: tuple[float, float], height: float, frames: int
@@ -91,13 +101,13 @@ def _finger(stage: Stage) -> Iterator[Shot]:
 
 def _reference(stage: Stage) -> Iterator[Shot]:
     """One reference marker is covered."""
-    marker = stage.cell.table.markers[int(stage.random.integers(len(stage.cell.table.markers)))]
+    marker = stage.reference()
     yield from stage.covered(np.array([marker.x, marker.y, 0.3]), (0.03, 0.03), 0.01, 20)
 
 
 def _half_reference(stage: Stage) -> Iterator[Shot]:
     """An object covers a reference marker partly."""
-    marker = stage.cell.table.markers[int(stage.random.integers(len(stage.cell.table.markers)))]
+    marker = stage.reference()
     shift = stage.random.uniform(0.02, 0.04)
     yield from stage.covered(np.array([marker.x + shift, marker.y, 0.2]), (0.02, 0.04), 0.005, 20)
 
@@ -110,15 +120,12 @@ def _bump(stage: Stage) -> Iterator[Shot]:
 
 def _light(stage: Stage) -> Iterator[Shot]:
     """The light goes off and on again."""
-    for level in (0.5, 0.2, *[0.01] * 15, 0.3, 1.0):
-        yield Shot(stage.scene.render(stage.place, light=level), stage.place)
+    yield from stage.lit((0.5, 0.2, *[0.01] * 15, 0.3, 1.0))
 
 
 def _dusk(stage: Stage) -> Iterator[Shot]:
     """The light decreases slowly to one half and increases again."""
-    for k in range(60):
-        level = 0.75 + 0.25 * math.cos(2.0 * math.pi * k / 60)
-        yield Shot(stage.scene.render(stage.place, light=level), stage.place)
+    yield from stage.lit(0.75 + 0.25 * math.cos(2.0 * math.pi * k / 60) for k in range(60))
 
 
 def _frozen(stage: Stage) -> Iterator[Shot]:
@@ -191,7 +198,7 @@ def _arm(stage: Stage) -> Iterator[Shot]:
 
 def _arm_over_reference(stage: Stage) -> Iterator[Shot]:
     """The arm reaches over a reference marker, from any side, and withdraws."""
-    marker = stage.cell.table.markers[int(stage.random.integers(len(stage.cell.table.markers)))]
+    marker = stage.reference()
     yield from _reach(stage, Pose(marker.x, marker.y, 0.0))
 
 
@@ -261,7 +268,7 @@ ARM_CASES = {
 }
 
 
-@dataclass(slots=True)
+@dataclass
 class Tally:
     """Results of a case."""
 
@@ -277,17 +284,13 @@ class Tally:
 def measure(count: int) -> dict[str, Any]:
     """Run all cases with changing cameras for at least ``count`` frames."""
     refused = _other_resolution(Cell.load())
-    return {**measure_cases(CASES, count), "other_resolution_refused": refused}
-
-
-def measure_cases(cases: dict[str, Case], count: int) -> dict[str, Any]:
-    """Run these cases in random order with changing cameras for at least ``count`` frames."""
-    *_, report = reports_of_cases(cases, count)
-    return report
+    *_, report = reports_of_cases(CASES, count)
+    return {**report, "other_resolution_refused": refused}
 
 
 def reports_of_cases(cases: dict[str, Case], count: int) -> Iterator[dict[str, Any]]:
-    """Run the cases as :func:`measure_cases` does, and yield the report after each camera."""
+    """Run these cases in random order with changing cameras for at least ``count`` frames. Yield
+    the report after each camera."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     tallies = {name: Tally() for name in cases}
@@ -328,15 +331,7 @@ def _report(tallies: dict[str, Tally], total: int) -> dict[str, Any]:
         "wrong": sum(tally.wrong for tally in tallies.values()),
         "unrecognised": sum(tally.unrecognised for tally in tallies.values()),
         "cases": {
-            name: {
-                "runs": t.runs,
-                "unrecognised": t.unrecognised,
-                "frames": t.frames,
-                "good": t.good,
-                "wrong": t.wrong,
-                "worst_mm": t.worst_mm,
-                "problems": dict(t.problems.most_common()),
-            }
+            name: {**vars(t), "problems": dict(t.problems.most_common())}
             for name, t in tallies.items()
         },
     }
@@ -377,7 +372,7 @@ def lines(report: dict[str, Any]) -> list[str]:
 
 
 def lines_of_cases(report: dict[str, Any]) -> list[str]:
-    """Format a report of :func:`measure_cases` as lines of text."""
+    """Format a report of :func:`reports_of_cases` as lines of text."""
     width = max(len(name) for name in report["cases"])
     rows = [
         f"{report['frames']} frames, {report['wrong']} wrong (off by more than "

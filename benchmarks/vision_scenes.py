@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 
-from tapping_cell.configuration.files import shared_folder
-from tapping_cell.configuration.objects import load_object
-from tapping_cell.configuration.table import load_camera_model, load_reference_map
+from tapping_cell.configuration.cell import load_cell
 from tapping_cell.se2 import wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
 from tapping_cell.vision import CameraModel, CameraPose, ObjectMarker, Observation, ReferenceMap
@@ -30,14 +31,10 @@ class Cell:
     @classmethod
     def load(cls) -> Cell:
         """Load the files from the package's share folder."""
-        folder = shared_folder()
-        marker = load_object(folder / "objects" / "aluminium_disk.yaml").seen()
+        cell = load_cell()
+        marker = cell.object.seen()
         assert isinstance(marker, ObjectMarker)
-        return cls(
-            load_camera_model(folder / "camera_info.yaml"),
-            load_reference_map(folder / "table.yaml"),
-            marker,
-        )
+        return cls(cell.camera, cell.references, marker)
 
 
 def random_scene(
@@ -55,10 +52,16 @@ def random_scene(
     )
     place = (*random.uniform(-0.043, 0.043, 2), 0.7)
     pose = CameraPose.above(place, spin=random.uniform(-0.05, 0.05))
-    angle = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
-    outline = 0.048 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     pose = pose.moved([turn, 0.0, 0.0, 0.0, 0.0, 0.0])
-    return SceneRenderer(cell.camera, pose, cell.table, outline, cell.marker, settings, seed=seed)
+    return SceneRenderer(
+        cell.camera, pose, cell.table, disk_outline(), cell.marker, settings, seed=seed
+    )
+
+
+def disk_outline() -> np.ndarray:
+    """Return points (n, 2) of the rim of the disk, m."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 120, endpoint=False)
+    return 0.048 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def random_place(random: np.random.Generator) -> np.ndarray:
@@ -152,3 +155,14 @@ def score_lines(scores: dict[str, dict[str, Any]]) -> list[str]:
             f"{f['median_deg']:>10.4f} {f['p95_deg']:>7.4f}"
         )
     return rows
+
+
+@contextmanager
+def one_opencv_thread() -> Iterator[None]:
+    """Limit OpenCV to one thread."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)

@@ -1,5 +1,5 @@
-"""Argument types that several verbs use. Each type rejects an invalid value with a readable
-message."""
+"""Argument types and options that several verbs use. Each type rejects an invalid value with a
+readable message."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ import argparse
 import math
 import re
 from collections.abc import Callable
+from typing import Any
 
 _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*/?")
 LONGEST_NAMESPACE = 200
+
+MM_AND_DEGREES: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("MM", "DEG")}
+POSE: dict[str, Any] = {"type": float, "nargs": 3, "metavar": ("X", "Y", "THETA")}
+"""Settings of ``add_argument`` for a length and an angle, and for a pose, in mm and degrees."""
 
 
 def finite(text: str) -> float:
@@ -72,3 +77,25 @@ def namespace(text: str) -> str:
             "and no digit at the beginning of a part, such as left or hall/cell_2"
         )
     return text.strip("/")
+
+
+def add_seed(parser: argparse.ArgumentParser, default: int | None, text: str) -> None:
+    """Declare --seed with the help text ``text``."""
+    parser.add_argument("--seed", type=seed, default=default, help=text)
+
+
+def add_namespace(
+    parser: argparse.ArgumentParser, text: str = "namespace of the cell's nodes (default: none)"
+) -> None:
+    """Declare --namespace with the help text ``text``."""
+    parser.add_argument("--namespace", type=namespace, default="", help=text)
+
+
+def add_wait(parser: argparse.ArgumentParser) -> None:
+    """Declare --wait of a verb that sends goals."""
+    parser.add_argument(
+        "--wait",
+        type=within(0, 3600),
+        default=20.0,
+        help="longest wait for the cell, in seconds (default: 20)",
+    )

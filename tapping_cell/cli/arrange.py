@@ -61,18 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=None,
         help="cell file of the running cell (only with --preset; default: the package's cell.yaml)",
     )
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="namespace of the cell's nodes (default: none)",
-    )
-    parser.add_argument(
-        "--wait",
-        type=argument_types.within(0, 3600),
-        default=20.0,
-        help="longest wait for the cell, in seconds (default: 20)",
-    )
+    argument_types.add_namespace(parser)
+    argument_types.add_wait(parser)
     session.add_output_arguments(parser)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 from collections.abc import Callable
 
 from tapping_cell.cli import argument_types
@@ -16,24 +17,29 @@ TIMEOUT_S = 6.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that select the cell."""
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="namespace of the cell's nodes (default: none); the ROS domain is set by "
-        "ROS_DOMAIN_ID",
+    argument_types.add_namespace(
+        parser,
+        "namespace of the cell's nodes (default: none); the ROS domain is set by ROS_DOMAIN_ID",
     )
 
 
-def with_cell(arguments: argparse.Namespace, act: Callable[[CellClient], int]) -> int:
-    """Call ``act`` with a client of the cell and return its exit code. After an error, print a
-    message and return the exit code of the error."""
-    end_on_signals()
-    try:
-        with CellClient(arguments.namespace) as client:
-            return act(client)
-    except (NoCell, NotDone, TimeoutError) as error:
-        print_error(str(error))
-        return ExitStatus.FAILED
-    except KeyboardInterrupt:
-        return ExitStatus.INTERRUPTED
+def with_cell(
+    act: Callable[[argparse.Namespace, CellClient], int],
+) -> Callable[[argparse.Namespace], int]:
+    """Make the ``run`` function of a verb from a function that gets the options and a client of the
+    cell, and returns the exit code. After an error, ``run`` prints a message and returns the exit
+    code of the error."""
+
+    @functools.wraps(act)
+    def run(arguments: argparse.Namespace) -> int:
+        end_on_signals()
+        try:
+            with CellClient(arguments.namespace) as client:
+                return act(arguments, client)
+        except (NoCell, NotDone, TimeoutError) as error:
+            print_error(str(error))
+            return ExitStatus.FAILED
+        except KeyboardInterrupt:
+            return ExitStatus.INTERRUPTED
+
+    return run

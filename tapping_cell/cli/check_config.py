@@ -88,15 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         findings += _draw(arguments.files, arguments.drawing)
     good = not any(entry.errors for entry in findings)
     if arguments.json:
-        files = [
-            {
-                "file": str(entry.file),
-                "kind": entry.kind,
-                "errors": entry.errors,
-                "warnings": entry.warnings,
-            }
-            for entry in findings
-        ]
+        files = [{**vars(entry), "file": str(entry.file)} for entry in findings]
         print(json.dumps({"ok": good, "files": files}, indent=2))
     else:
         _print(findings, Console(soft_wrap=True))
@@ -149,10 +141,9 @@ def check(path: Path, kind: str | None = None) -> list[Findings]:
         found.errors += _refusal(load_camera_model, path)
     else:
         found.errors += problems_of(SECTIONS[kind], document, str(path))
-        if not found.errors and kind == "table":
-            found.errors += _refusal(load_reference_map, path)
-        elif not found.errors and kind == "object":
-            found.errors += _refusal(load_object, path)
+        load = {"table": load_reference_map, "object": load_object}.get(kind)
+        if load is not None and not found.errors:
+            found.errors += _refusal(load, path)
     if kind == "cell" and isinstance(document, Mapping):
         return [found, *_check_named(document, path, found)]
     return [found]
@@ -161,18 +152,17 @@ def check(path: Path, kind: str | None = None) -> list[Findings]:
 def _check_named(document: Mapping[Any, Any], path: Path, found: Findings) -> list[Findings]:
     """Return the files that a cell file names, with the errors in each file and the contradictions
     between files."""
-    named: list[Findings] = []
-    for key, kind in (
-        ("reference_markers", "table"),
-        ("camera_info", CAMERA_INFO),
-        ("object", "object"),
-    ):
-        if isinstance(document.get(key), str):
-            named += check(path.parent / document[key], kind)
+    files = [
+        (document.get("reference_markers"), "table"),
+        (document.get("camera_info"), CAMERA_INFO),
+        (document.get("object"), "object"),
+    ]
     further = document.get("objects")
-    for entry in further if isinstance(further, list) else ():
-        if isinstance(entry, str):
-            named += check(path.parent / entry, "object")
+    files += [(entry, "object") for entry in further] if isinstance(further, list) else []
+    named: list[Findings] = []
+    for name, kind in files:
+        if isinstance(name, str):
+            named += check(path.parent / name, kind)
     if not found.errors and not any(entry.errors for entry in named):
         try:
             errors, warnings = conflicts(load_cell(path))

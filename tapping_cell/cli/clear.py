@@ -29,24 +29,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> int:
+@cell_arguments.with_cell
+def run(arguments: argparse.Namespace, client: CellClient) -> int:
     """Run the verb. Return 0 if neither a stop nor a fault remains, otherwise 1 with a message."""
-
-    def clear(client: CellClient) -> int:
-        client.wait_for_cell(cell_arguments.TIMEOUT_S)
-        if arguments.press_button:
-            print(client.press_button())
-            time.sleep(BUTTON_S)
-        for message in client.clear():
-            print(message)
-        state = _settled(client)
-        if state["mode"] in ("stopped", "fault"):
-            print_error(state["sentence"])
-        for line in cell_words.recovery(state):
-            print(line)
-        return ExitStatus.FAILED if state["mode"] in ("stopped", "fault") else ExitStatus.DONE
-
-    return cell_arguments.with_cell(arguments, clear)
+    client.wait_for_cell(cell_arguments.TIMEOUT_S)
+    if arguments.press_button:
+        print(client.press_button())
+        time.sleep(BUTTON_S)
+    for message in client.clear():
+        print(message)
+    state = _settled(client)
+    if state["mode"] in ("stopped", "fault"):
+        print_error(state["sentence"])
+    for line in cell_words.recovery(state):
+        print(line)
+    return ExitStatus.FAILED if state["mode"] in ("stopped", "fault") else ExitStatus.DONE
 
 
 def _settled(client: CellClient) -> dict[str, Any]:

@@ -67,12 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=[step.name for step in STEPS],
         help="last step to run (default: the last of all steps)",
     )
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        default=1,
-        help="random seed of the noise (only in simulation; default: 1)",
-    )
+    argument_types.add_seed(parser, 1, "random seed of the noise (only in simulation; default: 1)")
 
 
 def run(arguments: argparse.Namespace) -> int:

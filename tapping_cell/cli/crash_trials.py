@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from std_srvs.srv import Trigger
@@ -195,31 +195,21 @@ class CrashCell:
                 "sim_world/press_clear_button",
             )
         }
-        node.create_subscription(
-            PlanState, "plan_state", lambda m: self.seen.plans.append(m), LATCHED
-        )
-        node.create_subscription(
-            TapCommand, "tap_command", lambda m: self.seen.commands.append(m), COMMAND
-        )
-        node.create_subscription(
-            TapperState, "tapper_state", lambda m: self.seen.on_tapper(m), LATCHED
-        )
-        node.create_subscription(ArmState, "arm_state", lambda m: self.seen.on_arm(m), LATCHED)
-        node.create_subscription(PoseStamped, "ground_truth", lambda m: self.seen.on_truth(m), 10)
+        subscribe = node.create_subscription
+        subscribe(PlanState, "plan_state", lambda m: self.seen.plans.append(m), LATCHED)
+        subscribe(TapCommand, "tap_command", lambda m: self.seen.commands.append(m), COMMAND)
+        subscribe(TapperState, "tapper_state", lambda m: self.seen.on_tapper(m), LATCHED)
+        subscribe(ArmState, "arm_state", lambda m: self.seen.on_arm(m), LATCHED)
+        subscribe(PoseStamped, "ground_truth", lambda m: self.seen.on_truth(m), 10)
 
     def __enter__(self) -> CrashCell:
         self.graph.__enter__()
         self.client.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.client.__exit__(kind, error, trace)
-        self.graph.__exit__(kind, error, trace)
+    def __exit__(self, *error: Any) -> None:
+        self.client.__exit__(*error)
+        self.graph.__exit__(*error)
 
     def begin(self, phase: str) -> bool:
         """Send the goal and wait for ``phase`` of a tap. Return False if it is never reached."""
@@ -255,7 +245,7 @@ class CrashCell:
         began = time.time()
         os.kill(self.graph.process_ids[node], signal.SIGSTOP)
         try:
-            self.wait(lambda: False, duration)
+            time.sleep(duration)
         finally:
             ended = time.time()
             os.kill(self.graph.process_ids[node], signal.SIGCONT)

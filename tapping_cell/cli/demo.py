@@ -104,11 +104,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="goals of the objects: random poses, or the objects exchange their places in pairs "
         "(only with --objects; default: random)",
     )
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        default=1,
-        help="random seed of the simulated world's noise and scatter (default: 1)",
+    argument_types.add_seed(
+        parser, 1, "random seed of the simulated world's noise and scatter (default: 1)"
     )
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")

@@ -8,7 +8,6 @@ import json
 import math
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -17,7 +16,7 @@ from tapping_cell.cli.arrange import follow, result_of, wait_for
 from tapping_cell.cli.errors import print_error
 from tapping_cell.cli.graph import Graph
 from tapping_cell.configuration.cell import Cell, cells_of
-from tapping_cell.configuration.layout_file import LayoutFile
+from tapping_cell.configuration.layout_file import LayoutFile, LayoutGoal
 from tapping_cell.nodes.clients.arrange_client import (
     ArrangeClient,
     ArrangementEnded,
@@ -72,13 +71,29 @@ def arrange(
         time.sleep(TRUTH_S)
         history[max(1, ended.taps) :] = [dict(client.true_poses)]
         last_true, contacts = dict(client.true_poses), list(client.contacts)
-    true = residuals(last_true, layout)
-    inside = _inside(true, layout, cell)
     record = _record(folder.name, began_at, took, cell, layout, starts, ended, contacts, last_true)
-    summary = {**_summary(ended, true, contacts, inside, took), "run": to_content(record)}
+    true = residuals(last_true, layout)
+    # Whether the true pose of every object is within the tolerance of its goal.
+    inside = all(
+        true[one.name][0] <= one.tolerance[0] and true[one.name][1] <= one.tolerance[1]
+        for one in record.objects
+        if one.tolerance is not None
+    )
+    summary = {
+        **result_of(ended),
+        "truly_inside": inside,
+        "true": {
+            name: {"residual_mm": 1000 * distance, "residual_deg": math.degrees(turn)}
+            for name, (distance, turn) in true.items()
+            if math.isfinite(distance)
+        },
+        "contacts": contacts,
+        "seconds": round(took, 1),
+        "run": to_content(record),
+    }
     write_page(record, folder)
     (folder / SUMMARY).write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    _draw(history, layout, cell, ended, true, folder / PICTURE)
+    _draw(history, record, ended, true, folder / PICTURE)
     if as_json:
         print(json.dumps(summary, indent=2, allow_nan=False))
     for name, (distance, turn) in true.items():
@@ -99,45 +114,6 @@ def arrange(
     return 0
 
 
-def _inside(true: dict[str, tuple[float, float]], layout: LayoutFile, cell: Cell) -> bool:
-    """Return whether the true pose of every object is within the tolerance of its goal."""
-    return all(
-        true[name][0] <= distance and true[name][1] <= angle
-        for name, (distance, angle) in _tolerances(layout, cell).items()
-    )
-
-
-def _tolerances(layout: LayoutFile, cell: Cell) -> dict[str, tuple[float, float]]:
-    """Return the tolerances of the goals, in m and rad, by name of the object."""
-    cells = cells_of(cell)
-    found = {}
-    for goal in layout.goals:
-        distance, angle = cells[goal.object].tolerance
-        found[goal.object] = goal.position_tolerance or distance, goal.angle_tolerance or angle
-    return found
-
-
-def _summary(
-    ended: ArrangementEnded,
-    true: dict[str, tuple[float, float]],
-    contacts: list[tuple[str, str]],
-    inside: bool,
-    took: float,
-) -> dict[str, Any]:
-    truth = {
-        name: {"residual_mm": 1000 * distance, "residual_deg": math.degrees(turn)}
-        for name, (distance, turn) in true.items()
-        if math.isfinite(distance)
-    }
-    return {
-        **result_of(ended),
-        "truly_inside": inside,
-        "true": truth,
-        "contacts": contacts,
-        "seconds": round(took, 1),
-    }
-
-
 def _record(
     name: str,
     began: float,
@@ -150,23 +126,22 @@ def _record(
     true: dict[str, Pose],
 ) -> ArrangementRun:
     """Return the record of the arrangement for its report."""
-    goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
+    goals = {goal.object: goal for goal in layout.goals}
     ends = {one.name: one for one in ended.objects}
-    tolerances = _tolerances(layout, cell)
     objects = []
     for each, own in cells_of(cell).items():
-        end = ends.get(each)
+        goal, end = goals.get(each), ends.get(each)
         objects.append(
             ArrangedObject(
                 name=each,
                 outline=tuple((float(x), float(y)) for x, y in own.outline()),
                 start=starts.get(each),
-                goal=goals.get(each),
+                goal=None if goal is None else Pose(*goal.pose),
                 end=starts.get(each) if end is None else end.pose,
                 end_true=true.get(each),
                 outcome="not moved" if end is None else end.state,
                 taps=0 if end is None else end.taps,
-                tolerance=tolerances.get(each),
+                tolerance=None if goal is None else _tolerance(goal, own),
             )
         )
     table = cell.file.table
@@ -183,19 +158,22 @@ def _record(
     )
 
 
+def _tolerance(goal: LayoutGoal, cell: Cell) -> tuple[float, float]:
+    """Return the tolerance of a goal, in m and rad."""
+    distance, angle = cell.tolerance
+    return goal.position_tolerance or distance, goal.angle_tolerance or angle
+
+
 def _draw(
     history: list[dict[str, Pose]],
-    layout: LayoutFile,
-    cell: Cell,
+    record: ArrangementRun,
     ended: ArrangementEnded,
     true: dict[str, tuple[float, float]],
     file: Path,
 ) -> None:
     """Draw the scene at the start, between the taps and at the end, with the objects' paths and
     outcomes."""
-    goals = {goal.object: Pose(*goal.pose) for goal in layout.goals}
-    outlines = {name: np.asarray(each.outline()) for name, each in cells_of(cell).items()}
-    table = cell.file.table
+    goals = {one.name: one.goal for one in record.objects if one.goal is not None}
     # Imported here, because importing matplotlib takes half a second and would delay error messages
     # about wrong options.
     from tapping_cell.report.arrangement_figures import draw_scene
@@ -205,8 +183,8 @@ def _draw(
             end="done" if not ended.error_code else "refused later",
             history=history,
             goals=goals,
-            outlines=outlines,
-            table=(table.length, table.width),
+            outlines={one.name: np.asarray(one.outline) for one in record.objects},
+            table=record.table_size,
         ),
         file,
         [HEAD, *(_outcome(one, goals.get(one.name), true.get(one.name)) for one in ended.objects)],

@@ -120,14 +120,23 @@ def _connection(arm: ArmSection) -> Iterator[SerialTransport | RosTrajectoryLink
         finally:
             transport.close()
         return
-    rclpy.init()
-    try:
-        node = Node("doctor")
+    with _node() as node:
         link = RosTrajectoryLink(node, arm.ros2_control, joint_accelerations(arm))
         try:
             yield link
         finally:
             link.destroy()
+
+
+@contextmanager
+def _node() -> Iterator[Node]:
+    """Create a node, and destroy it at the end."""
+    rclpy.init()
+    try:
+        node = Node("doctor")
+        try:
+            yield node
+        finally:
             node.destroy_node()
     finally:
         rclpy.try_shutdown()
@@ -147,9 +156,7 @@ class _NoMemory:
 
 def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
     """Check the digital output that fires the tapper. The check only switches the output off."""
-    rclpy.init()
-    try:
-        node = Node("doctor")
+    with _node() as node:
         link = RosOutputLink(node, section)
         driver = OutputTapperDriver(link, tapper.output_settings(), _NoMemory())
         try:
@@ -160,18 +167,9 @@ def check_output(tapper: TapperSection, section: OutputSection) -> list[Row]:
             return [Row("tapper", "connection", "failed", False, str(fault))]
         finally:
             link.destroy()
-            node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
     rows = [
         Row("tapper", "output", f"{version} on {section.name}", True),
-        Row(
-            "tapper",
-            "guard",
-            "closed" if reply.interlock_closed else "open",
-            reply.interlock_closed,
-            "" if reply.interlock_closed else "close the guard, or check the input of the guard",
-        ),
+        _guard_row("tapper", "guard", reply.interlock_closed, "the input of the guard"),
         Row(
             "tapper",
             "remark",
@@ -221,15 +219,7 @@ def _check_board(name: str, given_port: str, baud: int) -> list[Row]:
     stop = "pressed or latched" if reply.stop_latched else "clear"
     return [
         Row(name, "firmware", f"{driver.version} on {port}", True),
-        Row(
-            name,
-            "interlock",
-            "closed" if reply.interlock_closed else "open",
-            reply.interlock_closed,
-            ""
-            if reply.interlock_closed
-            else "close the guard, or check the interlock loop on pin D2",
-        ),
+        _guard_row(name, "interlock", reply.interlock_closed, "the interlock loop on pin D2"),
         Row(
             name,
             "stop",
@@ -238,6 +228,11 @@ def _check_board(name: str, given_port: str, baud: int) -> list[Row]:
             "press the clear button, then clear the stop" if reply.stop_latched else "",
         ),
     ]
+
+
+def _guard_row(device: str, setting: str, closed: bool, input_name: str) -> Row:
+    remedy = "" if closed else f"close the guard, or check {input_name}"
+    return Row(device, setting, "closed" if closed else "open", closed, remedy)
 
 
 def _store(

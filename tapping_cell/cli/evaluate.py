@@ -28,32 +28,52 @@ With --cluster, the points run on the workers of a Dask cluster that have the sa
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
 import json
 import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from tapping_cell.cli import argument_types
+from rich.console import Console
+from rich.progress import Progress
+
+from tapping_cell.cli import argument_types, sweep
 from tapping_cell.cli.errors import print_refusal
+from tapping_cell.cli.evaluate_common import (
+    add_scatter_arguments,
+    camera_of,
+    inputs_of,
+    progress,
+    scatter_of,
+    si_pair,
+)
 from tapping_cell.cli.evaluate_fixed import add_fixed_arguments, run_fixed
-from tapping_cell.cli.evaluate_scatter import add_scatter_arguments, scatter_of
 from tapping_cell.cli.start_checks import refuse_unused, require_folder
-
-if TYPE_CHECKING:
-    from tapping_cell.cli.sweep import Point
-    from tapping_cell.configuration.cell import Cell
-    from tapping_cell.logic.arm_times import ArmTimes
-    from tapping_cell.planning.evaluation import Evaluation, PhysicsWorld, Results
-    from tapping_cell.planning.evaluation.worlds import World
-    from tapping_cell.planning.settings import PlannerSettings
-    from tapping_cell.planning.strike import StrikeSpace
+from tapping_cell.configuration.assembly import make_strike_space, make_tap
+from tapping_cell.configuration.cell import Cell, load_cell
+from tapping_cell.configuration.files import shared_folder
+from tapping_cell.configuration.objects import ObjectFile, load_object
+from tapping_cell.configuration.schema import ConfigurationError, load
+from tapping_cell.logic.arm_times import ArmTimes, arm_times
+from tapping_cell.mechanics import MechanicsError, Tap
+from tapping_cell.planning import FreeSpace, PlannerSettings, PlanningError, make_planner
+from tapping_cell.planning.evaluation import (
+    Evaluation,
+    PhysicsWorld,
+    arrangements,
+    evaluate,
+    summarise,
+)
+from tapping_cell.planning.evaluation.worlds import World
+from tapping_cell.planning.multi import MultiPlanner
+from tapping_cell.planning.settings import Scatter
+from tapping_cell.planning.strike import StrikeSpace
+from tapping_cell.simulation.tap_trials import SimulatedTaps
+from tapping_cell.simulation.truth import TruthFile
 
 LARGE_TASKS = (300.0, 180.0)
 DEFAULT_TASKS = (40.0, 20.0)
@@ -61,7 +81,6 @@ DEFAULT_TASKS = (40.0, 20.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    numbers: Callable[..., Any] = parser.add_argument
     methods = parser.add_mutually_exclusive_group()
     methods.add_argument(
         "--planner",
@@ -70,18 +89,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="planning method (default: optimal)",
     )
     methods.add_argument("--all", action="store_true", help="compare all planning methods")
-    numbers(
+    parser.add_argument(
         "--trials", type=int, default=2000, metavar="N", help="number of trials (default: 2000)"
     )
-    numbers(
+    parser.add_argument(
         "--goal",
-        type=float,
-        nargs=3,
+        **argument_types.POSE,
         default=(10.0, 0.0, 10.0),
-        metavar=("X", "Y", "THETA"),
         help="goal relative to the start, in mm, mm and degrees (default: 10 0 10)",
     )
-    numbers(
+    parser.add_argument(
         "--random-tasks",
         type=float,
         nargs="*",
@@ -89,24 +106,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="draw a random goal for each trial, up to this distance in mm and rotation in "
         "degrees (without values: 40 20, or 300 180 with --table)",
     )
-    numbers(
+    parser.add_argument(
         "--tolerance",
-        type=float,
-        nargs=2,
+        **argument_types.MM_AND_DEGREES,
         default=(1.0, 1.0),
-        metavar=("MM", "DEG"),
         help="position and angle tolerance of the goal, in mm and degrees (default: 1 1)",
     )
     add_scatter_arguments(parser)
-    numbers(
+    parser.add_argument(
         "--camera-noise",
-        type=float,
-        nargs=2,
+        **argument_types.MM_AND_DEGREES,
         default=(0.0, 0.0),
-        metavar=("MM", "DEG"),
         help="standard deviations of a measured pose, in mm and degrees (default: 0 0)",
     )
-    numbers(
+    parser.add_argument(
         "--gain-bias",
         type=float,
         nargs=2,
@@ -115,7 +128,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="systematic errors of distance and rotation in percent. They are the same for all "
         "taps of a trial; their signs are drawn for each trial (default: 0 0)",
     )
-    numbers(
+    parser.add_argument(
         "--unknown",
         type=float,
         nargs=2,
@@ -125,7 +138,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "distance differ from the assumed ones. Each trial draws its factors from 1/D to D and "
         "from 1/R to R (default: 1 1)",
     )
-    numbers(
+    parser.add_argument(
         "--off-centre",
         type=float,
         default=0.0,
@@ -145,28 +158,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="learn from every tap how distance and rotation differ from the prediction",
     )
-    numbers(
+    parser.add_argument(
         "--box",
         type=float,
         metavar="SHARE",
         help="stop when the measured error is within this fraction of the tolerance (default: the "
         "largest fraction that the camera noise allows)",
     )
-    numbers(
+    parser.add_argument(
         "--variant",
         choices=("overshoot", "retreat"),
         default="overshoot",
         help="first tap of a two-tap plan: past the goal (overshoot), or away from it (retreat); "
         "only for the methods exact and conservative (default: overshoot)",
     )
-    numbers(
+    parser.add_argument(
         "--error-line",
         type=float,
         metavar="PERCENT",
         help="assumed rotation error, +- percent of the tap's rotation, for the methods "
         "conservative (default: 30) and multi (default: 60)",
     )
-    numbers(
+    parser.add_argument(
         "--model",
         choices=("abstract", "physics", "world"),
         default="abstract",
@@ -174,7 +187,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "and slide. world: numerically integrated contact and slide, with the scatter given in the "
         "--truth file (default: abstract)",
     )
-    numbers(
+    parser.add_argument(
         "--round-position",
         type=float,
         default=0.0,
@@ -182,7 +195,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="step to which the arm rounds the striker's position, in mm (only with --model "
         "physics or world; default: 0, no rounding)",
     )
-    numbers(
+    parser.add_argument(
         "--round-angle",
         type=float,
         default=0.0,
@@ -196,46 +209,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="minimise the number of taps, or the total time of taps and arm motion (only with "
         "--table or for a cell with fixed tappers; default: the cell file's)",
     )
-    numbers(
+    parser.add_argument(
         "--table",
         action="store_true",
         help="run the trials on the cell's table, within the arm's reach",
     )
-    numbers(
+    parser.add_argument(
         "--cell",
         type=Path,
         metavar="FILE",
         help="cell file (used with --model physics or world, with --table, and for a cell with "
         "fixed tappers; default: the package's cell.yaml)",
     )
-    numbers(
+    parser.add_argument(
         "--object",
         type=Path,
         metavar="FILE",
         help="object file (used wherever --cell is used; default: the cell's)",
     )
-    numbers(
+    parser.add_argument(
         "--truth",
         type=Path,
         metavar="FILE",
         help="file with the simulation parameters (used with --model physics or world, and with "
         "--table; default: the package's truth/default.yaml)",
     )
-    numbers(
+    parser.add_argument(
         "--truth-object",
         type=Path,
         metavar="FILE",
         help="object file with the true parameters, if it differs from the planner's (used with "
         "--model physics or world; default: the planner's)",
     )
-    numbers(
+    parser.add_argument(
         "--true-friction",
         type=float,
         metavar="MU",
         help="true coefficient of friction (only with --model physics; default: from the object "
         "file and --truth)",
     )
-    numbers(
+    parser.add_argument(
         "--sweep",
         nargs="+",
         metavar="NAME=VALUES",
@@ -291,19 +304,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="radii of the disks and half diagonals of the squares, in mm; a grid has disks of "
         "the first radius only (only with --arrange; default: 20 30 40)",
     )
-    numbers(
+    parser.add_argument(
         "--most-taps",
         type=int,
         default=100,
         metavar="N",
         help="number of taps after which a trial is aborted and counted as endless (default: 100)",
     )
-    numbers("--seed", type=argument_types.seed, default=0, help="random seed (default: 0)")
-    numbers(
+    argument_types.add_seed(parser, 0, "random seed (default: 0)")
+    parser.add_argument(
         "--processes", type=int, metavar="N", help="number of processes (default: one per core)"
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
-    numbers(
+    parser.add_argument(
         "--report",
         type=Path,
         metavar="DIR",
@@ -315,10 +328,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the evaluation. Return 0, or 2 for invalid options."""
     # The work is distributed over processes, and additional BLAS threads would slow them down.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from tapping_cell.configuration.schema import ConfigurationError
-    from tapping_cell.mechanics import MechanicsError
-    from tapping_cell.planning import PlanningError
-
     try:
         require_folder(arguments.report, "--report")
         if not arguments.table:
@@ -354,8 +363,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _fixed_cell(arguments: argparse.Namespace) -> Cell | None:
     """Return the selected cell if it has fixed tappers, otherwise None."""
-    from tapping_cell.configuration.cell import load_cell
-
     if arguments.cell is None:
         return None
     cell = load_cell(arguments.cell, arguments.object)
@@ -364,11 +371,6 @@ def _fixed_cell(arguments: argparse.Namespace) -> Cell | None:
 
 def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     """Return the evaluation that the options describe, in SI units."""
-    from tapping_cell.configuration.cell import load_cell
-    from tapping_cell.logic.arm_times import arm_times
-    from tapping_cell.planning import PlanningError
-    from tapping_cell.planning.evaluation import Evaluation
-
     settings = _settings(arguments)
     world: World | None = None
     space = clock = None
@@ -376,16 +378,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
     cell = load_cell(arguments.cell, arguments.object)
     times = None if arguments.table else arm_times(cell)
     if arguments.model != "abstract" or arguments.table:
-        from tapping_cell.configuration.assembly import make_tap
-        from tapping_cell.planning import PlannerSettings
-
-        tap = make_tap(cell)
-        fitted = PlannerSettings.for_tap(tap)
-        settings = replace(
-            settings,
-            cone_slope=fitted.cone_slope,
-            smallest_distance=fitted.smallest_distance,
-        )
+        settings = _fitted(settings, make_tap(cell))
         if arguments.model == "physics":
             world = _physics(arguments, cell, settings.scatter)
         elif arguments.model == "world":
@@ -411,7 +404,7 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
         settings=settings,
         trials=arguments.trials,
         goal=(1e-3 * x, 1e-3 * y, math.radians(theta)),
-        random_tasks=None if tasks is None else (1e-3 * tasks[0], math.radians(tasks[1])),
+        random_tasks=None if tasks is None else si_pair(tasks),
         world=world,
         gain_bias=(arguments.gain_bias[0] / 100.0, arguments.gain_bias[1] / 100.0),
         unknown=(arguments.unknown[0], arguments.unknown[1]),
@@ -429,16 +422,12 @@ def make_evaluation(arguments: argparse.Namespace, planner: str) -> Evaluation:
 
 def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, Any]:
     """Run one evaluation. Return the results, the inputs, and the number of trials per second."""
-    from tapping_cell.planning import make_planner
-    from tapping_cell.planning.evaluation import evaluate, summarise
-    from tapping_cell.planning.multi import MultiPlanner
-
     began = time.perf_counter()
     planner = make_planner(evaluation.planner, evaluation.settings)
     solved = time.perf_counter() - began
-    with _progress(arguments, evaluation) as note:
+    with progress(arguments, evaluation.planner, evaluation.trials) as note:
         began = time.perf_counter()
-        results: Results = evaluate(evaluation, arguments.processes, note)
+        results = evaluate(evaluation, arguments.processes, note)
         elapsed = time.perf_counter() - began
     planned = None
     if isinstance(planner, MultiPlanner) and evaluation.random_tasks is None:
@@ -453,57 +442,48 @@ def measure(arguments: argparse.Namespace, evaluation: Evaluation) -> dict[str, 
     }
     figures["solving_s"] = solved
     figures["trials_per_second"] = evaluation.trials / elapsed
-    figures["inputs"] = _inputs(arguments)
+    figures["inputs"] = inputs_of(arguments, "sweep", "cluster")
     return figures
 
 
 def _settings(arguments: argparse.Namespace) -> PlannerSettings:
-    from tapping_cell.planning import CameraNoise, PlannerSettings
-
     line = arguments.error_line
+    position, angle = si_pair(arguments.tolerance)
     return PlannerSettings(
         scatter=scatter_of(arguments),
-        camera=CameraNoise(
-            1e-3 * arguments.camera_noise[0], math.radians(arguments.camera_noise[1])
-        ),
-        tolerance_position=1e-3 * arguments.tolerance[0],
-        tolerance_angle=math.radians(arguments.tolerance[1]),
+        camera=camera_of(arguments),
+        tolerance_position=position,
+        tolerance_angle=angle,
         box=arguments.box,
         variant=arguments.variant,
         error_line=None if line is None else line / 100.0,
     )
 
 
-def _cell_space(cell: Path | None, content: Path | None) -> StrikeSpace:
-    from tapping_cell.configuration.assembly import make_strike_space
-    from tapping_cell.configuration.cell import load_cell
+def _fitted(settings: PlannerSettings, tap: Tap) -> PlannerSettings:
+    """Return the settings with the cone and the smallest tap of this tap's mechanics."""
+    fitted = PlannerSettings.for_tap(tap)
+    return replace(
+        settings, cone_slope=fitted.cone_slope, smallest_distance=fitted.smallest_distance
+    )
 
+
+def _truth(path: Path | None) -> TruthFile:
+    path = path or shared_folder() / "truth" / "default.yaml"
+    return load(TruthFile, path.expanduser())
+
+
+def _cell_space(cell: Path | None, content: Path | None) -> StrikeSpace:
     return make_strike_space(load_cell(cell, content))
 
 
 def _arm_times(cell: Path | None, content: Path | None, truth: Path | None) -> ArmTimes:
-    from tapping_cell.configuration.cell import load_cell
-    from tapping_cell.configuration.files import shared_folder
-    from tapping_cell.configuration.schema import load
-    from tapping_cell.logic.arm_times import ArmTimes
-    from tapping_cell.simulation.truth import TruthFile
-
-    path = truth or shared_folder() / "truth" / "default.yaml"
-    lens = load(TruthFile, Path(path).expanduser()).camera.position
+    lens = _truth(truth).camera.position
     return ArmTimes(load_cell(cell, content), lens)
 
 
-def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsWorld:
-    from tapping_cell.configuration.assembly import make_tap
-    from tapping_cell.configuration.files import shared_folder
-    from tapping_cell.configuration.objects import load_object
-    from tapping_cell.configuration.schema import ConfigurationError, load
-    from tapping_cell.planning import PlanningError
-    from tapping_cell.planning.evaluation import PhysicsWorld
-    from tapping_cell.simulation.truth import TruthFile
-
-    path = arguments.truth or shared_folder() / "truth" / "default.yaml"
-    truth = load(TruthFile, Path(path).expanduser())
+def _physics(arguments: argparse.Namespace, cell: Cell, scatter: Scatter) -> PhysicsWorld:
+    truth = _truth(arguments.truth)
     known = cell.object
     if arguments.truth_object is not None:
         known = load_object(arguments.truth_object.expanduser())
@@ -538,52 +518,18 @@ def _physics(arguments: argparse.Namespace, cell: Any, scatter: Any) -> PhysicsW
     )
 
 
-def _simulated(arguments: argparse.Namespace, cell: Any) -> World:
-    from tapping_cell.configuration.assembly import make_tap
-    from tapping_cell.configuration.files import shared_folder
-    from tapping_cell.configuration.objects import load_object
-    from tapping_cell.configuration.schema import load
-    from tapping_cell.simulation.tap_trials import SimulatedTaps
-    from tapping_cell.simulation.truth import TruthFile
-
-    path = arguments.truth or shared_folder() / "truth" / "default.yaml"
+def _simulated(arguments: argparse.Namespace, cell: Cell) -> World:
     content = cell.object
     if arguments.truth_object is not None:
         content = load_object(arguments.truth_object.expanduser())
-    tapper = cell.file.tapper
     return SimulatedTaps(
         model=replace(make_tap(cell), smallest_distance=0.0),
         content=content,
-        truth=load(TruthFile, Path(path).expanduser()),
-        standoff=tapper.standoff,
+        truth=_truth(arguments.truth),
+        standoff=cell.file.tapper.standoff,
         round_position=1e-3 * arguments.round_position,
         round_angle=math.radians(arguments.round_angle),
     )
-
-
-def _inputs(arguments: argparse.Namespace) -> dict[str, Any]:
-    left_out = {"json", "report", "processes", "verb", "sweep", "cluster"}
-    return {
-        name: str(value) if isinstance(value, Path) else value
-        for name, value in sorted(vars(arguments).items())
-        if name not in left_out
-    }
-
-
-@contextlib.contextmanager
-def _progress(
-    arguments: argparse.Namespace, evaluation: Evaluation
-) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on stderr if it is a terminal."""
-    if arguments.json or not sys.stderr.isatty():
-        yield lambda count: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(evaluation.planner, total=evaluation.trials)
-        yield lambda count: bar.advance(task, count)
 
 
 def _text(planner: str, figures: dict[str, Any]) -> str:
@@ -633,24 +579,16 @@ def _seconds_text(figures: dict[str, Any]) -> list[str]:
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from tapping_cell.cli import sweep
-    from tapping_cell.cli.cluster import cluster_executor
-    from tapping_cell.planning import PlanningError
     from tapping_cell.report.sweep import sweep_table, write_sweep
 
     if arguments.report is None or arguments.all:
         raise PlanningError("--sweep needs a folder for its report: give --report DIR; omit --all")
-    axes = sweep.read_axes(arguments.sweep)
-    points = list(sweep.grid(axes))
+    points = list(sweep.grid(sweep.read_axes(arguments.sweep)))
     for point in points:
         # Check every point now, so that an error is reported before the first trial.
         chosen = sweep.arguments_at(arguments, point)
         make_evaluation(chosen, chosen.planner)
-    kept = sweep.KeptPoints(arguments.report, _inputs(arguments))
-    run_point = functools.partial(_measure_point, arguments)
+    kept = sweep.KeptPoints(arguments.report, inputs_of(arguments, "sweep", "cluster"))
     with Progress(
         console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()
     ) as bar:
@@ -659,10 +597,10 @@ def _sweep(arguments: argparse.Namespace) -> int:
             rows = sweep.sweep(
                 points,
                 kept,
-                run_point,
+                functools.partial(_measure_point, arguments),
                 arguments.processes,
                 lambda count: bar.advance(task, count),
-                cluster_executor(arguments.cluster) if arguments.cluster else None,
+                sweep.cluster_executor(arguments.cluster) if arguments.cluster else None,
             )
         except KeyboardInterrupt:
             bar.stop()
@@ -682,10 +620,8 @@ def _sweep(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _measure_point(arguments: argparse.Namespace, point: Point) -> dict[str, Any]:
+def _measure_point(arguments: argparse.Namespace, point: sweep.Point) -> dict[str, Any]:
     """Evaluate one point of a sweep in a separate process."""
-    from tapping_cell.cli import sweep
-
     chosen = sweep.arguments_at(arguments, point)
     # Use one process, because the points are evaluated in parallel. The option json suppresses the
     # progress bar of the point, because the whole sweep has one.
@@ -694,11 +630,7 @@ def _measure_point(arguments: argparse.Namespace, point: Point) -> dict[str, Any
 
 
 def _compare(arguments: argparse.Namespace) -> int:
-    from tapping_cell.report.planning_comparison import (
-        comparison_table,
-        methods,
-        write_comparison,
-    )
+    from tapping_cell.report.planning_comparison import comparison_table, methods, write_comparison
 
     rows: dict[str, dict[str, Any]] = {}
     for method in methods():
@@ -721,8 +653,6 @@ def _compare(arguments: argparse.Namespace) -> int:
 def _arrange(arguments: argparse.Namespace) -> int:
     """Evaluate scenes of several objects. With ``--all``, evaluate the built-in planner and the
     baselines."""
-    from tapping_cell.planning.evaluation import arrangements
-
     names = list(arrangements.METHODS) if arguments.all else [arguments.method]
     figures = {}
     for name in names:
@@ -745,38 +675,31 @@ def _arrange(arguments: argparse.Namespace) -> int:
 
             write_scenes(arguments.report, trials)
     if arguments.json:
-        print(json.dumps({"methods": figures, "inputs": _inputs(arguments)}, indent=2))
+        print(
+            json.dumps(
+                {"methods": figures, "inputs": inputs_of(arguments, "sweep", "cluster")}, indent=2
+            )
+        )
     else:
         for name, found in figures.items():
             print(_arrangement_text(name, found))
     return 0
 
 
-def arrangement_kinds(arguments: argparse.Namespace) -> list[Any]:
+def arrangement_kinds(arguments: argparse.Namespace) -> list[arrangements.Kind]:
     """Return one ``Kind``, which contains a free space and a planner, for each shape of object.
     Table and arm are those of the cell, and the friction is that of the object file."""
-    from tapping_cell.configuration.assembly import make_strike_space, make_tap
-    from tapping_cell.configuration.cell import load_cell
-    from tapping_cell.planning import FreeSpace, PlannerSettings, make_planner
-    from tapping_cell.planning.evaluation.arrangements import Kind
-
     cell = load_cell(arguments.cell, arguments.object)
     wanted = _settings(arguments)
     kinds = []
     for content in _shapes(cell.object, arguments):
         made = replace(cell, object=content)
-        fitted = PlannerSettings.for_tap(make_tap(made))
-        settings = replace(
-            wanted,
-            cone_slope=fitted.cone_slope,
-            smallest_distance=fitted.smallest_distance,
-        )
-        free = FreeSpace(make_strike_space(made))
-        kinds.append(Kind(free, make_planner(arguments.planner, settings)))
+        planner = make_planner(arguments.planner, _fitted(wanted, make_tap(made)))
+        kinds.append(arrangements.Kind(FreeSpace(make_strike_space(made)), planner))
     return kinds
 
 
-def _shapes(content: Any, arguments: argparse.Namespace) -> list[Any]:
+def _shapes(content: ObjectFile, arguments: argparse.Namespace) -> list[ObjectFile]:
     """Return variants of the given object: disks and squares of the requested sizes."""
     radii = [1e-3 * radius for radius in arguments.radius]
     if arguments.goals == "grid":

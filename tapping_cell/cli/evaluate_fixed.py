@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
-import sys
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
-from tapping_cell.cli.evaluate_scatter import scatter_of
+from tapping_cell.cli.argument_types import MM_AND_DEGREES, POSE
+from tapping_cell.cli.evaluate_common import camera_of, inputs_of, progress, scatter_of, si_pair
 from tapping_cell.configuration.assembly import make_fixed_space, make_planner_settings
 from tapping_cell.configuration.cell import Cell
-from tapping_cell.planning import CameraNoise, PlanningError
+from tapping_cell.planning import PlanningError
 from tapping_cell.planning.evaluation.fixed_cell import FixedEvaluation, evaluate_fixed
 from tapping_cell.planning.evaluation.summary import summarise
 
@@ -37,8 +33,7 @@ COLUMNS = (
 
 def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options that apply only to a cell with fixed tappers."""
-    numbers: Callable[..., Any] = parser.add_argument
-    numbers(
+    parser.add_argument(
         "--start-angles",
         type=float,
         nargs="+",
@@ -48,21 +43,17 @@ def add_fixed_arguments(parser: argparse.ArgumentParser) -> None:
         "given; each gives one row of the table (only for a cell with fixed tappers; default: "
         "10 30 90)",
     )
-    numbers(
+    parser.add_argument(
         "--goal-pose",
-        type=float,
-        nargs=3,
+        **POSE,
         default=(0.0, 0.0, 0.0),
-        metavar=("X", "Y", "THETA"),
         help="goal pose on the table, in mm, mm and degrees (only for a cell with fixed tappers; "
         "default: 0 0 0)",
     )
-    numbers(
+    parser.add_argument(
         "--mount-error",
-        type=float,
-        nargs=2,
+        **MM_AND_DEGREES,
         default=(0.0, 0.0),
-        metavar=("MM", "DEG"),
         help="standard deviations of each tapper's mounting error: the sideways offset of its line "
         "of motion, in mm, and the error of its direction, in degrees; new random errors for each "
         "trial (only for a cell with fixed tappers; default: 0 0)",
@@ -96,7 +87,7 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
     rows = []
     for angle in arguments.start_angles:
         evaluation = _evaluation(arguments, cell, angle)
-        with _progress(arguments, evaluation.trials) as note:
+        with progress(arguments, "trials", evaluation.trials) as note:
             began = time.perf_counter()
             results = evaluate_fixed(evaluation, note)
             elapsed = time.perf_counter() - began
@@ -105,31 +96,25 @@ def run_fixed(arguments: argparse.Namespace, cell: Cell) -> int:
         figures["trials_per_second"] = evaluation.trials / elapsed
         rows.append(figures)
     if arguments.json:
-        inputs = {
-            name: str(value) if isinstance(value, Path) else value
-            for name, value in sorted(vars(arguments).items())
-            if name not in {"json", "report", "processes", "verb"}
-        }
-        print(json.dumps({"cell": cell.file.name, "rows": rows, "inputs": inputs}, indent=2))
+        report = {"cell": cell.file.name, "rows": rows, "inputs": inputs_of(arguments)}
+        print(json.dumps(report, indent=2))
     else:
         _print(cell, arguments, rows)
     return 0
 
 
 def _evaluation(arguments: argparse.Namespace, cell: Cell, angle: float) -> FixedEvaluation:
-    scatter = scatter_of(arguments)
-    tolerance = 1e-3 * arguments.tolerance[0], math.radians(arguments.tolerance[1])
-    camera = CameraNoise(1e-3 * arguments.camera_noise[0], math.radians(arguments.camera_noise[1]))
-    settings = make_planner_settings(cell, tolerance, scatter=scatter, camera=camera)
+    scatter, tolerance = scatter_of(arguments), si_pair(arguments.tolerance)
     x, y, theta = arguments.goal_pose
-    off, turned = arguments.mount_error
     return FixedEvaluation(
         space=make_fixed_space(cell, scatter, arguments.objective or ""),
-        settings=settings,
+        settings=make_planner_settings(
+            cell, tolerance, scatter=scatter, camera=camera_of(arguments)
+        ),
         trials=arguments.trials,
         goal=(1e-3 * x, 1e-3 * y, math.radians(theta)),
         start_angle=math.radians(angle),
-        mount_error=(1e-3 * off, math.radians(turned)),
+        mount_error=si_pair(arguments.mount_error),
         adapt=arguments.adapt,
         seed=arguments.seed,
         most_taps=arguments.most_taps,
@@ -157,14 +142,3 @@ def _print(cell: Cell, arguments: argparse.Namespace, rows: list[dict[str, Any]]
             str(row["refused_before"] + row["refused_later"]),
         )
     Console(width=110).print(table)
-
-
-@contextlib.contextmanager
-def _progress(arguments: argparse.Namespace, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on stderr if it is a terminal."""
-    if arguments.json or not sys.stderr.isatty():
-        yield lambda count: None
-        return
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("trials", total=total)
-        yield lambda count: bar.advance(task, count)

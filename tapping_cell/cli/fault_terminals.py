@@ -6,7 +6,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -62,17 +62,13 @@ class TerminalCell(TrialCell):
         self._terminals.append(terminal)
         return SerialTransport(str(terminal.path))
 
-    @contextmanager
-    def _arm_held(self) -> Iterator[None]:
-        with self._terminals[0].lock:
-            yield
+    def _arm_held(self) -> AbstractContextManager[object]:
+        return self._terminals[0].lock
 
-    @contextmanager
-    def _tapper_held(self) -> Iterator[None]:
+    def _tapper_held(self) -> AbstractContextManager[object]:
         # To avoid a deadlock, a caller that locks both devices locks the tapper first. A shot uses
         # the same order: the tapper is already locked when its thread queries the arm's position.
-        with self._terminals[1].lock:
-            yield
+        return self._terminals[1].lock
 
     def close(self) -> None:
         """Stop the alarm, the drivers and the terminals."""

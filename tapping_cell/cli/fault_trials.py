@@ -8,12 +8,12 @@ once, withdraw. The drivers' reports are compared with the true states of the de
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import dataclass, field, fields
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -88,7 +88,7 @@ class Tally:
     """Number of times that the arm's driver requested a person to press the reset button."""
     faults_struck: int = 0
     cell_seconds: float = 0.0
-    by_fault: dict[str, Counter[str]] = field(default_factory=dict)
+    by_fault: dict[str, Counter[str]] = field(default_factory=partial(defaultdict, Counter))
     reasons: Counter[str] = field(default_factory=Counter)
     """Reasons why taps ended before the release was requested."""
     notes: list[str] = field(default_factory=list)
@@ -96,23 +96,13 @@ class Tally:
 
     def add(self, other: Tally) -> None:
         """Add the counts of another tally."""
-        for name in [
-            "taps",
-            "fired",
-            "not_fired",
-            "unknown",
-            "double_fires",
-            "unsafe_fires",
-            "hangs",
-            "false_reports",
-            "board_resets_asked",
-            "faults_struck",
-            "cell_seconds",
-        ]:
-            setattr(self, name, getattr(self, name) + getattr(other, name))
+        for each in fields(self):
+            value = getattr(other, each.name)
+            if isinstance(value, (int, float)):
+                setattr(self, each.name, getattr(self, each.name) + value)
         self.reasons.update(other.reasons)
         for kind, counts in other.by_fault.items():
-            self.by_fault.setdefault(kind, Counter()).update(counts)
+            self.by_fault[kind].update(counts)
         self.notes = (self.notes + other.notes)[:20]
 
     @property
@@ -168,7 +158,7 @@ class TrialCell:
         self.dialect = dialect
         self.rng = np.random.default_rng([seed, list(Dialect).index(dialect)])
         self.clock: Clock = clock or VirtualClock()
-        now = self.clock.now
+        now = self._began = self.clock.now
         self.geometry = ScaraGeometry()
         self.motion = MotionSettings(park=PARK)
         self.tapper_device = TapperEmulator(on_fire=self._record_fire, now=now)
@@ -213,15 +203,13 @@ class TrialCell:
             VirtualTransport(self.tapper_line, self.clock, "tapper"),
         )
 
-    @contextmanager
-    def _arm_held(self) -> Iterator[None]:
-        """Pause the emulated arm in this context."""
-        yield
+    def _arm_held(self) -> AbstractContextManager[object]:
+        """Return a context in which the emulated arm is paused."""
+        return nullcontext()
 
-    @contextmanager
-    def _tapper_held(self) -> Iterator[None]:
-        """Pause the emulated tapper in this context."""
-        yield
+    def _tapper_held(self) -> AbstractContextManager[object]:
+        """Return a context in which the emulated tapper is paused."""
+        return nullcontext()
 
     def _draw(self, below: int) -> int:
         return int(self.rng.integers(below))
@@ -256,12 +244,10 @@ class TrialCell:
             outcome = FireOutcome.NOT_FIRED
             self.tally.reasons[fault.reason.value] += 1
         self._report(self.shot, outcome)
-        try:
+        # A fault while withdrawing does not change the outcome, because the shot is over. The next
+        # tap begins with a recovery of the cell.
+        with suppress(HardwareFault):
             arm_jobs.withdraw(self._arm_context, self._withdrawal, not_before=self.clock.now)
-        except HardwareFault:
-            # This fault does not change the outcome, because the shot is over. The next tap begins
-            # with a recovery of the cell.
-            return outcome
         return outcome
 
     def _tap(self) -> FireOutcome:
@@ -287,8 +273,9 @@ class TrialCell:
             return FireOutcome.NOT_FIRED
         self.firing = True
         try:
-            end = tapper_jobs.fire(self._tapper_context, self.shot, self.check, post_replies=False)
-            return end.outcome
+            return tapper_jobs.fire(
+                self._tapper_context, self.shot, self.check, post_replies=False
+            ).outcome
         finally:
             self.firing = False
 
@@ -415,6 +402,13 @@ class TrialCell:
                 self.tally.false_reports += 1
                 self._note(f"shot {shot} was wrongly reported as {outcome.value}")
 
+    def final_tally(self) -> Tally:
+        """Compare every report with the actual shots, and return all counts of this cell."""
+        self.check_reports()
+        self.tally.faults_struck = len(self.arm_line.happened) + len(self.tapper_line.happened)
+        self.tally.cell_seconds = self.clock.now - self._began
+        return self.tally
+
     def forget(self) -> None:
         """Discard the recorded faults, shots and reports, and cancel the scheduled faults."""
         for line in (self.arm_line, self.tapper_line):
@@ -466,16 +460,13 @@ def run_sweep(
             at = chosen.count(direction) + place
             chosen.add(LineFault(kind, direction, at, duration=0.4))
             outcome = cell.tap()
-            cell.tally.by_fault.setdefault(kind.value, Counter())[outcome.value] += 1
+            cell.tally.by_fault[kind.value][outcome.value] += 1
             cell.tap()
             cell.tally.taps += 2
         except HangError as hang:
             cell.tally.hangs += 1
             cell.tally.notes.append(f"{kind.value} at byte {place} {direction.value}: {hang}")
-        cell.check_reports()
-        cell.tally.faults_struck = len(cell.arm_line.happened) + len(cell.tapper_line.happened)
-        cell.tally.cell_seconds = cell.clock.now
-        total.add(cell.tally)
+        total.add(cell.final_tally())
     return total
 
 
@@ -492,7 +483,6 @@ def run_taps(
     while done < taps:
         # After a hang, the state of the drivers is unknown, so the run continues with a new cell.
         with make(dialect, seed + 1_000_003 * total.hangs) as cell:
-            began = cell.clock.now
             try:
                 while done < taps:
                     done += 1
@@ -501,12 +491,9 @@ def run_taps(
                     outcome = cell.tap()
                     for kind in set(cell.struck()) or (None,):
                         name = kind.value if kind else "none"
-                        cell.tally.by_fault.setdefault(name, Counter())[outcome.value] += 1
+                        cell.tally.by_fault[name][outcome.value] += 1
             except HangError as hang:
                 cell.tally.hangs += 1
                 cell.tally.notes.append(str(hang))
-            cell.check_reports()
-            cell.tally.faults_struck = len(cell.arm_line.happened) + len(cell.tapper_line.happened)
-            cell.tally.cell_seconds = cell.clock.now - began
-            total.add(cell.tally)
+            total.add(cell.final_tally())
     return total

@@ -71,9 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=[dialect.value for dialect in Dialect],
         help="controller of the arm (default: all, one after the other)",
     )
-    parser.add_argument(
-        "--seed", type=argument_types.seed, default=0, help="random seed of the faults (default: 0)"
-    )
+    argument_types.add_seed(parser, 0, "random seed of the faults (default: 0)")
     parser.add_argument(
         "--jobs",
         type=int,
@@ -164,27 +162,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the taps and print the results."""
-    taps = (20 if arguments.pty else 1000) if arguments.taps is None else arguments.taps
-    goals = 1 if arguments.goals is None else arguments.goals
-    if taps < 1 or goals < 1 or arguments.jobs < 1 or arguments.seed < 0:
-        print_error("--taps, --goals and --jobs must be at least 1, --seed at least 0")
-        return 2
-    if not 1.0 <= arguments.mean_faults <= 50.0:
-        print_error("--mean-faults must be from 1 to 50")
-        return 2
-    ways = {
-        "--taps": arguments.taps is not None,
-        "--goals": arguments.goals is not None,
-        "--crashes": arguments.crashes,
-        "--soak": arguments.soak is not None,
-    }
-    given = [name for name, is_given in ways.items() if is_given]
-    if len(given) > 1:
-        print_error(f"{' and '.join(given)} exclude each other; give one of them")
-        return 2
-    if arguments.soak is not None and not 0 < arguments.soak <= 1000:
-        print_error("--soak must be above 0 and at most 1000 hours")
+    """Run the trials and print the results."""
+    if refusal := _refusal(arguments):
+        print_error(refusal)
         return 2
     if arguments.replay is not None:
         return goal_faults.replay(arguments.replay, arguments.goals or GOALS_A_RUN, _mix(arguments))
@@ -204,24 +184,40 @@ def run(arguments: argparse.Namespace) -> int:
             arguments.json,
             _mix(arguments),
         )
-    dialects = [Dialect(arguments.dialect)] if arguments.dialect else list(Dialect)
     if arguments.crashes:
         return _crashes(arguments)
+    dialects = [Dialect(arguments.dialect)] if arguments.dialect else list(Dialect)
     if arguments.soak is not None:
         return _soak(dialects, arguments)
+    return _taps(dialects, arguments)
+
+
+def _refusal(arguments: argparse.Namespace) -> str:
+    """Return why the options are refused; empty if they are valid."""
+    counts = (arguments.taps, arguments.goals, arguments.jobs)
+    if any(count is not None and count < 1 for count in counts) or arguments.seed < 0:
+        return "--taps, --goals and --jobs must be at least 1, --seed at least 0"
+    if not 1.0 <= arguments.mean_faults <= 50.0:
+        return "--mean-faults must be from 1 to 50"
+    ways = {
+        "--taps": arguments.taps is not None,
+        "--goals": arguments.goals is not None,
+        "--crashes": arguments.crashes,
+        "--soak": arguments.soak is not None,
+    }
+    given = [name for name, is_given in ways.items() if is_given]
+    if len(given) > 1:
+        return f"{' and '.join(given)} exclude each other; give one of them"
+    if arguments.soak is not None and not 0 < arguments.soak <= 1000:
+        return "--soak must be above 0 and at most 1000 hours"
+    return ""
+
+
+def _taps(dialects: list[Dialect], arguments: argparse.Namespace) -> int:
+    """Run taps over faulty lines in several processes."""
     began = time.monotonic()
     total = Tally()
-    if arguments.every_byte:
-        chunks = _sweep(dialects)
-    elif arguments.pty:
-        chunks = [
-            partial(
-                run_taps, dialect, -(-taps // len(dialects)), arguments.seed, None, terminal_cell
-            )
-            for dialect in dialects
-        ]
-    else:
-        chunks = _random(dialects, taps, arguments.seed)
+    chunks = _chunks(dialects, arguments)
     with ProcessPoolExecutor(min(arguments.jobs, len(chunks))) as pool:
         for future in as_completed([pool.submit(chunk) for chunk in chunks]):
             total.add(future.result())
@@ -248,6 +244,32 @@ def run(arguments: argparse.Namespace) -> int:
     }
     print(json.dumps(result, indent=2) if arguments.json else _in_words(result))
     return 0 if total.clean else 1
+
+
+def _chunks(dialects: list[Dialect], arguments: argparse.Namespace) -> list[Callable[[], Tally]]:
+    """Divide the run into parts, each with its own seed or its own bytes."""
+    if arguments.every_byte:
+        # A restart and a disconnection at every byte of one tap, on both lines, in both directions.
+        return [
+            partial(run_sweep, dialect, kind, *place, range(first, min(first + CHUNK, count)))
+            for dialect in dialects
+            for place, count in bytes_of_a_tap(dialect).items()
+            for kind in (FaultKind.RESET, FaultKind.HANG_UP)
+            for first in range(0, count, CHUNK)
+        ]
+    taps, seed = arguments.taps or (20 if arguments.pty else 1000), arguments.seed
+    if arguments.pty:
+        each = -(-taps // len(dialects))
+        return [partial(run_taps, d, each, seed, None, terminal_cell) for d in dialects]
+    return [
+        partial(
+            run_taps,
+            dialects[number % len(dialects)],
+            min(CHUNK, taps - first),
+            seed * 1_000_000 + number,
+        )
+        for number, first in enumerate(range(0, taps, CHUNK))
+    ]
 
 
 def _mix(arguments: argparse.Namespace) -> Mix:
@@ -312,31 +334,6 @@ def _crashes(arguments: argparse.Namespace) -> int:
     else:
         print(f"{clean} of {len(crashes)} clean, load {os.getloadavg()[0]:.1f}")
     return 0 if clean == len(crashes) else 1
-
-
-def _random(dialects: list[Dialect], taps: int, seed: int) -> list[Callable[[], Tally]]:
-    """Divide the run into parts, each with its own seed."""
-    return [
-        partial(
-            run_taps,
-            dialects[number % len(dialects)],
-            min(CHUNK, taps - first),
-            seed * 1_000_000 + number,
-        )
-        for number, first in enumerate(range(0, taps, CHUNK))
-    ]
-
-
-def _sweep(dialects: list[Dialect]) -> list[Callable[[], Tally]]:
-    """Test a restart and a disconnection at every byte of one tap, on both lines, in both
-    directions."""
-    return [
-        partial(run_sweep, dialect, kind, *place, range(first, min(first + CHUNK, count)))
-        for dialect in dialects
-        for place, count in bytes_of_a_tap(dialect).items()
-        for kind in (FaultKind.RESET, FaultKind.HANG_UP)
-        for first in range(0, count, CHUNK)
-    ]
 
 
 def _in_words(result: dict[str, object]) -> str:

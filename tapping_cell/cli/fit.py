@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 from tapping_cell.cli import argument_types
 from tapping_cell.cli.errors import print_error
-from tapping_cell.cli.fit_words import shown, speed_lines
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    from tapping_cell.cli.output_arguments import add_output_arguments
+    from tapping_cell.cli.calibration_arguments import add_output_arguments
 
     parser.add_argument(
         "records", nargs="+", type=Path, metavar="RECORDS", help="folder of records, or CSV file"
@@ -50,13 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="folder for figures and report.html"
     )
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        default=0,
-        help="random seed of the bootstrap (default: 0)",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    argument_types.add_seed(parser, 0, "random seed of the bootstrap (default: 0)")
     add_output_arguments(parser, required=False)
 
 
@@ -64,17 +57,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the fit. Return 0 on success, 2 for unusable records or files."""
     from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.calibration.experiment import read_experiment
-    from tapping_cell.calibration.keep import KeptFile, refuse_existing, write_kept
+    from tapping_cell.calibration.keep import KeptFile, write_kept
     from tapping_cell.calibration.object_file import fit_record, fitted_object, object_yaml
     from tapping_cell.calibration.object_fit import fit_object
-    from tapping_cell.cli.output_arguments import output_of
+    from tapping_cell.cli.calibration_arguments import output_of
     from tapping_cell.configuration.objects import load_object
     from tapping_cell.configuration.schema import ConfigurationError
 
     try:
         output = None if arguments.output is None else output_of(arguments)
-        if output is not None:
-            refuse_existing(output)
         experiments = [read_experiment(place.expanduser()) for place in arguments.records]
         content = _content(experiments, arguments.object)
         fit = fit_object(experiments, content, arguments.seed)
@@ -192,29 +183,65 @@ def _row(entry: Estimate) -> str:
     return row + f"   {factor * entry.low:.4g} to {factor * entry.high:.4g}"
 
 
+_ERRORS = (
+    ("sliding", ("distance", "rotation"), "displacement from measured velocity"),
+    ("inverse", ("speed", "spin"), "velocity from measured displacement"),
+    ("impact", ("speed", "spin"), "velocity from the striker"),
+    ("tap", ("distance", "rotation"), "displacement from the striker"),
+)
+"""Predictions that are compared with the measurements: name, quantities and title."""
+
+
 def _run_rows(fit: ObjectFit) -> Iterator[str]:
-    titles = (
-        ("sliding", "displacement from measured velocity"),
-        ("inverse", "velocity from measured displacement"),
-        ("impact", "velocity from the striker"),
-        ("tap", "displacement from the striker"),
-    )
-    yield "    run  trials" + "".join(f"  {title:>36}" for _, title in titles)
+    yield "    run  trials" + "".join(f"  {title:>36}" for *_, title in _ERRORS)
     for run in fit.runs:
         cells = []
-        for name, _ in titles:
-            linear, turning = (
-                ("speed", "spin")
-                if name in ("inverse", "impact")
-                else (
-                    "distance",
-                    "rotation",
-                )
-            )
-            pair = (getattr(run, f"{name}_{linear}"), getattr(run, f"{name}_{turning}"))
-            cells.append(
-                "-"
-                if math.isnan(pair[0])
-                else f"{linear} {100 * pair[0]:+.1f}, {turning} {100 * pair[1]:+.1f}"
-            )
+        for name, quantities, _ in _ERRORS:
+            errors = {each: getattr(run, f"{name}_{each}") for each in quantities}
+            known = not math.isnan(errors[quantities[0]])
+            texts = (f"{each} {100 * error:+.1f}" for each, error in errors.items())
+            cells.append(", ".join(texts) if known else "-")
         yield f"    {run.label:<5}{run.trials:>5} " + "".join(f"  {cell:>36}" for cell in cells)
+
+
+_WORDS = {
+    "friction": "friction with the table",
+    "torque_factor": "torque factor",
+    "restitution": "restitution",
+    "contact_friction": "friction with the striker",
+    "scale_b1": "scale of B1",
+    "scale_b2": "scale of B2",
+    "scale_b3": "scale of B3",
+    "scatter_speed": "scatter of launch speed (%)",
+    "scatter_spin": "scatter of launch spin (%)",
+    "scatter_direction": "scatter of direction (degrees)",
+    "scatter_distance": "scatter of distance (%)",
+    "scatter_rotation": "scatter of rotation (%)",
+    "scatter_position_floor": "scatter of small taps (mm)",
+    "scatter_angle_floor": "scatter of small rotations (degrees)",
+}
+
+
+def speed_lines(fit: ObjectFit) -> list[str]:
+    """Format the measured striker speed at each setting."""
+    found = []
+    for point in fit.tapper:
+        setting = (
+            f"commanded {1e3 * point.commanded:.0f} mm/s"
+            if math.isnan(point.draw)
+            else f"spring deflection {1e3 * point.draw:.2f} mm"
+        )
+        found.append(
+            f"{setting}: {1e3 * point.measured:.1f} mm/s, scatter {1e3 * point.scatter:.1f} mm/s "
+            f"in {point.trials} taps"
+        )
+    return found
+
+
+def shown(entry: Estimate) -> tuple[str, float]:
+    """Return the label of an estimate, and the factor that converts its value to the unit in the
+    label."""
+    factor = 1.0
+    if entry.name.startswith("scatter"):
+        factor = {"rad": 180 / math.pi, "m": 1e3}.get(entry.unit, 100.0)
+    return _WORDS[entry.name], factor

@@ -50,12 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "theta", type=float, help="angle of the goal in the table frame, in degrees"
     )
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="namespace of the cell's nodes (default: none)",
-    )
+    argument_types.add_namespace(parser)
     parser.add_argument(
         "--tolerance",
         nargs=2,
@@ -75,12 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="show every planned tap, and make it only after confirmation here or on the "
         "operator's page",
     )
-    parser.add_argument(
-        "--wait",
-        type=argument_types.within(0, 3600),
-        default=20.0,
-        help="longest wait for the cell, in seconds (default: 20)",
-    )
+    argument_types.add_wait(parser)
     session.add_output_arguments(parser)
 
 

@@ -99,17 +99,14 @@ def hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
     violated. Return the mutant's name, the review finding that it reverts, the number of goals, and
     the violated invariant (empty if the mutant was not detected).
     """
-    done = 0
-    while done < goals:
+    done, caught_by = 0, ""
+    while done < goals and not caught_by:
         step = min(GOALS_IN_A_STEP, -(-(goals - done) // jobs))
         command = [sys.executable, "-m", "tapping_cell.verification.hunt", mutant.name]
+        command += ["--goals", str(step)]
         running = [
             subprocess.Popen(
-                [
-                    *command,
-                    *("--goals", str(step), "--seed", str(seed + done + job)),
-                    *("--core", str(job)),
-                ],
+                [*command, "--seed", str(seed + done + job), "--core", str(job)],
                 stdout=subprocess.PIPE,
                 text=True,
             )
@@ -121,18 +118,12 @@ def hunt(mutant: Mutant, goals: int, seed: int, jobs: int) -> dict[str, object]:
             if process.returncode:
                 raise RuntimeError(f"mutant '{mutant.name}' could not be run: {printed}")
             answers.append(json.loads(printed))
-        caught = [answer for answer in answers if answer["caught by"]]
         done += sum(answer["goals"] for answer in answers)
-        if caught:
-            return _hunted(mutant, done, caught[0]["caught by"])
-    return _hunted(mutant, done, "")
-
-
-def _hunted(mutant: Mutant, goals: int, caught_by: str) -> dict[str, object]:
+        caught_by = next((a["caught by"] for a in answers if a["caught by"]), "")
     return {
         "name": mutant.name,
         "finding": mutant.finding,
-        "goals": goals,
+        "goals": done,
         "caught by": caught_by,
     }
 

@@ -3,6 +3,7 @@ together."""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import errno
 import json
@@ -16,7 +17,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 from tapping_cell.configuration.cell import Cell
@@ -159,12 +159,7 @@ class Graph:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
 
     def _start(self, name: str) -> Child:
@@ -260,10 +255,8 @@ def last_output(log: Path, begin: int = 0, lines: int = 3) -> str:
 
 def _signal_group(child: Child, number: signal.Signals) -> None:
     if child.process.poll() is None:
-        try:
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(child.process.pid, number)
-        except ProcessLookupError:
-            return
 
 
 def _die_with_parent() -> None:

@@ -25,28 +25,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(arguments: argparse.Namespace) -> int:
+@cell_arguments.with_cell
+def run(arguments: argparse.Namespace, client: CellClient) -> int:
     """Run the verb. Return 0 if the arm is homed and idle, otherwise 1 with a message."""
-
-    def home(client: CellClient) -> int:
-        client.wait_for_cell(cell_arguments.TIMEOUT_S)
-        print(client.home())
-        deadline = time.monotonic() + arguments.wait
-        begun = False
-        while time.monotonic() < deadline:
-            arm = client.state()["arm"]
-            begun = begun or arm["state"] == "homing"
-            if begun and arm["state"] == "idle":
-                print("the arm is homed")
-                return ExitStatus.DONE
-            if begun and arm["state"] != "homing":
-                print_error(f"the arm is {arm['state']}: {arm['sentence']}", arm["code"])
-                return ExitStatus.FAILED
-            time.sleep(0.05)
-        print_error(
-            f"the arm was not homed within {arguments.wait:.0f} s; check it with  "
-            "python -m tapping_cell status"
-        )
-        return ExitStatus.FAILED
-
-    return cell_arguments.with_cell(arguments, home)
+    client.wait_for_cell(cell_arguments.TIMEOUT_S)
+    print(client.home())
+    deadline = time.monotonic() + arguments.wait
+    begun = False
+    while time.monotonic() < deadline:
+        arm = client.state()["arm"]
+        begun = begun or arm["state"] == "homing"
+        if begun and arm["state"] == "idle":
+            print("the arm is homed")
+            return ExitStatus.DONE
+        if begun and arm["state"] != "homing":
+            print_error(f"the arm is {arm['state']}: {arm['sentence']}", arm["code"])
+            return ExitStatus.FAILED
+        time.sleep(0.05)
+    print_error(
+        f"the arm was not homed within {arguments.wait:.0f} s; check it with  "
+        "python -m tapping_cell status"
+    )
+    return ExitStatus.FAILED

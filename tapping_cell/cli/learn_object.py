@@ -21,16 +21,32 @@ import argparse
 import json
 import math
 import sys
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from tapping_cell.cli import argument_types
+import numpy as np
+from rich.console import Console
+
+from tapping_cell.calibration.csv_table import RecordError
+from tapping_cell.calibration.keep import KeptFile, write_kept
+from tapping_cell.cli import argument_types, session
+from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.cli.errors import print_error
+from tapping_cell.cli.graph import GraphError
+from tapping_cell.cli.measured_taps import measured_taps
+from tapping_cell.cli.measuring_graph import add_graph_arguments
+from tapping_cell.cli.object_probing import ProbingStopped, probe
 from tapping_cell.cli.signals import end_on_signals
+from tapping_cell.configuration.objects import ObjectFile, load_object
+from tapping_cell.configuration.schema import ConfigurationError
+from tapping_cell.report.run import TapRow
+from tapping_cell.report.run_folder import TAPS, RunError
+from tapping_cell.se2 import Array, Pose
 
 if TYPE_CHECKING:
     from tapping_cell.calibration.estimates import Estimate
-    from tapping_cell.configuration.objects import ObjectFile
 
 Move = tuple[float, float, float]
 Moves = tuple[Move, Move]
@@ -45,9 +61,6 @@ scatter of a tap, so that more accurate values would hardly improve the next goa
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    from tapping_cell.cli.measuring_graph import add_graph_arguments
-    from tapping_cell.cli.output_arguments import add_output_arguments
-
     parser.add_argument(
         "runs",
         nargs="*",
@@ -65,11 +78,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"maximum number of goals to send (default: {MAX_GOALS})",
     )
     add_graph_arguments(parser)
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        default=1,
-        help="random seed of noise and scatter (only in simulation; default: 1)",
+    argument_types.add_seed(
+        parser, 1, "random seed of noise and scatter (only in simulation; default: 1)"
     )
     parser.add_argument(
         "--runs-folder",
@@ -77,27 +87,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=Path("runs"),
         help="folder in which the new runs are recorded (default: runs)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, required=False)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 on success, 1 if the goals failed, 2 for unusable runs or files."""
-    from dataclasses import replace
-
-    from tapping_cell.calibration.csv_table import RecordError
-    from tapping_cell.calibration.keep import KeptFile, refuse_existing, write_kept
+    # Imported here, because the modules of the fit import much of SciPy, which takes a second and
+    # would delay the help text.
     from tapping_cell.calibration.learnt_object import learn_object, learning_record
     from tapping_cell.calibration.object_file import object_yaml
-    from tapping_cell.cli.output_arguments import output_of
-    from tapping_cell.configuration.objects import load_object
-    from tapping_cell.configuration.schema import ConfigurationError
-    from tapping_cell.report.run_folder import TAPS, RunError
 
     try:
         output = None if arguments.output is None else output_of(arguments)
-        if output is not None:
-            refuse_existing(output)
         content = load_object(arguments.object.expanduser())
         folders = [folder.expanduser() for folder in arguments.runs]
         if folders:
@@ -138,14 +139,6 @@ def _probed(
     Raises:
         ConfigurationError: the cell's files are unusable.
     """
-    from contextlib import closing
-
-    from rich.console import Console
-
-    from tapping_cell.cli import session
-    from tapping_cell.cli.graph import GraphError
-    from tapping_cell.cli.object_probing import ProbingStopped, probe
-
     console = Console(stderr=arguments.json)
     end_on_signals()
     folders: list[Path] = []
@@ -180,7 +173,6 @@ def _resume(arguments: argparse.Namespace, folders: list[Path]) -> str:
 
 def _known(taps: list[Moves], content: ObjectFile) -> bool:
     """Return whether these taps determine friction and torque factor well enough."""
-    from tapping_cell.calibration.csv_table import RecordError
     from tapping_cell.calibration.learnt_object import learn_object
 
     try:
@@ -205,9 +197,6 @@ def _taps(folder: Path, name: str) -> list[Moves]:
     Raises:
         RecordError: the run was made with another object.
     """
-    from tapping_cell.cli.measured_taps import measured_taps
-    from tapping_cell.se2 import Pose
-
     taps: list[Moves] = []
     for tap in measured_taps(folder, name):
         moved = Pose(
@@ -219,23 +208,19 @@ def _taps(folder: Path, name: str) -> list[Moves]:
     return taps
 
 
-def _arrays(taps: list[Moves]) -> tuple[Any, Any]:
+def _arrays(taps: list[Moves]) -> tuple[Array, Array]:
     """Return the commanded and the measured displacements of the taps, as two arrays (n, 3).
 
     Raises:
         RecordError: there are no taps.
     """
-    import numpy as np
-
-    from tapping_cell.calibration.csv_table import RecordError
-
     if not taps:
         raise RecordError("these runs contain no fired tap with a measured result")
     commanded, measured = zip(*taps, strict=True)
     return np.array(commanded), np.array(measured)
 
 
-def _turned(move: Any, tap: Any) -> Move:
+def _turned(move: Pose, tap: TapRow) -> Move:
     """Rotate a displacement from ``table`` to the axes of the object before the tap."""
     cos, sin = math.cos(tap.before.theta), math.sin(tap.before.theta)
     return cos * move.x + sin * move.y, cos * move.y - sin * move.x, move.theta

@@ -24,11 +24,8 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument(
         "--attach", action="store_true", help="use a running cell instead of starting the nodes"
     )
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="namespace of the running cell's nodes (only with --attach; default: none)",
+    argument_types.add_namespace(
+        parser, "namespace of the running cell's nodes (only with --attach; default: none)"
     )
     parser.add_argument(
         "--camera",

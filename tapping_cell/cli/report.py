@@ -111,9 +111,9 @@ def run(arguments: argparse.Namespace) -> int:
 def no_run(path: Path) -> bool:
     """Return whether a folder contains neither a bag nor a summary, such as the folder of nodes'
     logs."""
-    holds_run = any((path / name).exists() for name in (BAG, SUMMARY, ARRANGEMENT))
-    holds_run = holds_run or any(path.glob("*.mcap"))
-    return path.is_dir() and not holds_run
+    return _is_run_folder(path) and not any(
+        (path / name).exists() for name in (BAG, SUMMARY, ARRANGEMENT)
+    )
 
 
 def is_arrangement(path: Path) -> bool:
@@ -135,26 +135,34 @@ def write_report(path: Path, output: Path | None) -> tuple[Run, Path]:
     Raises:
         BagError, RunError, OSError: the run is unreadable, or the files cannot be written.
     """
-    is_folder = path.is_dir() and not any(path.glob("*.mcap"))
-    if is_folder and output is None:
-        if (path / BAG).is_dir():
-            return write_folder(path), path
-        illustrated = IllustratedRun(read_run(path), ())
+    is_folder = _is_run_folder(path)
+    has_bag = is_folder and (path / BAG).is_dir()
+    if has_bag and output is None:
+        return write_folder(path), path
+    if has_bag:
+        illustrated = read_illustrated_run(path / BAG, path.name)
     elif is_folder:
-        illustrated = (
-            read_illustrated_run(path / BAG, path.name)
-            if (path / BAG).is_dir()
-            else IllustratedRun(read_run(path), ())
-        )
+        illustrated = IllustratedRun(read_run(path), ())
     else:
         own = path if path.is_dir() else path.parent
         illustrated = read_illustrated_run(
             path, (own.parent if own.name == BAG else own).resolve().name
         )
-    folder = output or (path if is_folder else path.parent)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = _report_folder(path, output)
     write_illustrated_run(folder, illustrated)
     return illustrated.run, folder
+
+
+def _is_run_folder(path: Path) -> bool:
+    """Return whether a path is a run folder, not a bag."""
+    return path.is_dir() and not any(path.glob("*.mcap"))
+
+
+def _report_folder(path: Path, output: Path | None) -> Path:
+    """Create and return the folder for the report of a run."""
+    folder = output or (path if _is_run_folder(path) else path.parent)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def write_arrangement(path: Path, output: Path | None) -> Path:
@@ -163,9 +171,7 @@ def write_arrangement(path: Path, output: Path | None) -> Path:
     Raises:
         BagError, RunError, OSError: the arrangement is unreadable, or a file cannot be written.
     """
-    is_folder = path.is_dir() and not any(path.glob("*.mcap"))
-    folder = output or (path if is_folder else path.parent)
-    folder.mkdir(parents=True, exist_ok=True)
+    is_folder, folder = _is_run_folder(path), _report_folder(path, output)
     if is_folder and not (path / BAG).is_dir():
         return write_page(read_arrangement(path), folder)
     write_arrangement_folder(folder, source=path / BAG if is_folder else path)

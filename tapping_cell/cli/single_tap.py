@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -46,11 +46,7 @@ from tapping_cell.calibration.experiment import (
 from tapping_cell.calibration.trials import Trial, read_trials
 from tapping_cell.cli import argument_types, session
 from tapping_cell.cli.errors import print_error
-from tapping_cell.cli.graph import (
-    HARDWARE,
-    SIMULATED,
-    GraphError,
-)
+from tapping_cell.cli.graph import HARDWARE, SIMULATED, GraphError
 from tapping_cell.cli.measuring_graph import add_graph_arguments, measuring_graph
 from tapping_cell.cli.signals import end_on_signals
 from tapping_cell.cli.start_checks import check_simulation_files
@@ -118,10 +114,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_graph_arguments(parser)
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        help="random seed of noise and scatter (only in simulation; default: 1)",
+    argument_types.add_seed(
+        parser, None, "random seed of noise and scatter (only in simulation; default: 1)"
     )
     parser.add_argument(
         "--camera-rate",
@@ -289,20 +283,18 @@ def _measure(
                 client.write_bag(bag)
 
 
-@contextmanager
 def _graph(
     arguments: argparse.Namespace, cell: Cell, logs: Path, seed: int, console: Console
-) -> Iterator[Callable[[], None]]:
-    """Start the graph or attach to a running one. Yield a function that raises an exception if a
-    node died."""
+) -> AbstractContextManager[Callable[[], None]]:
+    """Start the graph or attach to a running one. The context's value is a function that raises an
+    exception if a node died."""
     parameters = node_parameters(argparse.Namespace(**{**vars(arguments), "seed": seed}), cell)
     parameters["sim_world"] |= {
         "frame_rate": arguments.camera_rate,
         "slow_motion": arguments.slow_motion,
     }
     nodes = HARDWARE if arguments.hardware else SIMULATED
-    with measuring_graph(arguments, nodes, parameters, logs, console.print) as check:
-        yield check
+    return measuring_graph(arguments, nodes, parameters, logs, console.print)
 
 
 def _header(

@@ -22,16 +22,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the state as JSON")
 
 
-def run(arguments: argparse.Namespace) -> int:
+@cell_arguments.with_cell
+def run(arguments: argparse.Namespace, client: CellClient) -> int:
     """Run the verb. Return 0 if the cell is ready or at work, 1 if it is not ready or does not
     respond."""
-
-    def show(client: CellClient) -> int:
-        state = client.wait_for_cell(cell_arguments.TIMEOUT_S)
-        if arguments.json:
-            print(json.dumps(state, indent=2, allow_nan=False))
-        else:
-            Console(highlight=False, soft_wrap=True).print(cell_words.overview(state))
-        return ExitStatus.DONE if state["mode"] in ("ready", "moving") else ExitStatus.FAILED
-
-    return cell_arguments.with_cell(arguments, show)
+    state = client.wait_for_cell(cell_arguments.TIMEOUT_S)
+    if arguments.json:
+        print(json.dumps(state, indent=2, allow_nan=False))
+    else:
+        Console(highlight=False, soft_wrap=True).print(cell_words.overview(state))
+    return ExitStatus.DONE if state["mode"] in ("ready", "moving") else ExitStatus.FAILED

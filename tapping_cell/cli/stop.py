@@ -20,12 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     cell_arguments.add_arguments(parser)
 
 
-def run(arguments: argparse.Namespace) -> int:
+@cell_arguments.with_cell
+def run(arguments: argparse.Namespace, client: CellClient) -> int:
     """Run the verb. Return 0 if arm and tapper have confirmed the stop, otherwise 1."""
-
-    def stop(client: CellClient) -> int:
-        client.stop()
-        print("stopped: arm and tapper; python -m tapping_cell clear ends the stop")
-        return ExitStatus.DONE
-
-    return cell_arguments.with_cell(arguments, stop)
+    client.stop()
+    print("stopped: arm and tapper; python -m tapping_cell clear ends the stop")
+    return ExitStatus.DONE

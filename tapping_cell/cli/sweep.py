@@ -4,6 +4,9 @@ Each point of the grid is one evaluation. The points share the cores of this com
 workers of a Dask cluster (``--cluster``). Completed points are stored in the report's folder, so
 that the same command resumes after an interruption. To resume a sweep, the options that all its
 points have in common must not change.
+
+Every worker of a cluster must have the same version of this package, and its files (cell, object,
+truth) under the same paths. Dask is an optional dependency: ``pip install distributed``.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -24,6 +27,7 @@ import numpy as np
 
 from tapping_cell.planning import PlanningError
 
+CONNECTION_DEADLINE = "10s"
 POINTS = "points.jsonl"
 """File with one line per point: its values, the common options, and its results."""
 Value = float | str
@@ -173,6 +177,36 @@ class KeptPoints:
 
 def _key(point: Point) -> str:
     return json.dumps(point, sort_keys=True)
+
+
+@contextmanager
+def cluster_executor(address: str) -> Iterator[Executor]:
+    """Connect to the scheduler at ``address`` (``tcp://host:8786`` or ``host:8786``).
+
+    Raises:
+        PlanningError: Dask is not installed, or no scheduler with a worker answers at ``address``.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise PlanningError(
+            f"--cluster {address} needs Dask, which is not installed; pip install distributed"
+        ) from error
+    try:
+        client = Client(address, timeout=CONNECTION_DEADLINE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise PlanningError(
+            f"no Dask scheduler answers at {address} ({error}); start one with 'dask scheduler' "
+            "and give the address that it prints"
+        ) from error
+    with client:
+        if not client.nthreads():
+            raise PlanningError(
+                f"the Dask scheduler at {address} has no worker; start one on each computer with "
+                f"'dask worker {address}'"
+            )
+        with client.get_executor() as executor:
+            yield executor
 
 
 def sweep(

@@ -61,10 +61,6 @@ CAMERA = "/dev/video0"
 READY_TIMEOUT_S = 60.0
 
 
-class NotReadyInTime(GraphError):
-    """The cell was not ready in time. The message names the missing conditions."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument(
@@ -75,22 +71,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cell", type=Path, help="cell file (default: the package's cell.yaml)")
     parser.add_argument("--object", type=Path, help="object file (default: the cell's)")
     parser.add_argument("--planner", help="planning method (default: the cell's)")
-    parser.add_argument(
-        "--namespace",
-        type=argument_types.namespace,
-        default="",
-        help="namespace of the nodes (default: none)",
-    )
+    argument_types.add_namespace(parser, "namespace of the nodes (default: none)")
     parser.add_argument(
         "--camera",
         help="camera device, video file or image folder (only with --hardware; default: "
         "/dev/video0)",
     )
     add_truth_arguments(parser)
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        help="random seed of noise and scatter (only in simulation; default: 1)",
+    argument_types.add_seed(
+        parser, None, "random seed of noise and scatter (only in simulation; default: 1)"
     )
     parser.add_argument(
         "--set-up",
@@ -257,7 +246,7 @@ class _Running:
                 if start.person:
                     deadline = time.monotonic() + self._arguments.wait
                 elif time.monotonic() > deadline:
-                    raise NotReadyInTime(
+                    raise GraphError(
                         f"the cell was not ready after {self._arguments.wait:.0f} s: {start.reason}"
                     )
                 time.sleep(CHECK_PERIOD_S)

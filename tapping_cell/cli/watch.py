@@ -30,16 +30,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the verb. Return 0 after Ctrl-C, 1 if no cell responds."""
-
-    def follow(client: CellClient) -> int:
-        console = Console(highlight=False)
-        began = time.monotonic()
-        client.wait_for_cell(cell_arguments.TIMEOUT_S)
-        with Live(console=console, screen=console.is_terminal, auto_refresh=False) as live:
-            while arguments.seconds is None or time.monotonic() - began < arguments.seconds:
-                live.update(cell_words.overview(client.state(), log=True), refresh=True)
-                time.sleep(PERIOD_S)
-        return ExitStatus.DONE
-
-    status = cell_arguments.with_cell(arguments, follow)
+    status = _follow(arguments)
     return ExitStatus.DONE if status == ExitStatus.INTERRUPTED else status
+
+
+@cell_arguments.with_cell
+def _follow(arguments: argparse.Namespace, client: CellClient) -> int:
+    console = Console(highlight=False)
+    began = time.monotonic()
+    client.wait_for_cell(cell_arguments.TIMEOUT_S)
+    with Live(console=console, screen=console.is_terminal, auto_refresh=False) as live:
+        while arguments.seconds is None or time.monotonic() - began < arguments.seconds:
+            live.update(cell_words.overview(client.state(), log=True), refresh=True)
+            time.sleep(PERIOD_S)
+    return ExitStatus.DONE

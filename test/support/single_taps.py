@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
 from tapping_cell.calibration.trials import Track, Trial, completed
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.mechanics import Polygon, Striker, Tap
@@ -62,6 +64,29 @@ def simulated_trials(
             trial = bench.tap(distance, side * incidence)
             trials.append(completed(replace(trial, run=run, trial=number)))
     return trials
+
+
+def simulated_experiment(
+    content: ObjectFile,
+    striker: StrikerSection,
+    truth: TruthFile,
+    design: Design,
+    seed: int,
+    noise_known: bool = True,
+) -> Experiment:
+    """Return one experiment as it is read from its folder. ``noise_known``: whether the header
+    contains the noise of a pose at rest; otherwise, its default values are used."""
+    noise = zip(("rest_position_std", "rest_rotation_std"), design.rest_noise, strict=True)
+    header = ExperimentFile(
+        format=1,
+        made="",
+        source="simulated",
+        striker=striker,
+        camera_rate_hz=design.rate,
+        **(dict(noise) if noise_known else {}),
+    )
+    trials = simulated_trials(content, striker.striker(), truth, design, seed)
+    return Experiment(Path(), header, tuple(trials), ())
 
 
 class _Bench:

@@ -27,13 +27,12 @@ def disk_force_and_torque(eps: float) -> tuple[float, float]:
         return eps * (1 - eps**2 / 8), 2 / 3 - eps**2 / 2
     e2 = eps * eps
     if eps <= 1:
-        big_k = ellipk(e2) if eps < 1 else 0.0
-        big_e = ellipe(e2)
+        big_k, big_e = (float(ellipk(e2)) if eps < 1 else 0.0), float(ellipe(e2))
         return (
             4 / (3 * math.pi) * ((e2 + 1) * big_e + (e2 - 1) * big_k) / eps,
             4 / (9 * math.pi) * ((4 - 2 * e2) * big_e + (e2 - 1) * big_k),
         )
-    big_k, big_e = ellipk(1 / e2), ellipe(1 / e2)
+    big_k, big_e = float(ellipk(1 / e2)), float(ellipe(1 / e2))
     return (
         4 / (3 * math.pi) * ((e2 + 1) * big_e - (e2 - 1) * big_k),
         4 * eps / (9 * math.pi) * ((4 - 2 * e2) * big_e + (2 * e2 - 5 + 3 / e2) * big_k),

@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from tapping_cell.calibration.arm import (
     MIN_POSES,
@@ -38,13 +39,13 @@ from tapping_cell.calibration.arm import (
 )
 from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import CsvTable, read_csv
-from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
-from tapping_cell.cli.calibration.recording_arguments import (
+from tapping_cell.calibration.keep import fingerprints, now, write_kept
+from tapping_cell.cli.calibration_arguments import (
+    add_output_arguments,
     add_recording_arguments,
     check_count,
-    recording_console,
+    output_of,
 )
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.se2 import Pose
@@ -70,15 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="pose of the held marker in the frame striker, if known, in mm, mm and degrees; the "
         "position of the tip on the tool is then also calibrated",
     )
-    add_recording_arguments(parser)
-    parser.add_argument(
-        "--poses",
-        type=int,
-        default=20,
-        metavar="N",
-        help="number of poses to record (only with --record; default: 20)",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_recording_arguments(parser, "--poses", 20, "number of poses to record")
     add_output_arguments(parser)
 
 
@@ -86,13 +79,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the calibration. Return 0 if the file was written, 130 if the recording was
     interrupted."""
     output = output_of(arguments, ("arm", "calibration"))
-    refuse_existing(output)
     cell = load_cell(arguments.cell)
     if arguments.record_first:
         check_count("--poses", arguments.poses, MIN_POSES)
         from tapping_cell.cli.calibration.arm_recording import record as make_record
 
-        if not make_record(arguments, cell, recording_console(arguments)):
+        if not make_record(arguments, cell, Console(stderr=arguments.json)):
             return 130
     table = read_csv(arguments.record, RECORD_COLUMNS)
     result = calibrate_arm(record_of(table), cell.arm.geometry(), arguments.links)

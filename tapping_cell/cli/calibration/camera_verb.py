@@ -34,10 +34,10 @@ from tapping_cell.calibration.camera import (
 )
 from tapping_cell.calibration.camera_file import camera_info_yaml, camera_record
 from tapping_cell.calibration.camera_views import Rejected
-from tapping_cell.calibration.keep import refuse_existing, write_kept
+from tapping_cell.calibration.keep import write_kept
 from tapping_cell.calibration.target import Target, TargetError, TargetView, find_target
 from tapping_cell.calibration.target_hint import hint
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.table import load_camera_model
 
 IMAGE_ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
@@ -103,7 +103,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder for plots of the errors and the image coverage",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser, "camera_info.yaml")
 
 
@@ -118,7 +117,6 @@ def counts(word: str) -> tuple[int, int]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the calibration. Return 0 if the file was written."""
     output = output_of(arguments)
-    refuse_existing(output)
     target = _target(arguments)
     paths = image_files(arguments.images)
     views, size, unseen = _find(paths, target, quiet=arguments.json)

@@ -17,7 +17,7 @@ import argparse
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import RecordError, read_csv
-from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.calibration.mounts import (
     MAX_DEVIATION,
     RECORD_COLUMNS,
@@ -37,8 +37,8 @@ from tapping_cell.calibration.mounts import (
     fit_mount,
 )
 from tapping_cell.calibration.yaml_edit import numbers_text, with_entry
+from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.cli.measured_taps import measured_taps
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.report.run import TapRow
@@ -64,14 +64,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="file of the object that was tapped (default: the cell's)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the calibration. Return 0 if the file was written."""
     output = output_of(arguments, ("fixed_tappers", "calibration"))
-    refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
     taps = read_taps(arguments.record, cell)
     fits, too_few = fit_all(cell, taps)
@@ -224,18 +222,9 @@ def report(fits: list[MountFit], taps: Taps, path: Path, entries: list[str]) -> 
         "output": str(path),
         "tappers": [
             {
-                "name": fit.name,
+                **{name: value for name, value in asdict(fit).items() if name != "mount"},
                 "position": [fit.mount.x, fit.mount.y],
                 "direction": fit.mount.theta,
-                "offset": fit.offset,
-                "angle": fit.angle,
-                "speed_factor": fit.speed_factor,
-                "line_offset": fit.line_offset,
-                "line_deviation": fit.line_deviation,
-                "angle_deviation": fit.angle_deviation,
-                "residual": fit.residual,
-                "taps": fit.taps,
-                "left_out": fit.left_out,
                 "taps_wanted": fit.taps_wanted,
             }
             for fit in fits

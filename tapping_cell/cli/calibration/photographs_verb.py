@@ -25,7 +25,7 @@ from tapping_cell.cli import argument_types
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
 from tapping_cell.simulation.rendered_sheet import Sheet, SheetCamera
-from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap
+from tapping_cell.vision import CameraModel, CameraPose, ReferenceMap, ReferenceMarker
 from tapping_cell.vision.markers.detection import marker_pattern
 
 TARGET = Target("charuco", 10, 7, 0.025, 0.01875, "4X4_250")
@@ -57,12 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=20,
         help="number of images (default: 20)",
     )
-    parser.add_argument(
-        "--seed",
-        type=argument_types.seed,
-        default=1,
-        help="random seed of the views and the noise (default: 1)",
-    )
+    argument_types.add_seed(parser, 1, "random seed of the views and the noise (default: 1)")
     parser.add_argument(
         "--camera", type=Path, help="ROS camera_info file (default: the package's camera_info.yaml)"
     )
@@ -121,15 +116,13 @@ def table_sheet(references: ReferenceMap) -> Sheet:
     rows, columns = (2 * round(float(half) / PIXEL) for half in corners[::-1])
     pattern = np.full((rows, columns), 255, dtype=np.uint8)
     for marker in references.markers:
-        _draw(pattern, references.dictionary, marker.id, marker.size, marker)
+        _draw(pattern, references.dictionary, marker)
     return Sheet(pattern, PIXEL)
 
 
-def _draw(
-    pattern: NDArray[np.uint8], dictionary: str, number: int, size: float, place: object
-) -> None:
-    modules = marker_pattern(dictionary, number)
-    x0, y0, turn = (float(getattr(place, name)) for name in ("x", "y", "theta"))
+def _draw(pattern: NDArray[np.uint8], dictionary: str, marker: ReferenceMarker) -> None:
+    modules = marker_pattern(dictionary, marker.id)
+    x0, y0, turn, size = marker.x, marker.y, marker.theta, marker.size
     rows, columns = pattern.shape
     reach = 0.75 * size
     column = np.arange(round((x0 - reach) / PIXEL), round((x0 + reach) / PIXEL)) + columns // 2

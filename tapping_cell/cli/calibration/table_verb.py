@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from tapping_cell.calibration.camera import CalibrationRefused
-from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.calibration.print_sheet import RULER
 from tapping_cell.calibration.table import (
     MarkerView,
@@ -42,7 +42,7 @@ from tapping_cell.calibration.table_frame import (
     scaled,
 )
 from tapping_cell.cli.calibration.camera_verb import image_files, one_size, read_grey
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
+from tapping_cell.cli.calibration_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.configuration.table import load_camera_model, load_reference_map
@@ -111,14 +111,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help="measured length of the sheet's 100 mm ruler in mm (required with --sheet)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_output_arguments(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the table file. Return 0 on success."""
     output = output_of(arguments)
-    refuse_existing(output)
     if arguments.sheet is not None:
         references, record, result = *_from_sheet(arguments), None
     else:

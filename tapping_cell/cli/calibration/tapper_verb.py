@@ -28,10 +28,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from tapping_cell.calibration.cell_file import calibrated_cell
 from tapping_cell.calibration.csv_table import CsvTable, read_csv
-from tapping_cell.calibration.keep import fingerprints, now, refuse_existing, write_kept
+from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.calibration.tapper import (
     MIN_TAPS,
     RECORD_COLUMNS,
@@ -40,12 +41,12 @@ from tapping_cell.calibration.tapper import (
     TapRecord,
     calibrate_tapper,
 )
-from tapping_cell.cli.calibration.recording_arguments import (
+from tapping_cell.cli.calibration_arguments import (
+    add_output_arguments,
     add_recording_arguments,
     check_count,
-    recording_console,
+    output_of,
 )
-from tapping_cell.cli.output_arguments import add_output_arguments, output_of
 from tapping_cell.configuration.cell import load_cell
 from tapping_cell.configuration.provenance import Provenance
 
@@ -67,15 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="file of the object that was tapped (default: the cell's)",
     )
-    add_recording_arguments(parser)
-    parser.add_argument(
-        "--taps",
-        type=int,
-        default=30,
-        metavar="N",
-        help="approximate number of taps to record (only with --record; default: 30)",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_recording_arguments(parser, "--taps", 30, "approximate number of taps to record")
     add_output_arguments(parser)
 
 
@@ -83,13 +76,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the calibration. Return 0 if the file was written, 130 if the recording was
     interrupted."""
     output = output_of(arguments, ("tapper", "calibration"))
-    refuse_existing(output)
     cell = load_cell(arguments.cell, arguments.object)
     if arguments.record_first:
         check_count("--taps", arguments.taps, MIN_TAPS)
         from tapping_cell.cli.calibration.tapper_recording import record as make_record
 
-        if not make_record(arguments, cell, recording_console(arguments)):
+        if not make_record(arguments, cell, Console(stderr=arguments.json)):
             return 130
     table = read_csv(arguments.record, RECORD_COLUMNS)
     tap = cell.object.tap(cell.file.tapper.striker())
@@ -158,21 +150,8 @@ def _provenance(result: TapperCalibration, table: CsvTable, object_path: Path) -
 def report(result: TapperCalibration, table: CsvTable, path: Path) -> dict[str, Any]:
     """Return the result for JSON output: energies, speeds and distances in SI units, deviations and
     scatter as fractions."""
-    return {
-        "output": str(path),
-        "energies": list(result.energies),
-        "speeds": list(result.speeds),
-        "deviations": list(result.deviations),
-        "scatter": result.scatter,
-        "used": result.used,
-        "draws": [asdict(draw) for draw in result.draws],
-        "left_out": _left_out(result, table),
-        "least_energy": result.least_energy,
-        "least_travel": result.least_travel,
-        "by_friction": result.by_friction,
-        "by_restitution": result.by_restitution,
-        "notes": list(result.notes),
-    }
+    figures = asdict(result) | {"left_out": _left_out(result, table), "notes": list(result.notes)}
+    return {"output": str(path), **figures}
 
 
 def lines(found: dict[str, Any]) -> list[str]:

@@ -131,10 +131,10 @@ def camera(session: Session) -> Proof:
     """Calibrate the camera from photographs of the printed target."""
     pictures = session.folder / "camera"
     _photographs(session, pictures, "target", 20)
-    found = session.verb(
-        *("calibrate", "camera", str(pictures), "--squares", "10x7", "--square-size", "25"),
+    found = _calibrate(
+        session,
+        *("camera", str(pictures), "--squares", "10x7", "--square-size", "25"),
         *("--marker-size", "18.75", "--output", str(session.config / "camera_info.yaml")),
-        *("--force", "--accept-worse", "--json"),
     )
     rms = float(found["rms_px"])
     if rms > 1.0:
@@ -149,14 +149,36 @@ def table(session: Session) -> Proof:
     """Measure the positions of the reference markers."""
     pictures = session.folder / "table"
     _photographs(session, pictures, "table", 6)
-    table_file = session.config / "table.yaml"
-    found = session.verb(
-        *("calibrate", "table", str(pictures), "--table", str(table_file)),
-        *("--camera", str(session.config / "camera_info.yaml"), "--output", str(table_file)),
-        *("--force", "--accept-worse", "--json"),
+    table_file = str(session.config / "table.yaml")
+    camera_file = str(session.config / "camera_info.yaml")
+    found = _calibrate(
+        session,
+        *("table", str(pictures), "--table", table_file, "--camera", camera_file),
+        *("--output", table_file),
     )
     rms = float(found["rms_px"])
     return Proof(f"reprojection error {rms:.3f} px", {"reprojection_px": round(rms, 4)})
+
+
+def _calibrate(session: Session, *arguments: str) -> dict[str, Any]:
+    """Run a calibration that replaces its file. Return its result."""
+    return session.verb("calibrate", *arguments, "--force", "--accept-worse", "--json")
+
+
+def _calibrate_with_cell(
+    session: Session, what: str, number: tuple[str, int], truth: Path | None = None
+) -> dict[str, Any]:
+    """Record with the running cell and calibrate. ``number``: option and number of measurements."""
+    record = session.folder / f"{what}.csv"
+    resumed = ("--resume",) if record.exists() else ()
+    option, count = number
+    cell_file = str(session.cell_file)
+    with _homed(session, truth=truth):
+        return _calibrate(
+            session,
+            *(what, str(record), "--record", option, str(count), *resumed),
+            *("--cell", cell_file, "--output", cell_file),
+        )
 
 
 def _photographs(session: Session, folder: Path, what: str, count: int) -> None:
@@ -250,43 +272,29 @@ def joints(session: Session) -> Proof:
     shoulder and elbow almost to their limits."""
     values: dict[str, float | str] = {}
     arm = session.cell().arm
-    lower, upper = Joints(*arm.lower), Joints(*arm.upper)
     park = Joints(*arm.park)
+    limits = {"lower": Joints(*arm.lower), "upper": Joints(*arm.upper)}
     session.instruct(
         "clear everything within the arm's reach and hold the enabling device: shoulder,"
         " elbow and tool move a little, then shoulder and elbow move almost to their limits"
     )
     with _homed(session, set_up=True) as (graph, client):
+
+        def go(target: Joints) -> None:
+            client.go(target, SPEED, graph.check)
+
         try:
-            client.go(park, SPEED, graph.check)
+            go(park)
             for name in ("shoulder", "elbow", "tool"):
-                start = client.joints()
-                assert start is not None
-                aside = start._replace(**{name: getattr(start, name) + JOINT_STEP})
-                client.go(aside, SPEED, graph.check)
-                here = client.joints()
-                assert here is not None
-                moved = getattr(here, name) - getattr(start, name)
-                if abs(moved - JOINT_STEP) > 0.2 * JOINT_STEP:
-                    raise StepFailed(f"{name} moved {moved:.3f} rad instead of {JOINT_STEP} rad")
+                moved = _checked_step(session, client, go, name)
                 values[f"{name}_step_deg"] = round(math.degrees(moved), 3)
-                question = f"did the {name} turn counter-clockwise, seen from above?"
-                turned = session.ask(question, "yes")
-                if not turned.lower().startswith("y"):
-                    raise StepFailed(
-                        f"the {name} turns in the wrong direction: reverse this joint's direction "
-                        "in the controller"
-                    )
-                client.go(start, SPEED, graph.check)
             for name in ("shoulder", "elbow"):
-                for limit in (lower, upper):
-                    to = getattr(park, name) + LIMIT_SHARE * (
-                        getattr(limit, name) - getattr(park, name)
-                    )
-                    client.go(park._replace(**{name: to}), SPEED, graph.check)
-                    side = "lower" if limit is lower else "upper"
+                start = getattr(park, name)
+                for side, limit in limits.items():
+                    to = start + LIMIT_SHARE * (getattr(limit, name) - start)
+                    go(park._replace(**{name: to}))
                     values[f"{name}_{side}_deg"] = round(math.degrees(to), 1)
-                client.go(park, SPEED, graph.check)
+                go(park)
         except ArmRefused as refused:
             raise StepFailed(str(refused)) from refused
     return Proof(
@@ -294,6 +302,33 @@ def joints(session: Session) -> Proof:
         "limit",
         values,
     )
+
+
+def _checked_step(
+    session: Session, client: ArmPoseClient, go: Callable[[Joints], None], name: str
+) -> float:
+    """Move one joint a little and back. Return the measured rotation in rad.
+
+    Raises:
+        StepFailed: the joint moved too far or not far enough, or in the wrong direction.
+        ArmRefused: the arm did not move.
+    """
+    start = client.joints()
+    assert start is not None
+    go(start._replace(**{name: getattr(start, name) + JOINT_STEP}))
+    here = client.joints()
+    assert here is not None
+    moved = float(getattr(here, name) - getattr(start, name))
+    if abs(moved - JOINT_STEP) > 0.2 * JOINT_STEP:
+        raise StepFailed(f"{name} moved {moved:.3f} rad instead of {JOINT_STEP} rad")
+    turned = session.ask(f"did the {name} turn counter-clockwise, seen from above?", "yes")
+    if not turned.lower().startswith("y"):
+        raise StepFailed(
+            f"the {name} turns in the wrong direction: reverse this joint's direction in the "
+            "controller"
+        )
+    go(start)
+    return moved
 
 
 def object_at_rest(session: Session) -> Proof:
@@ -362,14 +397,7 @@ def arm(session: Session) -> Proof:
     session.instruct(
         "attach the object's marker to the striker; the arm will move over the whole table"
     )
-    record = session.folder / "arm.csv"
-    resumed = ("--resume",) if record.exists() else ()
-    with _homed(session, truth=truth):
-        found = session.verb(
-            *("calibrate", "arm", str(record), "--record", "--poses", str(ARM_POSES), *resumed),
-            *("--cell", str(session.cell_file), "--output", str(session.cell_file)),
-            *("--force", "--accept-worse", "--json"),
-        )
+    found = _calibrate_with_cell(session, "arm", ("--poses", ARM_POSES), truth)
     rms = 1e3 * float(found["position_rms"])
     if rms > 1.0:
         raise StepFailed(
@@ -385,14 +413,7 @@ def tapper(session: Session) -> Proof:
         "take the marker off the striker, put the object in the middle of the table and close the "
         "guard"
     )
-    record = session.folder / "tapper.csv"
-    resumed = ("--resume",) if record.exists() else ()
-    with _homed(session):
-        found = session.verb(
-            *("calibrate", "tapper", str(record), "--record", "--taps", str(TAPS), *resumed),
-            *("--cell", str(session.cell_file), "--output", str(session.cell_file)),
-            *("--force", "--accept-worse", "--json"),
-        )
+    found = _calibrate_with_cell(session, "tapper", ("--taps", TAPS))
     speeds = found["speeds"]
     return Proof(
         f"{1e3 * speeds[0]:.0f} to {1e3 * speeds[-1]:.0f} mm/s from {found['used']} taps",

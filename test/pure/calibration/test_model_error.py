@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from single_taps import Design, simulated_trials
+from single_taps import Design, simulated_experiment
 
-from tapping_cell.calibration.experiment import Experiment, ExperimentFile, StrikerSection
+from tapping_cell.calibration.experiment import StrikerSection
 from tapping_cell.calibration.model_error import Taps, lack_of_fit, model_errors
 from tapping_cell.calibration.object_fit import ObjectFit, fit_object
 from tapping_cell.calibration.prediction import Launches
@@ -84,18 +83,8 @@ def test_intervals_contain_new_taps_at_new_settings(setting: float, place: float
 def fitted(truth: TruthFile, assumed: float = 0.2, design: Design | None = None) -> ObjectFit:
     disk = replace(load_cell().object, contact_friction=assumed)
     scattered = replace(truth, scatter=ScatterTruth(0.025, 0.05, 0.01745))
-    runs = design or Design()
-    header = ExperimentFile(
-        format=1,
-        made="",
-        source="simulated",
-        striker=STRIKER,
-        camera_rate_hz=runs.rate,
-        rest_position_std=runs.rest_noise[0],
-        rest_rotation_std=runs.rest_noise[1],
-    )
-    trials = simulated_trials(load_cell().object, STRIKER.striker(), scattered, runs, 3)
-    return fit_object([Experiment(Path(), header, tuple(trials), ())], disk)
+    experiment = simulated_experiment(load_cell().object, STRIKER, scattered, design or Design(), 3)
+    return fit_object([experiment], disk)
 
 
 def test_the_model_error_of_the_simulated_world_is_detected() -> None:

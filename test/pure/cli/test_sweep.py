@@ -8,9 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tapping_cell.cli import cluster as cluster_module
 from tapping_cell.cli import main, sweep
-from tapping_cell.cli.cluster import cluster_executor
 from tapping_cell.planning import PlanningError
 from tapping_cell.report.sweep import sweep_table
 
@@ -132,7 +130,7 @@ def test_a_sweep_on_a_cluster_gives_the_same_results(tmp_path: Path) -> None:
                 _fail,
                 None,
                 lambda count: None,
-                cluster_executor(cluster.scheduler_address),
+                sweep.cluster_executor(cluster.scheduler_address),
             )
     here, there = (
         {str(kept["point"]): kept["figures"]["taps"] for kept in kept_lines(tmp_path / name)}
@@ -148,7 +146,7 @@ def _fail(point: sweep.Point) -> dict[str, object]:
 def test_an_unavailable_cluster_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(cluster_module, "CONNECTION_DEADLINE", "1s")
+    monkeypatch.setattr(sweep, "CONNECTION_DEADLINE", "1s")
     more = ("--cluster", "tcp://127.0.0.1:1")
     assert run_sweep(tmp_path, "tolerance=2", more=more) == 2
     # If Dask is installed, the message says that no scheduler answers; otherwise, how to install
