@@ -24,9 +24,8 @@ from scipy.optimize import least_squares
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import Column
 from tapping_cell.hardware.scara import ScaraGeometry
-from tapping_cell.se2 import wrap_angle
+from tapping_cell.se2 import Array, wrap_angle
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MIN_POSES = 6

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from tapping_cell.calibration.camera_views import Rejected, coverage, screen, uncovered_regions
 from tapping_cell.calibration.target import Target, TargetView
-from tapping_cell.vision.camera import Array, CameraError, CameraModel
+from tapping_cell.se2 import Array
+from tapping_cell.vision.camera import CameraError, CameraModel
 
 MIN_VIEWS = 6
 """Minimum number of views for a calibration; about 20 are recommended."""

@@ -11,7 +11,8 @@ import numpy as np
 from tapping_cell.calibration.camera import CameraCalibration
 from tapping_cell.calibration.keep import fingerprints, now
 from tapping_cell.configuration.provenance import Provenance, provenance_yaml
-from tapping_cell.vision.camera import Array, CameraModel
+from tapping_cell.se2 import Array
+from tapping_cell.vision.camera import CameraModel
 
 
 def camera_record(

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 UNITS: dict[str, dict[str, float]] = {
     "": {},

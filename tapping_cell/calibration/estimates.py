@@ -17,8 +17,7 @@ from tapping_cell.calibration.prediction import Launches
 from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.calibration.sliding_fit import SlideFit
 from tapping_cell.configuration.objects import ObjectFile
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 _MIN_SCATTER_TRIALS = 8
 _MIN_ROTATION = 0.2  # rad per m of displacement, that is 0.2 degrees for 17 mm

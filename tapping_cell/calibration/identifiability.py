@@ -15,11 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tapping_cell.calibration.impact_fit import NAMES, ImpactModel, Strikes, weighted_slopes
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 GAIN = "striker_speed_gain"
 _ALL = (*NAMES, GAIN)

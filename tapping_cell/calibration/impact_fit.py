@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tapping_cell.mechanics import Body, Impact, Striker
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 # All parameters of the impact. Restitution is fitted as ln(1 + e), the others as logarithms.
 NAMES = ("restitution", "contact_friction", "scale_b1", "scale_b2", "scale_b3")

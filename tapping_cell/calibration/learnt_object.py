@@ -26,9 +26,7 @@ from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Sliding
-from tapping_cell.se2 import wrap_angle
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array, wrap_angle
 
 FEWEST_TAPS = 5
 _DISTANCE, _ROTATION, _SLOPE = 0.05, 0.15, 0.1

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tapping_cell.calibration.prediction import Launches
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 LEVEL = 0.95
 _SIGNIFICANT = 0.001

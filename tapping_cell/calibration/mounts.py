@@ -15,15 +15,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import Column
 from tapping_cell.mechanics import Tap
-from tapping_cell.se2 import Pose, wrap_angle
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array, Pose, wrap_angle
 
 RECORD_COLUMNS = (
     Column("speed", "m/s", 0.001, 50.0),

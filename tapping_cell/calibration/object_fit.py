@@ -42,8 +42,7 @@ from tapping_cell.calibration.sliding_fit import SlideFit, fit_slides
 from tapping_cell.calibration.trials import LeftOut
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.mechanics import Body, Polygon, Striker
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 _OUTLIER = 6.0  # robust standard deviations
 _MIN_FRICTION_SPREAD = 0.01

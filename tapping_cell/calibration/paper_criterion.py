@@ -14,14 +14,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tapping_cell.calibration.prediction import Launches
 from tapping_cell.calibration.slide_curves import TORQUE_FACTORS, SlideCurves
 from tapping_cell.mechanics import Body
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 
 class PaperFit(NamedTuple):

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.mechanics.slide_table import SlideTable
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 TORQUE_FACTORS = (0.1, 15.0)
 """Range of torque factors that a fit considers."""

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.shared_least_squares import (
-    Array,
     Estimate,
     NormalEquations,
     Rows,
@@ -39,6 +38,7 @@ from tapping_cell.calibration.shared_least_squares import (
 from tapping_cell.calibration.slide_curves import COARSE, TORQUE_FACTORS, SlideCurves
 from tapping_cell.calibration.track import Slide
 from tapping_cell.mechanics import Body
+from tapping_cell.se2 import Array
 
 # Local parameters, in this order: time of impact, speed, spin, offset of the start position and
 # angle, and ln of the trial's friction over the shared friction.

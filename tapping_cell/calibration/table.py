@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.table_frame import rigid, with_poses
-from tapping_cell.se2 import compose, inverse, transform_points
-from tapping_cell.vision.camera import Array, CameraModel, CameraPose, Image
+from tapping_cell.se2 import Array, compose, inverse, transform_points
+from tapping_cell.vision.camera import CameraModel, CameraPose, Image
 from tapping_cell.vision.markers.detection import (
     UNIT_CORNERS,
     Effort,

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import Column
 from tapping_cell.mechanics import Impact, Tap
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 MIN_TAPS = 8
 SHARES = (8, 4, 3, 3, 4, 8)

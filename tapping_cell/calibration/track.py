@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tapping_cell.calibration.trials import Track, Trial
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 # Samples that are closer to the start or the end of the slide than this fraction of the
 # displacement may be at rest.

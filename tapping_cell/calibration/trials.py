@@ -22,11 +22,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tapping_cell.calibration.csv_table import Column, RecordError, read_csv
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 TRACK_FOLDER = "tracks"
 OUTCOMES = ("ok", "missed", "disturbed", "lost")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
@@ -23,7 +22,6 @@ MAX_IN_WORDS = 6
 def draw_cell(run: Run, path: Path) -> None:
     """Write the figure of a run as PNG."""
     figure = Figure(figsize=(14.0, 5.4), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 3, width_ratios=(1.45, 1.1, 0.8))
     _draw_table(figure.add_subplot(grid[:, 0]), run)
     _draw_close_up(figure.add_subplot(grid[:, 1]), run)

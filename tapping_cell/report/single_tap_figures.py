@@ -8,12 +8,12 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from tapping_cell.report.palette import INK, MUTED, PREDICTED, REST, STRIKE
-from tapping_cell.report.single_tap import Array, ProfileView, SingleTapReport
+from tapping_cell.report.single_tap import ProfileView, SingleTapReport
+from tapping_cell.se2 import Array
 
 RUNS = "single_tap_runs.png"
 PROFILES = "single_tap_profiles.png"
@@ -41,7 +41,6 @@ def write_figures(report: SingleTapReport, folder: Path) -> list[Path]:
         if name == PROFILES and not report.profiles:
             continue
         figure = Figure(figsize=size, dpi=110, layout="constrained")
-        FigureCanvasAgg(figure)
         draw(figure, report)
         figure.savefig(folder / name)
         files.append(folder / name)

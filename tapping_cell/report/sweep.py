@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 Row = tuple[Mapping[str, float | str], Mapping[str, Any]]
@@ -73,7 +72,6 @@ def write_sweep(folder: Path, rows: Sequence[Row]) -> None:
 def _plot(names: Sequence[str], rows: Sequence[Row]) -> Figure:
     first, others = names[0], names[1:]
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
     taps, truth = figure.subplots(1, 2)
     curves: dict[str, list[Row]] = {}
     for row in rows:
