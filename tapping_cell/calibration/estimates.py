@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,13 @@ from tapping_cell.calibration.model_error import ModelError
 from tapping_cell.calibration.prediction import Launches
 from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.calibration.sliding_fit import SlideFit
-from tapping_cell.configuration.objects import ObjectFile
+from tapping_cell.configuration.objects import ObjectFile, ScatterSection
 from tapping_cell.se2 import Array
 
 _MIN_SCATTER_TRIALS = 8
 _MIN_ROTATION = 0.2  # rad per m of displacement, that is 0.2 degrees for 17 mm
+_KEYS = ("friction", "torque_factor", "restitution", "contact_friction", "smallest_tap")
+"""Keys of the object file that have the name of their estimate."""
 _UNKNOWN = 0.5  # relative standard deviation above which a value counts as not determined
 
 
@@ -40,6 +43,19 @@ class Estimate:
     old: float
     unit: str = ""
     fitted: bool = True
+
+
+def with_estimates(content: ObjectFile, estimates: Sequence[Estimate]) -> ObjectFile:
+    """Return the object file with the fitted values, rounded to six digits; values that were not
+    fitted are unchanged. The scatter is limited to the range of its keys."""
+    found = {entry.name: float(f"{entry.value:.6g}") for entry in estimates if entry.fitted}
+    scatter = {
+        key.name: min(found[f"scatter_{key.name}"], key.metadata["limits"].maximum)
+        for key in fields(ScatterSection)
+        if f"scatter_{key.name}" in found
+    }
+    values: dict[str, Any] = {name: found[name] for name in _KEYS if name in found}
+    return replace(content, scatter=replace(content.scatter, **scatter), **values)
 
 
 def slide_estimates(
