@@ -86,8 +86,7 @@ def _plot(names: Sequence[str], rows: Sequence[Row]) -> Figure:
         inside = [n["truly_inside_percent"] for n in numbers]
         truth.plot(x, inside, marker="o", label=label or None)
     for axes, title in ((taps, "mean taps"), (truth, "truly inside, % of those done")):
-        axes.set_xlabel(first.replace("-", " "))
-        axes.set_ylabel(title)
+        axes.set(xlabel=first.replace("-", " "), ylabel=title)
         axes.grid(alpha=0.3)
     taps.set_ylim(bottom=0.0)
     if others:
