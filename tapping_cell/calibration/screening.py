@@ -77,7 +77,7 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
             if isinstance(found, Motion):
                 used.append(Used(trial, found, experiment.header))
                 continue
-            row = LeftOut(trial.file, trial.row, found.reason, found.sentence)
+            row = trial.left_out(*found)
             left_out.append(row)
             if found.reason == "units" or (found.reason == "missed" and trial.outcome == "ok"):
                 wrong[trial.file] += 1
@@ -105,14 +105,10 @@ def enough(used: Sequence[Used], left_out: Sequence[LeftOut]) -> Screened:
         if size >= MIN_IN_RUN:
             kept.append(entry)
             continue
-        dropped.append(
-            LeftOut(
-                entry.trial.file,
-                entry.trial.row,
-                "short run",
-                f"run {entry.trial.run} has {size} usable trials; at least {MIN_IN_RUN} are needed",
-            )
+        sentence = (
+            f"run {entry.trial.run} has {size} usable trials; at least {MIN_IN_RUN} are needed"
         )
+        dropped.append(entry.trial.left_out("short run", sentence))
     runs = {run_of(entry.trial) for entry in kept}
     if len(runs) < MIN_RUNS or len(kept) < MIN_TRIALS:
         reasons = "; ".join(str(row) for row in dropped[:3])

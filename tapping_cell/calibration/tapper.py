@@ -13,6 +13,7 @@ The level a has no prior, whereas g deviates from zero only as far as the data s
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -179,9 +180,10 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
     # The speed is proportional to the square root of the displacement, so its relative error is
     # half that of the displacement.
     seen = 0.5 * record.deviations / np.maximum(record.distances, _NO_MOTION)
-    if len(np.unique(groups[usable])) < 3:
+    levels = len(np.unique(groups[usable]))
+    if levels < 3:
         raise CalibrationRefused(
-            f"only {len(np.unique(groups[usable]))} different energies were used, too few for a "
+            f"only {levels} different energies were used, too few for a "
             "curve: use at least 3, preferably 6, from the smallest tap to the largest"
         )
     while True:
@@ -204,9 +206,10 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
             )
         )
         usable[worst] = False
-        if usable.sum() < max(MIN_TAPS, len(x) // 2):
+        needed = max(MIN_TAPS, len(x) // 2)
+        if usable.sum() < needed:
             raise CalibrationRefused(
-                f"no single curve fits the taps: fewer than {max(MIN_TAPS, len(x) // 2)} of the "
+                f"no single curve fits the taps: fewer than {needed} of the "
                 f"{len(x)} taps are consistent with one curve. Check the columns' units and that "
                 "all taps hit the object's middle"
             )
@@ -301,16 +304,12 @@ class _Curve:
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x
         self._seen = seen
-        tried = []
-        for amplitude in _AMPLITUDES:
-            for stretch in _STRETCHES:
-                evidence, noise = self._evidence(amplitude, stretch)
-                fitted = self._solve(amplitude, stretch, noise)
-                tried.append((evidence, amplitude, stretch, *fitted, noise))
-        top = max(entry[0] for entry in tried)
-        total = sum(math.exp(entry[0] - top) for entry in tried)
+        tried = list(itertools.product(_AMPLITUDES, _STRETCHES))
+        evidences, noises = zip(*(self._evidence(*shape) for shape in tried), strict=True)
+        likelihoods = [math.exp(evidence - max(evidences)) for evidence in evidences]
         self._departures = [
-            _Departure(math.exp(entry[0] - top) / total, *entry[1:]) for entry in tried
+            _Departure(likelihood / sum(likelihoods), *shape, *self._solve(*shape, noise), noise)
+            for likelihood, shape, noise in zip(likelihoods, tried, noises, strict=True)
         ]
         self.noise = math.sqrt(sum(d.share * d.noise**2 for d in self._departures))
 
@@ -388,14 +387,10 @@ def _propagation(record: TapRecord, tap: Tap, usable: NDArray[np.bool_]) -> tupl
     part = TapRecord(*(getattr(record, name)[usable] for name in TapRecord.__slots__))
     plain = striker_speeds(part, tap)
     step = 0.01
-    rough = Tap(
-        replace(tap.sliding, friction=tap.sliding.friction * (1 + step)),
-        tap.impact,
-        tap.smallest_distance,
-    )
-    e = tap.impact.restitution
+    friction, e = tap.sliding.friction, tap.impact.restitution
+    rough = replace(tap, sliding=replace(tap.sliding, friction=friction * (1 + step)))
     towards = step if e + step <= 1.0 else -step
-    lively = Tap(tap.sliding, replace(tap.impact, restitution=e + towards), tap.smallest_distance)
+    lively = replace(tap, impact=replace(tap.impact, restitution=e + towards))
     by_friction = float(np.log(striker_speeds(part, rough) / plain).mean() / step)
     by_restitution = float(np.log(striker_speeds(part, lively) / plain).mean() / towards)
     return by_friction, by_restitution

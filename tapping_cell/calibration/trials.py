@@ -112,6 +112,10 @@ class Trial:
     file: str = field(default="", compare=False)
     row: int = field(default=0, compare=False)
 
+    def left_out(self, reason: str, sentence: str) -> LeftOut:
+        """Return the rejection of this trial for a reason, a keyword and a sentence."""
+        return LeftOut(self.file, self.row, reason, sentence)
+
 
 TRIAL_COLUMNS = tuple(
     Column(entry.name, *entry.metadata["column"], required=False)
