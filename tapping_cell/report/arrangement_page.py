@@ -16,7 +16,7 @@ from tapping_cell.report.arrangement_run import (
     ArrangementRun,
     moves_of,
 )
-from tapping_cell.report.palette import INK, LINE, SERIES, TABLE
+from tapping_cell.report.palette import INK, SERIES
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.rendering import render
 from tapping_cell.report.run import REACHED, Picture
@@ -130,7 +130,7 @@ def _plan(run: ArrangementRun, poses: Mapping[str, Pose], moved: str = "") -> Pl
     plan = Plan(
         (-half[0] - _MARGIN_MM, -half[1] - _MARGIN_MM), (half[0] + _MARGIN_MM, half[1] + _MARGIN_MM)
     )
-    plan.rectangle(-half, half, f'fill="{TABLE}" stroke="{LINE}" stroke-width="1"')
+    plan.table(half)
     for number, one in enumerate(run.objects):
         if one.goal is not None and moved in ("", one.name):
             plan.outline(_outline(one), one.goal, _colour(number), dashed=True)

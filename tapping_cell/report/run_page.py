@@ -9,7 +9,7 @@ import numpy as np
 
 from tapping_cell.report import activities, palette
 from tapping_cell.report.animation import TAP_S, animation
-from tapping_cell.report.palette import GOAL, LINE, PREDICTED, REST, START, STRIKE, TABLE
+from tapping_cell.report.palette import GOAL, PREDICTED, REST, START
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.rendering import render, unbroken
 from tapping_cell.report.residual_charts import residual_charts
@@ -139,7 +139,7 @@ def _table_plan(run: Run) -> Plan:
         low, high = window([(1000 * p.x, 1000 * p.y) for p in places], 60.0, 200.0)
     plan = Plan((low[0], low[1]), (high[0], high[1]))
     if half.any():
-        plan.rectangle(-half, half, f'fill="{TABLE}" stroke="{LINE}" stroke-width="1"')
+        plan.table(half)
     return plan
 
 
@@ -153,19 +153,10 @@ def overview(run: Run) -> str:
     if run.goal is not None:
         plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.15)
     for tap in run.taps:
-        _strike(plan, tap, 42.0)
+        plan.strike(tap.strike, tap.number, 42.0, 0.6)
     plan.scale_bar()
     plan.axes()
     return plan.drawing("the table from above")
-
-
-def _strike(plan: Plan, tap: TapRow, length: float) -> None:
-    along = np.array([math.cos(tap.strike.theta), math.sin(tap.strike.theta)])
-    tip = 1000 * np.array([tap.strike.x, tap.strike.y])
-    tail = tip - length * along
-    plan.arrow(tail, tip, STRIKE, 0.6)
-    x, y = tail - 3 * plan.unit * along
-    plan.text(float(x), float(y), str(tap.number), STRIKE, 3.6)
 
 
 def _timeline(run: Run) -> dict[str, object] | None:
@@ -251,7 +242,7 @@ def _close_up(run: Run, tap: TapRow) -> str:
     if math.isfinite(tap.measured.x):
         plan.outline(outline, tap.measured, REST)
         plan.arrow(middles[0], middles[-1], REST, 0.5)
-    _strike(plan, tap, back)
+    plan.strike(tap.strike, tap.number, back, 0.6)
     plan.scale_bar()
     plan.axes()
     return plan.drawing(f"tap {tap.number} from above")

@@ -115,13 +115,14 @@ def _profiles(figure: Figure, report: SingleTapReport) -> None:
 
 
 def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
-    speed.plot(view.plain_time, view.plain_speed, "--", color=MUTED)
-    speed.plot(view.curve_time, view.curve_speed, color=STRIKE)
-    speed.plot(view.rate_time, view.seen_speed, "o", color=INK, ms=5)
+    for axes, plain, curve, seen in (
+        (speed, view.plain_speed, view.curve_speed, view.seen_speed),
+        (spin, view.plain_spin, view.curve_spin, view.seen_spin),
+    ):
+        axes.plot(view.plain_time, plain, "--", color=MUTED)
+        axes.plot(view.curve_time, curve, color=STRIKE)
+        axes.plot(view.rate_time, seen, "o", color=INK, ms=5)
     speed.set(ylabel="speed (mm/s)", title=view.title)
-    spin.plot(view.plain_time, view.plain_spin, "--", color=MUTED)
-    spin.plot(view.curve_time, view.curve_spin, color=STRIKE)
-    spin.plot(view.rate_time, view.seen_spin, "o", color=INK, ms=5)
     spin.set(ylabel="spin (degrees/s)", title="spin")
     pose.plot(view.curve_time, view.curve_distance, color=STRIKE)
     pose.plot(view.seen_time, view.seen_distance, "o", color=INK, ms=5)

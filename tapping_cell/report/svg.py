@@ -11,7 +11,7 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tapping_cell.report.palette import GOAL, INK, LINE, MUTED
+from tapping_cell.report.palette import GOAL, INK, LINE, MUTED, STRIKE, TABLE
 from tapping_cell.se2 import Array, Pose, transform_points
 
 _ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
@@ -33,10 +33,11 @@ class Plan:
         """A hundredth of the drawing's larger side, in mm. Line widths and font sizes are multiples
         of it."""
 
-    def rectangle(self, low: ArrayLike, high: ArrayLike, style: str) -> None:
-        """Draw a rectangle between two corners in mm."""
-        (x0, y0), (x1, y1) = np.asarray(low), np.asarray(high)
-        self.polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], style)
+    def table(self, half: ArrayLike) -> None:
+        """Draw the table from its half lengths along x and y, in mm."""
+        x, y = np.asarray(half)
+        corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
+        self.polygon(corners, f'fill="{TABLE}" stroke="{LINE}" stroke-width="1"')
 
     def polygon(self, points: ArrayLike, style: str, closed: bool = True) -> None:
         """Draw a polygon or, if not closed, a polyline through points in mm."""
@@ -66,6 +67,15 @@ class Plan:
         neck = end - along * point
         self.polygon([start, neck], stroke(colour, width * self.unit), closed=False)
         self.polygon([end, neck + aside, neck - aside], f'fill="{colour}"')
+
+    def strike(self, strike: Pose, number: int, length: float, width: float) -> None:
+        """Draw the arrow of a tap with its number behind it. ``length`` is in mm, and ``width`` is
+        a multiple of ``unit``."""
+        along = np.array([math.cos(strike.theta), math.sin(strike.theta)])
+        tip = 1000 * np.array([strike.x, strike.y])
+        self.arrow(tip - length * along, tip, STRIKE, width)
+        x, y = (tip - (length + 3 * self.unit) * along).tolist()
+        self.text(x, y, str(number), STRIKE, 3.6)
 
     def outline(
         self, outline: Array, pose: Pose, colour: str, dashed: bool = False, fill: float = 0.0
@@ -159,7 +169,6 @@ def chart(
     values: Sequence[tuple[str, Sequence[float], str]],
     limit: float,
     label: str,
-    x_label: str = "taps",
 ) -> str:
     """Draw lines over the number of taps; return the SVG element.
 
@@ -213,7 +222,7 @@ def chart(
             ]
     parts.append(
         f'<text x="{(left + wide) / 2:.0f}" y="{high - 5}" text-anchor="middle" fill="{MUTED}">'
-        f"{escape(x_label)}</text>"
+        "taps</text>"
     )
     return (
         f'<svg viewBox="0 0 {wide:.0f} {high:.0f}" role="img" aria-label="{escape(label)}">'
