@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.calibration.bootstrap import spread
 from tapping_cell.calibration.csv_table import RecordError
-from tapping_cell.calibration.impact_fit import ImpactFit
+from tapping_cell.calibration.impact_fit import NAMES, ImpactFit
 from tapping_cell.calibration.model_error import ModelError
 from tapping_cell.calibration.prediction import Launches
 from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
@@ -105,13 +105,8 @@ def impact_estimates(
 
     ``inflation`` widens the intervals if the model does not fit.
     """
-    old = {
-        "restitution": content.restitution,
-        "contact_friction": content.contact_friction,
-        "scale_b1": content.impact_scale[0],
-        "scale_b2": content.impact_scale[1],
-        "scale_b3": content.impact_scale[2],
-    }
+    known = (content.restitution, content.contact_friction, *content.impact_scale)
+    old = dict(zip(NAMES, known, strict=True))
     try:
         width = spread(impact.score, impact.information, runs, seed + 1)
     except ValueError:
