@@ -374,10 +374,10 @@ def _speed_known(used: Sequence[Used]) -> float:
 
 def _slid(measured: Launches, slide: SlideFit, body: Body) -> Launches:
     """Predict displacements from measured velocities, and velocities from displacements."""
-    curves = SlideCurves(body.support, body.support_radius, body.gamma, GRAVITY)
+    curves = SlideCurves(body, GRAVITY)
     log_factor = math.log(slide.torque_factor)
     distance, rotation = _rest(curves, slide, measured.speed, measured.spin)
-    speed, spin, _ = curves.launch(measured.distance, measured.rotation, slide.friction, log_factor)
+    speed, spin = curves.launch(measured.distance, measured.rotation, slide.friction, log_factor)
     return Launches(speed, spin, distance, rotation)
 
 
@@ -398,7 +398,7 @@ def _tapped(
     if impacts is not None:
         launch = impacts.model.launch(impacts.fit.values)
         speed, spin = launch[:, 0], launch[:, 0] * launch[:, 1]
-        curves = SlideCurves(body.support, body.support_radius, body.gamma, GRAVITY)
+        curves = SlideCurves(body, GRAVITY)
         columns[:, impacts.rows] = speed, spin, *_rest(curves, slide, speed, spin)
     return Launches(*columns)
 

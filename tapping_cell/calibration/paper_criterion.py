@@ -39,15 +39,14 @@ def paper_fit(
     start: tuple[float, float],
 ) -> PaperFit:
     """Fit friction and torque factor; ``start`` contains their initial values."""
-    curves = SlideCurves(body.support, body.support_radius, body.gamma, gravity)
+    curves = SlideCurves(body, gravity)
     names = np.array(labels)
     runs = [names == label for label in dict.fromkeys(labels)]
     turn = np.sign(measured.rotation)
 
     def differences(x: Array) -> Array:
-        speed, spin, _ = curves.launch(
-            measured.distance, measured.rotation, math.exp(x[0]), float(x[1])
-        )
+        friction = math.exp(x[0])
+        speed, spin = curves.launch(measured.distance, measured.rotation, friction, float(x[1]))
         along = measured.speed - speed
         around = body.support_radius * turn * (measured.spin - spin)
         return np.array([float(np.mean(part[run])) for part in (along, around) for run in runs])

@@ -191,7 +191,7 @@ def _problem(motions: Sequence[Motion], body: Body, gravity: float) -> _Problem:
     )
     given = np.array([[m.speed, m.spin, m.speed_std, m.spin_std] for m in motions])
     return _Problem(
-        curves=SlideCurves(body.support, body.support_radius, body.gamma, gravity),
+        curves=SlideCurves(body, gravity),
         radius=body.support_radius,
         gamma=body.gamma,
         gravity=gravity,
@@ -214,7 +214,7 @@ def _first_guess(problem: _Problem, motions: Sequence[Motion], torque_factor: fl
     ]
     friction = float(np.clip(np.median(pulls) / problem.gravity, 0.01, 3.0))
     shared = np.array([math.log(friction), math.log(torque_factor), 0.0, 0.0])
-    speed, spin, _ = problem.curves.launch(distance, rotation, friction, shared[1])
+    speed, spin = problem.curves.launch(distance, rotation, friction, shared[1])
     local = np.zeros((len(motions), _LOCAL))
     local[:, _IMPACT] = [0.0 if m.slide is None else m.slide.impact for m in motions]
     local[:, _SPEED], local[:, _SPIN] = speed, spin
