@@ -20,7 +20,7 @@ from pathlib import Path
 
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.experiment import ExperimentFile, write_new
-from tapping_cell.calibration.track import TrackProblem, slide_of
+from tapping_cell.calibration.track import Rejection, slide_of
 from tapping_cell.calibration.trials import Trial
 from tapping_cell.configuration.schema import ConfigurationError, load, quantity
 from tapping_cell.mechanics import Tap
@@ -153,7 +153,7 @@ def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
     found = slide_of(
         trial, header.track_position_std, header.track_rotation_std, rate, header.exposure
     )
-    if isinstance(found, TrackProblem):
+    if isinstance(found, Rejection):
         return replace(
             trial,
             outcome=_ONE_TAP.get(found.reason, "lost"),

@@ -98,11 +98,10 @@ def read_experiment(place: Path | str) -> Experiment:
     place = Path(place)
     folder = place if place.is_dir() else place.parent
     records = read_trials(place)
-    header = folder / HEADER_FILE
-    if not header.is_file():
-        unknown = ExperimentFile(format=1, made="", source="other")
-        return Experiment(folder, unknown, records.trials, records.left_out)
-    return Experiment(folder, load(ExperimentFile, header), records.trials, records.left_out)
+    header = ExperimentFile(format=1, made="", source="other")
+    if (folder / HEADER_FILE).is_file():
+        header = load(ExperimentFile, folder / HEADER_FILE)
+    return Experiment(folder, header, *records)
 
 
 def write_header(folder: Path, header: ExperimentFile) -> None:
