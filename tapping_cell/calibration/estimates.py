@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.bootstrap import spread
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.impact_fit import NAMES, ImpactFit
-from tapping_cell.calibration.model_error import ModelError
+from tapping_cell.calibration.model_error import ModelError, Taps
 from tapping_cell.calibration.prediction import Launches
 from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.calibration.sliding_fit import SlideFit
@@ -21,7 +22,6 @@ from tapping_cell.configuration.objects import ObjectFile, ScatterSection
 from tapping_cell.se2 import Array
 
 _MIN_SCATTER_TRIALS = 8
-_MIN_ROTATION = 0.2  # rad per m of displacement, that is 0.2 degrees for 17 mm
 _KEYS = ("friction", "torque_factor", "restitution", "contact_friction", "smallest_tap")
 """Keys of the object file that have the name of their estimate."""
 _UNKNOWN = 0.5  # relative standard deviation above which a value counts as not determined
@@ -134,8 +134,7 @@ def impact_estimates(
 
 
 def scatter_estimates(
-    measured: Launches,
-    tapped: Launches,
+    taps: Taps,
     impact: ImpactFit,
     runs: Sequence[int],
     content: ObjectFile,
@@ -150,57 +149,41 @@ def scatter_estimates(
     constant floor.
     """
     expected = {entry.quantity: entry.total for entry in errors}
-    place, angle = _parts(measured, tapped, impact, runs)
+    place, angle = _parts(taps.measured, taps.predicted, impact, runs)
     between = {entry.quantity: entry.error for entry in errors}
     if place is not None and place.floor > 0.0:
         expected["distance"] = math.hypot(place.shares[0], between.get("distance", 0.0))
     if angle is not None and angle.floor > 0.0:
         expected["rotation"] = math.hypot(angle.shares[0], between.get("rotation", 0.0))
-    # The relative scatter of the rotation is not defined for taps that hardly rotate the object.
-    clear = np.abs(tapped.rotation) > _MIN_ROTATION * tapped.distance
-    rotation = np.where(clear, tapped.rotation, 1.0)
-    columns = {
-        "scatter_speed": (impact.deviations[:, 0], math.nan, impact.scatter[0]),
-        "scatter_spin": (
-            np.where(clear, impact.deviations[:, 1], math.nan),
-            math.nan,
-            impact.scatter[1],
-        ),
-        "scatter_direction": (
-            impact.deviations[:, 2],
-            content.scatter.direction,
-            impact.scatter[2] if place is None or place.floor == 0.0 else place.shares[1],
-        ),
-        "scatter_distance": (
-            measured.distance / tapped.distance - 1,
-            content.scatter.distance,
-            expected.get("distance", math.nan),
-        ),
-        "scatter_rotation": (
-            np.where(clear, measured.rotation / rotation - 1, math.nan),
-            content.scatter.rotation,
-            expected.get("rotation", math.nan),
-        ),
-    }
+    direction = impact.scatter[2] if place is None or place.floor == 0.0 else place.shares[1]
+    old, off = content.scatter, taps.deviations()
+    spin = np.where(taps.turned(), impact.deviations[:, 1], math.nan)
     found = []
-    for name, (off, old, value) in columns.items():
-        known = np.isfinite(off)
-        unit = "rad" if name == "scatter_direction" else ""
+    for name, deviation, before, value in (
+        ("speed", impact.deviations[:, 0], math.nan, impact.scatter[0]),
+        ("spin", spin, math.nan, impact.scatter[1]),
+        ("direction", impact.deviations[:, 2], old.direction, direction),
+        ("distance", off["distance"], old.distance, expected.get("distance", math.nan)),
+        ("rotation", off["rotation"], old.rotation, expected.get("rotation", math.nan)),
+    ):
+        known = np.isfinite(deviation)
+        unit = "rad" if name == "direction" else ""
         if known.sum() < _MIN_SCATTER_TRIALS:
             continue
-        total = math.sqrt(float(np.mean(off[known] ** 2)))
+        total = math.sqrt(float(np.mean(deviation[known] ** 2)))
         if total == 0.0:
             continue
         value = total if math.isnan(value) else value
-        square = (off[known] / total) ** 2
+        square = (deviation[known] / total) ** 2
         width = spread(
             (1 - square)[:, None],
             np.full((int(known.sum()), 1, 1), 2.0),
-            [run for run, is_known in zip(runs, known, strict=True) if is_known],
+            list(compress(runs, known)),
             seed + 2,
         )
         low, high = (value * math.exp(float(end[0])) for end in (width.low, width.high))
-        found.append(Estimate(name, value, low, high, value * float(width.std[0]), old, unit))
+        std = value * float(width.std[0])
+        found.append(Estimate(f"scatter_{name}", value, low, high, std, before, unit))
     return [*found, *floor_estimates(place, angle, content)]
 
 

@@ -130,15 +130,7 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
         known = _speed_known([used[row] for row in impacts.rows])
         found = identifiability(impacts.model, impact.values, impact.scatter, known)
         sentences.extend(found.sentences)
-        estimates += scatter_estimates(
-            measured.of(impacts.rows),
-            by_tapping.of(impacts.rows),
-            impact,
-            struck,
-            content,
-            seed,
-            errors,
-        )
+        estimates += scatter_estimates(taps, impact, struck, content, seed, errors)
         sentences.extend(_prediction_sentence(errors))
     by_sliding = _slid(measured, slide, body)
     sentences.extend(_tapper_sentences(used))
