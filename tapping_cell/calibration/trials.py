@@ -38,7 +38,7 @@ _TURNS = 100.0
 
 def measured(unit: str, low: float, high: float) -> Any:
     """Declare a field of a trial as an optional column with its SI unit and range."""
-    return field(default=math.nan, metadata={"column": (unit, low, high)})
+    return field(default=math.nan, metadata={"unit": unit, "minimum": low, "maximum": high})
 
 
 TRACK_COLUMNS: tuple[Column, ...] = (
@@ -118,7 +118,7 @@ class Trial:
 
 
 TRIAL_COLUMNS = tuple(
-    Column(entry.name, *entry.metadata["column"], required=False)
+    Column(entry.name, **entry.metadata, required=False)
     for entry in fields(Trial)
     if entry.metadata
 )

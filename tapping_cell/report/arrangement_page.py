@@ -22,7 +22,7 @@ from tapping_cell.report.rendering import render
 from tapping_cell.report.run import REACHED, Picture
 from tapping_cell.report.run_folder import PAGE
 from tapping_cell.report.svg import Plan
-from tapping_cell.report.words import counted
+from tapping_cell.report.words import counted, motion
 from tapping_cell.se2 import Array, Pose
 
 _MARGIN_MM = 12.0
@@ -201,8 +201,8 @@ def _taps(run: ArrangementRun) -> list[tuple[str, ...]]:
         (
             str(tap.number),
             tap.name,
-            _between(tap.before, tap.predicted),
-            _between(tap.before, tap.measured),
+            motion(tap.before, tap.predicted),
+            "not seen" if tap.measured is None else motion(tap.before, tap.measured),
             f"{1000 * tap.striker_speed:.0f} mm/s",
             tap.outcome,
             tap.reason,
@@ -222,10 +222,3 @@ def _residual(pose: Pose | None, goal: Pose | None) -> str:
         return "-"
     turn = math.degrees(abs(pose.rotation_to(goal)))
     return f"{1000 * pose.distance_to(goal):.2f} mm, {turn:.2f} deg"
-
-
-def _between(one: Pose, other: Pose | None) -> str:
-    if other is None:
-        return "not seen"
-    turn = math.degrees(one.rotation_to(other))
-    return f"{1000 * one.distance_to(other):.1f} mm, {turn:+.1f} deg"

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
 from tapping_cell.report.run import Run
-from tapping_cell.report.words import counted, remaining_error
+from tapping_cell.report.words import counted, motion, remaining_error
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_IN_WORDS = 6
@@ -42,9 +42,7 @@ def _headline(run: Run) -> str:
 def _moves(run: Run) -> str:
     """Describe the displacement of each tap, or of the last taps of a long run."""
     parts = [
-        f"tap {tap.number}: {1000 * tap.before.distance_to(tap.measured):.1f} mm, "
-        f"{math.degrees(tap.before.rotation_to(tap.measured)):+.1f} deg"
-        for tap in run.taps[-MAX_IN_WORDS:]
+        f"tap {tap.number}: {motion(tap.before, tap.measured)}" for tap in run.taps[-MAX_IN_WORDS:]
     ]
     return "     ".join(parts)
 

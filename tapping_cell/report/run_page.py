@@ -26,7 +26,7 @@ from tapping_cell.report.run import (
 from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.report.svg import Plan, window
 from tapping_cell.report.tap_words import tap_sentence
-from tapping_cell.report.words import counted, remaining_error
+from tapping_cell.report.words import counted, motion, remaining_error
 from tapping_cell.se2 import Array, Pose
 
 SHORTEST_SHOWN_S = 0.05
@@ -195,14 +195,14 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> dict[str, obje
         else ""
     )
     rows = [
-        ("commanded", _between(Pose(0.0, 0.0, 0.0), tap.commanded)),
-        ("predicted", _between(tap.before, tap.predicted)),
-        ("measured", _between(tap.before, tap.measured)),
-        ("measured - predicted", _between(tap.predicted, tap.measured)),
+        ("commanded", motion(Pose(0.0, 0.0, 0.0), tap.commanded, 2)),
+        ("predicted", motion(tap.before, tap.predicted, 2)),
+        ("measured", motion(tap.before, tap.measured, 2)),
+        ("measured - predicted", motion(tap.predicted, tap.measured, 2)),
         ("striker", f"{1000 * tap.striker_speed:.0f} mm/s{gate}; {tap.outcome}"),
     ]
     if run.goal is not None:
-        rows.append(("remaining", _between(tap.measured, run.goal)))
+        rows.append(("remaining", motion(tap.measured, run.goal, 2)))
     if math.isfinite(tap.fired_at):
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
@@ -264,8 +264,3 @@ def _aim(learnt: Learnt) -> str:
         f"{math.degrees(learnt.direction_deviation):.2f} deg; rotation due to off-centre mass or "
         f"friction {offset:.3f} \u00b1 {spread:.3f} deg per mm of travel"
     )
-
-
-def _between(one: Pose, other: Pose) -> str:
-    turn = math.degrees(one.rotation_to(other))
-    return f"{1000 * one.distance_to(other):.2f} mm, {turn:+.2f} deg"
