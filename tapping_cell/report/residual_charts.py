@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from html import escape
 
-from tapping_cell.report.palette import GOAL, INK, LINE, MUTED
 from tapping_cell.report.run import Run
-from tapping_cell.report.svg import round_length, stroke
+from tapping_cell.report.svg import round_length
 
 
-def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[tuple[str, str]]:
-    """Plot remaining distance and rotation of each run in its colour. Return labels and drawings;
-    none without taps.
+def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[dict[str, object]]:
+    """Return charts of the remaining distance and rotation of each run in its colour, which the
+    template ``parts.html`` draws; none without taps.
 
     The charts show the largest tolerance of the runs.
     """
@@ -32,75 +30,45 @@ def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[tuple[s
         return []
     far, turned = (max(run.tolerance[axis] for run in runs) for axis in (0, 1))
     return [
-        (label, _chart(lines, limit, label))
-        for label, lines, limit in (
-            ("remaining distance (mm)", distances, 1000 * far),
-            ("remaining rotation (deg)", rotations, math.degrees(turned)),
-        )
+        _chart("remaining distance (mm)", distances, 1000 * far),
+        _chart("remaining rotation (deg)", rotations, math.degrees(turned)),
     ]
 
 
 def _chart(
-    values: Sequence[tuple[str, Sequence[float], str]],
-    limit: float,
-    label: str,
-) -> str:
-    """Draw lines over the number of taps; return the SVG element.
+    label: str, lines: Sequence[tuple[str, Sequence[float], str]], limit: float
+) -> dict[str, object]:
+    """Compute a chart of lines over the number of taps, 420 units wide and 200 high.
 
-    ``values``: for each line its name, its values (the first is that before the first tap) and its
-    colour.
+    ``lines``: name, values (the first is that before the first tap) and colour of each line.
     """
-    wide, high, left, bottom, top = 420.0, 200.0, 46.0, 34.0, 14.0
-    most = max([limit * 1.5, *(v for _, line, _ in values for v in line if math.isfinite(v))])
+    left, right, top, bottom = 46.0, 394.0, 14.0, 166.0
+    most = max([limit * 1.5, *(v for _, values, _ in lines for v in values if math.isfinite(v))])
     step = round_length(most / 3)
     ticks = [step * index for index in range(math.floor(most / step + 1e-9) + 1)]
     most = max(most * 1.08, ticks[-1])
-    last = max([1, *(len(line) - 1 for _, line, _ in values)])
+    last = max(len(values) - 1 for _, values, _ in lines)
 
-    def x(index: float) -> float:
-        return left + (wide - left - 26) * index / last
+    def x(index: int) -> float:
+        return left + (right - left) * index / last
 
     def y(value: float) -> float:
-        return top + (high - top - bottom) * (1 - value / most)
+        return top + (bottom - top) * (1 - value / most)
 
-    parts = [
-        f'<rect x="{left}" y="{y(limit):.1f}" width="{wide - left}" '
-        f'height="{y(0) - y(limit):.1f}" fill="{GOAL}" fill-opacity="0.15"/>'
-    ]
-    for tick in ticks:
-        parts.append(
-            f'<line x1="{left}" x2="{wide}" y1="{y(tick):.1f}" y2="{y(tick):.1f}" '
-            f'stroke="{LINE}"/>'
-            f'<text x="{left - 6}" y="{y(tick):.1f}" text-anchor="end" dominant-baseline="central" '
-            f'fill="{MUTED}">{tick:g}</text>'
-        )
-    for index in range(0, last + 1, max(1, math.ceil(last / 10))):
-        parts.append(
-            f'<text x="{x(index):.1f}" y="{high - bottom + 14}" text-anchor="middle" '
-            f'fill="{MUTED}">{index}</text>'
-        )
-    for name, line, colour in values:
-        known = [(x(i), y(v)) for i, v in enumerate(line) if math.isfinite(v)]
-        path = " ".join(f"{px:.1f},{py:.1f}" for px, py in known)
-        parts.append(
-            f'<polyline points="{path}" {stroke(colour, 2)}>'
-            f"<title>{escape(name)}</title></polyline>"
-        )
-        parts += [
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.4" fill="{colour}"/>' for px, py in known
-        ]
-        if len(values) == 1:
-            parts += [
-                f'<text x="{x(i) + (4 if i else 6):.1f}" y="{y(v) - 9:.1f}" fill="{INK}" '
-                f'text-anchor="{"end" if i == last else "start"}">{v:.2f}</text>'
-                for i, v in enumerate(line)
-                if math.isfinite(v) and (len(line) < 9 or i in (0, len(line) - 1))
-            ]
-    parts.append(
-        f'<text x="{(left + wide) / 2:.0f}" y="{high - 5}" text-anchor="middle" fill="{MUTED}">'
-        "taps</text>"
-    )
-    return (
-        f'<svg viewBox="0 0 {wide:.0f} {high:.0f}" role="img" aria-label="{escape(label)}">'
-        f"{''.join(parts)}</svg>"
-    )
+    points = [[(i, v) for i, v in enumerate(values) if math.isfinite(v)] for _, values, _ in lines]
+    # With a single line, its points are labelled: all of them, or the ends if there are many.
+    labelled = [(i, v) for i, v in points[0] if last < 8 or i in (0, last)]
+    return {
+        "label": label,
+        "tolerance": (y(limit), y(0)),
+        "ticks": [(y(tick), tick) for tick in ticks],
+        "counts": [(x(index), index) for index in range(0, last + 1, max(1, math.ceil(last / 10)))],
+        "lines": [
+            (name, colour, [(x(i), y(v)) for i, v in known])
+            for (name, _, colour), known in zip(lines, points, strict=True)
+        ],
+        "labels": [
+            (x(i) + (4 if i else 6), y(v) - 9, "end" if i == last else "start", v)
+            for i, v in (labelled if len(lines) == 1 else [])
+        ],
+    }
