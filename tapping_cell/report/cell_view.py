@@ -95,8 +95,8 @@ def _draw_strike(axes: Axes, strike: Pose, number: int) -> None:
     along = np.array([math.cos(strike.theta), math.sin(strike.theta)])
     tip = 1000 * np.array([strike.x, strike.y])
     arrow = {"arrowstyle": "-|>", "color": STRIKE, "lw": 1.6}
-    axes.annotate("", xy=tip, xytext=tip - 45 * along, arrowprops=arrow)
-    x, y = tip - 54 * along
+    head, tail, (x, y) = ((tip - length * along).tolist() for length in (0, 45, 54))
+    axes.annotate("", xy=head, xytext=tail, arrowprops=arrow)
     axes.text(x, y, str(number), color=STRIKE, ha="center", va="center", fontsize=10)
 
 

@@ -51,8 +51,8 @@ def draw_layout(cell: Cell, path: Path) -> None:
         axes.plot(*line.T, color="0.25", lw=0.8, ls="--", zorder=3)
         axes.annotate(
             "",
-            xy=tip + 28.0 * along,
-            xytext=tip,
+            xy=(tip + 28.0 * along).tolist(),
+            xytext=tip.tolist(),
             arrowprops={"arrowstyle": "-|>", "lw": 2.0, "color": "tab:orange"},
             zorder=4,
         )
