@@ -13,7 +13,6 @@ The level a has no prior, whereas g deviates from zero only as far as the data s
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -304,12 +303,16 @@ class _Curve:
         self._range = max(float(x.max() - x.min()), 1e-6)
         self._drive = y - 0.5 * x
         self._seen = seen
-        tried = list(itertools.product(_AMPLITUDES, _STRETCHES))
-        evidences, noises = zip(*(self._evidence(*shape) for shape in tried), strict=True)
-        likelihoods = [math.exp(evidence - max(evidences)) for evidence in evidences]
+        tried = []
+        for amplitude in _AMPLITUDES:
+            for stretch in _STRETCHES:
+                evidence, noise = self._evidence(amplitude, stretch)
+                fitted = self._solve(amplitude, stretch, noise)
+                tried.append((evidence, amplitude, stretch, *fitted, noise))
+        top = max(entry[0] for entry in tried)
+        total = sum(math.exp(entry[0] - top) for entry in tried)
         self._departures = [
-            _Departure(likelihood / sum(likelihoods), *shape, *self._solve(*shape, noise), noise)
-            for likelihood, shape, noise in zip(likelihoods, tried, noises, strict=True)
+            _Departure(math.exp(entry[0] - top) / total, *entry[1:]) for entry in tried
         ]
         self.noise = math.sqrt(sum(d.share * d.noise**2 for d in self._departures))
 

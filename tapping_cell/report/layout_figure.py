@@ -28,7 +28,8 @@ def draw_layout(cell: Cell, path: Path) -> None:
     axes = figure.subplots()
     levels = np.arange(len(space.tappers) + 2) - 0.5
     shown = axes.scatter(
-        *points.T,
+        points[:, 0],
+        points[:, 1],
         c=count,
         s=22,
         marker="s",
@@ -40,7 +41,8 @@ def draw_layout(cell: Cell, path: Path) -> None:
     figure.colorbar(shown, ax=axes, label="tappers that reach an object here", shrink=0.8)
     dead = points[cover.dead]
     if dead.size:
-        axes.scatter(*dead.T, c="crimson", s=14, marker="x", label="no tap leads inward")
+        x, y = dead.T
+        axes.scatter(x, y, c="crimson", s=14, marker="x", label="no tap leads inward")
     area = space.area
     axes.add_patch(Circle((1e3 * area.x, 1e3 * area.y), 1e3 * area.radius, fill=False, lw=1.5))
     for tapper in space.tappers:
@@ -56,7 +58,8 @@ def draw_layout(cell: Cell, path: Path) -> None:
             arrowprops={"arrowstyle": "-|>", "lw": 2.0, "color": "tab:orange"},
             zorder=4,
         )
-        axes.text(*(tip - 16.0 * along), tapper.name, ha="center", va="center", fontsize=8)
+        x, y = (tip - 16.0 * along).tolist()
+        axes.text(x, y, tapper.name, ha="center", va="center", fontsize=8)
     corners = np.array([*cell.outline(), cell.outline()[0]])
     outline = 1e3 * (corners + np.array([area.x, area.y]))
     axes.plot(*outline.T, color="white", lw=1.2, label="the object")
