@@ -14,8 +14,10 @@ neither offset is fitted.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +26,8 @@ from scipy.optimize import least_squares
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import Column
 from tapping_cell.hardware.scara import ScaraGeometry
-from tapping_cell.se2 import wrap_angle
+from tapping_cell.se2 import Array, wrap_angle
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MIN_POSES = 6
@@ -156,9 +157,9 @@ def calibrate_arm(
     sigma = np.array([1e-4, 1.7e-3])
     while True:
         free = [name for name in names if name not in held]
-        values, covariance, sigma, used = _robust(record, start, free, used, sigma)
-        spread = dict(zip(free, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-        loose = {name: spread[name] / _LOOSE[_unit(name)] for name in free}
+        fit = _robust(record, start, free, used, sigma)
+        used, sigma = fit.used, fit.sigma
+        loose = {name: std / _LOOSE[_unit(name)] for name, std in fit.deviations().items()}
         worst = max(loose, key=lambda name: loose[name])
         if loose[worst] <= 1.0 and np.isfinite(loose[worst]):
             break
@@ -169,8 +170,8 @@ def calibrate_arm(
                 "table, with the elbow bent by different angles"
             )
         held.append(worst)
-        start = {**values, worst: start[worst]}
-    return _result(record, values, free, held, covariance, used)
+        start = {**fit.values, worst: start[worst]}
+    return _result(record, fit, held)
 
 
 def _unit(name: str) -> str:
@@ -209,16 +210,16 @@ def _begin(
     """Compute initial values and the inliers, by linear least squares on random subsets of the
     rows.
     """
-    offset = geometry.joint_offset
+    elbow_zero = geometry.joint_offset[1]
     values = {name: 0.0 for name in NAMES} | {
-        "elbow_zero": offset[1],
+        "elbow_zero": elbow_zero,
         "mount_x": geometry.tip_forward,
         "mount_y": geometry.tip_side,
         "upper_arm": geometry.upper_arm,
         "forearm": geometry.forearm,
     }
     reach = wrist(record.joints, values)
-    heading = np.exp(1j * (record.joints.sum(axis=1) + offset[1]))
+    heading = np.exp(1j * (record.joints.sum(axis=1) + elbow_zero))
     seen = record.points[:, 0] + 1j * record.points[:, 1]
     columns = np.stack([np.ones_like(reach), reach, heading], axis=1)
     singular = np.linalg.svd(columns, compute_uv=False)
@@ -255,13 +256,9 @@ def _begin(
         mount = found[2] / found[1]
         values["mount_x"], values["mount_y"] = float(mount.real), float(mount.imag)
     if record.angles is not None:
-        apart = record.angles - record.joints.sum(axis=1) - offset[1] - values["base_yaw"]
-        values["mount_angle"] = float(
-            np.angle(
-                np.median(np.exp(1j * apart[agree]).real)
-                + 1j * np.median(np.exp(1j * apart[agree]).imag)
-            )
-        )
+        apart = record.angles - record.joints.sum(axis=1) - elbow_zero - values["base_yaw"]
+        towards = np.exp(1j * apart[agree])
+        values["mount_angle"] = math.atan2(np.median(towards.imag), np.median(towards.real))
     return values, np.asarray(agree)
 
 
@@ -274,14 +271,29 @@ def _misses(record: ArmRecord, values: dict[str, float]) -> tuple[Array, Array |
     return left, wrap_angle(record.angles - angles)
 
 
+class _Fit(NamedTuple):
+    """A fit of the values ``free``: all values, the covariance of the free ones, the noise
+    ``sigma`` (m, rad) of a row, and the mask of the rows used."""
+
+    free: Sequence[str]
+    values: dict[str, float]
+    covariance: Array
+    sigma: Array
+    used: NDArray[np.bool_]
+
+    def deviations(self) -> dict[str, float]:
+        """Return the standard deviations of the free values."""
+        return dict(zip(self.free, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
 def _robust(
     record: ArmRecord,
     start: dict[str, float],
     free: Sequence[str],
     used: NDArray[np.bool_],
     sigma: Array,
-) -> tuple[dict[str, float], Array, Array, NDArray[np.bool_]]:
-    """Fit the inliers by least squares; return values, covariance, noise (m, rad), rows used."""
+) -> _Fit:
+    """Fit the inliers by least squares, starting with the rows ``used``."""
     values = dict(start)
     for _ in range(12):
         values, _ = _least_squares(record, values, free, used, sigma)
@@ -290,19 +302,21 @@ def _robust(
         count = max(1.0, 1.0 - len(free) / max(1, (2 + (turns is not None)) * int(used.sum())))
         sigma = np.array(
             [
-                max(_spread(distance[used]) / 1.1774 / count, _POSITION_FLOOR),
-                1.0 if turns is None else max(1.4826 * _spread(np.abs(turns[used])), _ANGLE_FLOOR),
+                max(np.median(distance[used]) / 1.1774 / count, _POSITION_FLOOR),
+                1.0
+                if turns is None
+                else max(1.4826 * np.median(np.abs(turns[used])), _ANGLE_FLOOR),
             ]
         )
         again = distance <= _OUTLIER * sigma[0]
         if turns is not None:
             again &= np.abs(turns) <= _OUTLIER * sigma[1]
-        if again.sum() < max(MIN_POSES, len(record.rows) // 2):
+        needed = max(MIN_POSES, len(record.rows) // 2)
+        if again.sum() < needed:
             raise CalibrationRefused(
                 f"only {int(again.sum())} of {len(record.rows)} rows are consistent with one arm; "
-                f"at least {max(MIN_POSES, len(record.rows) // 2)} are needed. Check that the "
-                "joint values come from the controller in the right unit, and that the marker is "
-                "the same in all rows"
+                f"at least {needed} are needed. Check that the joint values come from the "
+                "controller in the right unit, and that the marker is the same in all rows"
             )
         if np.array_equal(again, used):
             break
@@ -323,7 +337,7 @@ def _robust(
         number += int(used.sum())
     # Residuals below the assumed noise are due to chance, so they must not reduce the covariance.
     factor = max(1.0, squares / max(number - len(free), 1))
-    return values, factor * _inverse(jacobian.T @ jacobian), sigma, used
+    return _Fit(free, values, factor * _inverse(jacobian.T @ jacobian), sigma, used)
 
 
 def _inverse(information: Array) -> Array:
@@ -332,10 +346,6 @@ def _inverse(information: Array) -> Array:
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
     return np.asarray(inverse / np.outer(scale, scale))
-
-
-def _spread(errors: Array) -> float:
-    return float(np.median(errors))
 
 
 def _least_squares(
@@ -362,15 +372,9 @@ def _least_squares(
     return values, np.asarray(found.jac / scale)
 
 
-def _result(
-    record: ArmRecord,
-    values: dict[str, float],
-    free: Sequence[str],
-    held: Sequence[str],
-    covariance: Array,
-    used: NDArray[np.bool_],
-) -> ArmCalibration:
-    left, turns = _misses(record, values)
+def _result(record: ArmRecord, fit: _Fit, held: Sequence[str]) -> ArmCalibration:
+    used = fit.used
+    left, turns = _misses(record, fit.values)
     distance = np.linalg.norm(left, axis=1)
     outliers = tuple(
         ArmOutlier(
@@ -378,22 +382,21 @@ def _result(
         )
         for k in np.flatnonzero(~used)
     )
-    spread = np.sqrt(np.diag(covariance))
-    arm = [k for k, name in enumerate(free) if not name.startswith("mount")]
-    place = _by_differences(record.joints[used], values, [free[k] for k in arm])
-    own = covariance[np.ix_(arm, arm)]
+    arm = [k for k, name in enumerate(fit.free) if not name.startswith("mount")]
+    place = _by_differences(record.joints[used], fit.values, [fit.free[k] for k in arm])
+    own = fit.covariance[np.ix_(arm, arm)]
     wrist_variance = np.einsum("nai,ij,naj->n", place[:, :2], own, place[:, :2])
     heading_variance = np.einsum("ni,ij,nj->n", place[:, 2], own, place[:, 2])
     return ArmCalibration(
-        values=values,
-        deviations=dict(zip(free, spread.tolist(), strict=True)),
+        values=fit.values,
+        deviations=fit.deviations(),
         held=tuple(held),
         residuals=left[used],
         turns=None if turns is None else turns[used],
         outliers=outliers,
         wrist_deviation=float(np.sqrt(wrist_variance.mean())),
         heading_deviation=float(np.sqrt(heading_variance.mean())),
-        notes=tuple(_notes(record, values, free, held, covariance, used)),
+        notes=tuple(_notes(record, fit, held)),
     )
 
 
@@ -416,14 +419,7 @@ def _by_differences(joints: Array, values: dict[str, float], names: Sequence[str
     return np.stack(columns, axis=2)
 
 
-def _notes(
-    record: ArmRecord,
-    values: dict[str, float],
-    free: Sequence[str],
-    held: Sequence[str],
-    covariance: Array,
-    used: NDArray[np.bool_],
-) -> list[str]:
+def _notes(record: ArmRecord, fit: _Fit, held: Sequence[str]) -> list[str]:
     """Describe the values that the record does not determine, and poses that would determine
     them."""
     warnings = [
@@ -439,22 +435,20 @@ def _notes(
                 else "bend the elbow by more different angles, to both sides if the arm can"
             )
         )
-    spread = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(spread, spread)
-    for a in range(len(free)):
-        for b in range(a):
-            if abs(correlation[a, b]) > _CORRELATED:
-                warnings.append(
-                    f"the poses determine mainly a combination of {_IN_WORDS[free[b]]} and "
-                    f"{_IN_WORDS[free[a]]} (correlation {correlation[a, b]:+.3f}); their combined "
-                    "effect on the wrist is known better than each of the two values"
-                )
-    elbow = record.joints[used, 1] + values["elbow_zero"]
+    spread = np.sqrt(np.diag(fit.covariance))
+    correlation = np.tril(fit.covariance / np.outer(spread, spread), -1)
+    for a, b in np.argwhere(np.abs(correlation) > _CORRELATED):
+        warnings.append(
+            f"the poses determine mainly a combination of {_IN_WORDS[fit.free[b]]} and "
+            f"{_IN_WORDS[fit.free[a]]} (correlation {correlation[a, b]:+.3f}); their combined "
+            "effect on the wrist is known better than each of the two values"
+        )
+    elbow = record.joints[fit.used, 1] + fit.values["elbow_zero"]
     if not (elbow.min() < -0.1 and elbow.max() > 0.1):
         warnings.append(
             "all poses bend the elbow to one side; poses on both sides separate the elbow's "
             "zero offset from the base pose better"
         )
-    if int(used.sum()) < 15:
-        warnings.append(f"{int(used.sum())} poses are few: 20 over the whole table are better")
+    if fit.used.sum() < 15:
+        warnings.append(f"{fit.used.sum()} poses are few: 20 over the whole table are better")
     return warnings

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.stats.qmc import Halton
 
 from tapping_cell.hardware.scara import Branch, Joints, ScaraGeometry
 from tapping_cell.se2 import Pose
@@ -34,27 +35,17 @@ def arm_places(
     """
     into_base = base.inverse()
     found: list[Joints] = []
-    for number in range(1, _TRIED * count):
+    sequence = Halton(3, scramble=False).random(_TRIED * count)
+    for number, (x, y, turn) in enumerate((2.0 * sequence - 1.0).tolist()[1:], start=1):
         if len(found) == count:
             break
-        x, y = ((2.0 * _spread(number, prime) - 1.0) for prime in (2, 3))
         tip = into_base @ Pose(half[0] * x, half[1] * y, 0.0)
-        yaw = math.atan2(tip.y, tip.x) + TURN * (2.0 * _spread(number, 5) - 1.0)
+        yaw = math.atan2(tip.y, tip.x) + TURN * turn
         side = tuple(Branch)[number % 2]
         solution = geometry.inverse((tip.x, tip.y, height, yaw), side)
         if solution.joints is not None and _has_clearance(geometry, solution.joints):
             found.append(solution.joints)
     return found
-
-
-def _spread(number: int, prime: int) -> float:
-    """Return the element ``number`` of the Van der Corput sequence in base ``prime``, in [0, 1)."""
-    place, share = 0.0, 1.0
-    while number:
-        share /= prime
-        number, digit = divmod(number, prime)
-        place += digit * share
-    return place
 
 
 def _has_clearance(geometry: ScaraGeometry, joints: Joints) -> bool:

@@ -17,9 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 REPLICATES = 2000
 LEVEL = 0.95
@@ -44,7 +43,6 @@ def spread(
     runs: Sequence[int],
     seed: int = 0,
     replicates: int = REPLICATES,
-    level: float = LEVEL,
 ) -> Spread:
     """Compute the interval of an estimate from the scores (n, p) and information (n, p, p).
 
@@ -73,7 +71,7 @@ def spread(
     sizes = np.array([np.sum(labels == run) for run in labels], dtype=float)
     ratio *= math.sqrt(float(np.mean(sizes / np.maximum(sizes - 1, 1))))
     ratio = np.clip(ratio, -_MAX_STD, _MAX_STD)
-    tail = (1 - level) / 2
+    tail = (1 - LEVEL) / 2
     upper, lower = np.quantile(ratio, [1 - tail, tail], axis=0)
     # For few trials the standard error is slightly too small, because each fitted parameter uses up
     # a degree of freedom. The factor corrects this.

@@ -9,7 +9,9 @@ cross-validation.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import NamedTuple
 
 import cv2
@@ -18,7 +20,8 @@ from numpy.typing import NDArray
 
 from tapping_cell.calibration.camera_views import Rejected, coverage, screen, uncovered_regions
 from tapping_cell.calibration.target import Target, TargetView
-from tapping_cell.vision.camera import Array, CameraError, CameraModel
+from tapping_cell.se2 import Array
+from tapping_cell.vision.camera import CameraError, CameraModel
 
 MIN_VIEWS = 6
 """Minimum number of views for a calibration; about 20 are recommended."""
@@ -97,12 +100,40 @@ class CameraCalibration:
 
 
 class _Fit(NamedTuple):
-    """A fit to some views: camera matrix, coefficients, standard deviations, target rotations."""
+    """A camera fitted to views: image size, lens model, camera matrix, coefficients, their standard
+    deviations, and the target's rotation vector in each view."""
 
+    size: tuple[int, int]
+    lens: Lens
     matrix: Array
     coefficients: Array
     deviations: Array
     turns: list[Array]
+
+    def model(self) -> CameraModel:
+        """Return the camera; raise CalibrationRefused if its parameters are impossible."""
+        m = self.matrix
+        focal, centre = (float(m[0, 0]), float(m[1, 1])), (float(m[0, 2]), float(m[1, 2]))
+        coefficients = tuple(self.coefficients.tolist())
+        try:
+            return CameraModel(*self.size, *focal, *centre, coefficients, self.lens.model)
+        except CameraError as error:
+            raise CalibrationRefused(f"the views do not determine the camera: {error}") from error
+
+    def invertible(self) -> bool:
+        """Return whether the lens model can be inverted to 0.01 pixel along the image border."""
+        model = self.model()
+        along = np.linspace(0.0, 1.0, 17)
+        rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
+        pixels = rim * (np.array(self.size) - 1)
+        rays, depth = model.rays(pixels), np.ones((len(pixels), 1))
+        back = np.abs(model.project(np.concatenate([rays, depth], axis=1)) - pixels).max()
+        # At the border, the distance from the principal point must still increase with the ray's
+        # angle.
+        further = model.project(np.concatenate([1.02 * rays, depth], axis=1))
+        centre = np.array([model.cx, model.cy])
+        grows = ((further - pixels) * (pixels - centre)).sum(axis=1) > 0
+        return bool(back < 0.01 and grows.all())
 
 
 def calibrate_camera(
@@ -124,46 +155,23 @@ def calibrate_camera(
     rejected = [*unseen, *screened]
     _check_number(kept, rejected)
     _check_perspective(kept, target)
-    lenses = [lens for lens in LENSES if lens_model in (None, lens.model)]
-    members: NDArray[np.bool_] = np.ones(len(kept), dtype=bool)
-    lens = lenses[0]
-    held_out: dict[str, float] = {}
-    errors: Array = np.full(len(kept), np.nan)
-    for turn in range(5):
-        chosen = [view for view, member in zip(kept, members, strict=True) if member]
-        if len(chosen) < MIN_VIEWS:
-            break
-        try:
-            lens, held_out = _choose(chosen, target, size, lenses)
-        except CalibrationRefused:
-            if turn:
-                raise
-            members = _consensus(kept, target, size, lenses)
-            continue
-        fit = _fit(chosen, target, size, lens)
-        errors = np.array([_error(view, target, fit) for view in kept])
-        limit = max(_OUTLIER_RATIO * float(np.median(errors[members])), _OUTLIER_PIXELS)
-        again = errors <= limit
-        if np.array_equal(again, members):
-            break
-        # Outliers may have distorted the first fit, so continue with a robust consensus set.
-        members = again if turn else _consensus(kept, target, size, lenses)
-    chosen = [view for view, member in zip(kept, members, strict=True) if member]
-    inconsistent = [view for view, member in zip(kept, members, strict=True) if not member]
+    fitter = _Fitter(target, size, [lens for lens in LENSES if lens_model in (None, lens.model)])
+    choice, members, errors = fitter.consistent(kept)
     usual = float(np.median(errors[members])) if members.any() else np.nan
-    for view in inconsistent:
-        error = errors[kept.index(view)]
-        rejected.append(
-            Rejected(
-                view.name,
-                f"outlier: its reprojection error is {error:.2f} pixels, and the median of the "
-                f"other views is {usual:.2f}; is this another target, is the target bent, or are "
-                "its corners swapped?",
-            )
+    rejected += [
+        Rejected(
+            view.name,
+            f"outlier: its reprojection error is {error:.2f} pixels, and the median of the "
+            f"other views is {usual:.2f}; is this another target, is the target bent, or are "
+            "its corners swapped?",
         )
+        for view, error, member in zip(kept, errors, members, strict=True)
+        if not member
+    ]
+    chosen = list(compress(kept, members))
     _check_number(chosen, rejected)
-    chosen = _without_stray_corners(chosen, target, size, lens)
-    return _result(chosen, rejected, target, size, lens, held_out)
+    chosen = fitter.without_stray_corners(chosen, choice.lens)
+    return _result(fitter, chosen, rejected, choice)
 
 
 def _check_number(views: Sequence[TargetView], rejected: Sequence[Rejected]) -> None:
@@ -198,215 +206,183 @@ def _check_perspective(views: Sequence[TargetView], target: Target) -> None:
         )
 
 
-def _consensus(
-    views: Sequence[TargetView],
-    target: Target,
-    size: tuple[int, int],
-    lenses: Sequence[Lens],
-) -> NDArray[np.bool_]:
-    """Return a mask (V,) of the views that agree with each other.
+class _Choice(NamedTuple):
+    """The chosen lens model, and the cross-validation error of every model in pixels, by label."""
 
-    The method is the least median of squares over random subsets (Rousseeuw 1984), alternating
-    between the simplest and the most complex lens model.
-    """
-
-    def judged(part: Sequence[TargetView], lens: Lens) -> Array:
-        try:
-            fit = _fit(part, target, size, lens)
-        except CalibrationRefused:
-            return np.full(len(views), np.inf)
-        return np.array([_error(view, target, fit) for view in views])
-
-    random = np.random.default_rng(0)
-    count = max(5, len(views) // 4)
-    best: Array = np.full(len(views), np.inf)
-    for number in range(_SUBSETS):
-        part = random.choice(len(views), count, replace=False)
-        lens = lenses[-1] if number % 2 else lenses[0]
-        errors = judged([views[index] for index in part], lens)
-        if np.median(errors) < np.median(best):
-            best = errors
-    limit = max(_OUTLIER_RATIO * float(np.median(best)), _OUTLIER_PIXELS)
-    members = best <= limit
-    return np.asarray(members if members.sum() >= MIN_VIEWS else np.ones(len(views), dtype=bool))
+    lens: Lens
+    held_out: dict[str, float]
 
 
-def _fit(
-    views: Sequence[TargetView],
-    target: Target,
-    size: tuple[int, int],
-    lens: Lens,
-    start: _Fit | None = None,
-) -> _Fit:
-    """Fit a camera to all corners by least squares, starting from ``start`` if given.
+@dataclass(frozen=True)
+class _Fitter:
+    """Fits of a camera with one of ``lenses`` to views of ``target`` in images of ``size``."""
 
-    Raises:
-        CalibrationRefused: OpenCV finds no solution.
-    """
-    points = [
-        np.column_stack([target.points[view.ids], np.zeros(len(view.ids))]).astype(np.float32)
-        for view in views
-    ]
-    pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
-    try:
-        _, matrix, coefficients, turns, _, deviations, _, _ = cv2.calibrateCameraExtended(
-            points,
-            [np.ascontiguousarray(seen) for seen in pixels],
-            size,
-            np.eye(3) if start is None else start.matrix.copy(),
-            np.zeros(8) if start is None else _eight(start.coefficients),
-            flags=lens.flags | (0 if start is None else cv2.CALIB_USE_INTRINSIC_GUESS),
-            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9),
-        )
-    except cv2.error as error:
-        raise CalibrationRefused(
-            "the views do not determine the camera: show the target tilted to all sides"
-        ) from error
-    if not (np.isfinite(matrix).all() and np.isfinite(coefficients).all() and matrix[0, 0] > 0):
-        raise CalibrationRefused(
-            "the views do not determine the camera: show the target tilted to all sides"
-        )
-    return _Fit(
-        np.asarray(matrix, dtype=float),
-        np.ravel(coefficients).astype(float)[: lens.coefficients],
-        np.ravel(deviations).astype(float),
-        [np.asarray(turn, dtype=float) for turn in turns],
-    )
+    target: Target
+    size: tuple[int, int]
+    lenses: Sequence[Lens]
 
-
-def _eight(coefficients: Array) -> Array:
-    """Pad the coefficients with zeros to eight, which OpenCV accepts for every model."""
-    return np.concatenate([coefficients, np.zeros(8 - len(coefficients))])
-
-
-def _residuals(view: TargetView, target: Target, fit: _Fit) -> Array:
-    """Compute the residuals (N, 2) of a view's corners after fitting its pose to this camera."""
-    points = np.column_stack([target.points[view.ids], np.zeros(len(view.ids))])
-    good, turn, shift = cv2.solvePnP(
-        points, view.pixels, fit.matrix, fit.coefficients, flags=cv2.SOLVEPNP_IPPE
-    )
-    if not good:
-        return np.full((len(view.ids), 2), np.inf)
-    turn, shift = cv2.solvePnPRefineLM(
-        points, view.pixels, fit.matrix, fit.coefficients, turn, shift
-    )
-    seen, _ = cv2.projectPoints(points, turn, shift, fit.matrix, fit.coefficients)
-    return np.asarray(view.pixels - seen.reshape(-1, 2), dtype=float)
-
-
-def _error(view: TargetView, target: Target, fit: _Fit) -> float:
-    return float(np.sqrt((_residuals(view, target, fit) ** 2).sum(axis=1).mean()))
-
-
-def _choose(
-    views: Sequence[TargetView],
-    target: Target,
-    size: tuple[int, int],
-    lenses: Sequence[Lens],
-) -> tuple[Lens, dict[str, float]]:
-    """Choose a lens model by cross-validation.
-
-    A more complex model is chosen only if it is invertible over the whole image and reduces the
-    mean squared error enough: by 25 %, or by at least 2 % and two standard errors of the
-    difference.
-    """
-    order = np.random.default_rng(1).permutation(len(views))
-    folds = [order[start::_FOLDS] for start in range(_FOLDS)]
-    squares: dict[Lens, Array] = {}
-    for lens in lenses:
-        try:
-            whole = _fit(views, target, size, lens)
-            if not _invertible(whole, size, lens):
+    def consistent(self, views: Sequence[TargetView]) -> tuple[_Choice, NDArray[np.bool_], Array]:
+        """Find the views that agree with one camera: the lens model chosen for these views, their
+        mask (V,), and the error (V,) in pixels of every view."""
+        members: NDArray[np.bool_] = np.ones(len(views), dtype=bool)
+        choice = _Choice(self.lenses[0], {})
+        errors: Array = np.full(len(views), np.nan)
+        for turn in range(5):
+            chosen = list(compress(views, members))
+            if len(chosen) < MIN_VIEWS:
+                break
+            try:
+                choice = self.choose(chosen)
+            except CalibrationRefused:
+                if turn:
+                    raise
+                members = self.consensus(views)
                 continue
-            square = np.zeros(len(views))
-            for fold in folds:
-                rest = [views[index] for index in order if index not in set(fold.tolist())]
-                fit = _fit(rest, target, size, lens, whole)
-                for index in fold:
-                    square[index] = _error(views[index], target, fit) ** 2
-        except CalibrationRefused:
-            continue
-        squares[lens] = square
-    if not squares:
-        raise CalibrationRefused(
-            "no lens model fits these views: show the target tilted to all sides and in "
-            "every part of the image, and check the number of squares given for the target"
-        )
-    best = next(iter(squares))
-    for lens in list(squares)[1:]:
-        gain = squares[best] - squares[lens]
-        standard_error = 2.0 * gain.std(ddof=1) / np.sqrt(len(views))
-        before = squares[best].mean()
-        if gain.mean() > max(min(standard_error, 0.25 * before), 0.02 * before):
-            best = lens
-    return best, {lens.label: float(np.sqrt(s.mean())) for lens, s in squares.items()}
+            errors = self.errors(views, self.fit(chosen, choice.lens))
+            limit = max(_OUTLIER_RATIO * float(np.median(errors[members])), _OUTLIER_PIXELS)
+            again = errors <= limit
+            if np.array_equal(again, members):
+                break
+            # Outliers may have distorted the first fit, so continue with a robust consensus set.
+            members = again if turn else self.consensus(views)
+        return choice, members, errors
 
+    def consensus(self, views: Sequence[TargetView]) -> NDArray[np.bool_]:
+        """Return a mask (V,) of the views that agree with each other.
 
-def _invertible(fit: _Fit, size: tuple[int, int], lens: Lens) -> bool:
-    """Return whether the lens model can be inverted to 0.01 pixel along the image border."""
-    model = _model(fit, size, lens)
-    along = np.linspace(0.0, 1.0, 17)
-    rim = np.concatenate([[(s, 0.0), (s, 1.0), (0.0, s), (1.0, s)] for s in along])
-    pixels = rim * (np.array(size) - 1)
-    rays = model.rays(pixels)
-    points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-    back = np.abs(model.project(points) - pixels).max()
-    # At the border, the distance from the principal point must still increase with the ray's angle.
-    further = model.project(np.concatenate([1.02 * rays, np.ones((len(rays), 1))], axis=1))
-    centre = np.array([model.cx, model.cy])
-    grows = ((further - pixels) * (pixels - centre)).sum(axis=1) > 0
-    return bool(back < 0.01 and grows.all())
+        The method is the least median of squares over random subsets (Rousseeuw 1984), alternating
+        between the simplest and the most complex lens model.
+        """
+        random = np.random.default_rng(0)
+        count = max(5, len(views) // 4)
+        best: Array = np.full(len(views), np.inf)
+        for number in range(_SUBSETS):
+            part = random.choice(len(views), count, replace=False)
+            lens = self.lenses[-1] if number % 2 else self.lenses[0]
+            with suppress(CalibrationRefused):
+                fit = self.fit([views[index] for index in part], lens)
+                best = min(best, self.errors(views, fit), key=np.median)
+        limit = max(_OUTLIER_RATIO * float(np.median(best)), _OUTLIER_PIXELS)
+        members = best <= limit
+        return np.asarray(members if members.sum() >= MIN_VIEWS else np.ones_like(members))
 
+    def choose(self, views: Sequence[TargetView]) -> _Choice:
+        """Choose a lens model by cross-validation.
 
-def _model(fit: _Fit, size: tuple[int, int], lens: Lens) -> CameraModel:
-    try:
-        return CameraModel(
-            size[0],
-            size[1],
-            float(fit.matrix[0, 0]),
-            float(fit.matrix[1, 1]),
-            float(fit.matrix[0, 2]),
-            float(fit.matrix[1, 2]),
-            tuple(fit.coefficients.tolist()),
-            lens.model,
-        )
-    except CameraError as error:
-        raise CalibrationRefused(f"the views do not determine the camera: {error}") from error
+        A more complex model is chosen only if it is invertible over the whole image and reduces the
+        mean squared error enough: by 25 %, or by at least 2 % and two standard errors of the
+        difference.
+        """
+        order = np.random.default_rng(1).permutation(len(views))
+        folds = [order[start::_FOLDS] for start in range(_FOLDS)]
+        squares: dict[Lens, Array] = {}
+        for lens in self.lenses:
+            with suppress(CalibrationRefused):
+                whole = self.fit(views, lens)
+                if not whole.invertible():
+                    continue
+                square = np.zeros(len(views))
+                for fold in folds:
+                    rest = [views[index] for index in order if index not in set(fold.tolist())]
+                    fit = self.fit(rest, lens, whole)
+                    square[fold] = self.errors([views[index] for index in fold], fit) ** 2
+                squares[lens] = square
+        if not squares:
+            raise CalibrationRefused(
+                "no lens model fits these views: show the target tilted to all sides and in "
+                "every part of the image, and check the number of squares given for the target"
+            )
+        best = next(iter(squares))
+        for lens in list(squares)[1:]:
+            gain = squares[best] - squares[lens]
+            standard_error = 2.0 * gain.std(ddof=1) / np.sqrt(len(views))
+            before = squares[best].mean()
+            if gain.mean() > max(min(standard_error, 0.25 * before), 0.02 * before):
+                best = lens
+        return _Choice(best, {lens.label: float(np.sqrt(s.mean())) for lens, s in squares.items()})
 
+    def fit(self, views: Sequence[TargetView], lens: Lens, start: _Fit | None = None) -> _Fit:
+        """Fit a camera to all corners by least squares, starting from ``start`` if given.
 
-def _without_stray_corners(
-    views: Sequence[TargetView], target: Target, size: tuple[int, int], lens: Lens
-) -> list[TargetView]:
-    """Return the views without corners that have large residuals."""
-    for _ in range(3):
-        fit = _fit(views, target, size, lens)
-        lengths = [np.linalg.norm(_residuals(view, target, fit), axis=1) for view in views]
-        spread = 0.85 * float(np.median(np.concatenate(lengths)))
-        limit = max(_CORNER_RATIO * spread, _CORNER_PIXELS)
-        if max(length.max() for length in lengths) <= limit:
-            break
-        views = [
-            replace(view, ids=view.ids[length <= limit], pixels=view.pixels[length <= limit])
-            if (length <= limit).sum() >= target.least_corners
-            else view
-            for view, length in zip(views, lengths, strict=True)
+        Raises:
+            CalibrationRefused: OpenCV finds no solution.
+        """
+        refusal = "the views do not determine the camera: show the target tilted to all sides"
+        points = [
+            np.column_stack([self.target.points[view.ids], np.zeros(len(view.ids))])
+            for view in views
         ]
-    return list(views)
+        try:
+            _, matrix, coefficients, turns, _, deviations, _, _ = cv2.calibrateCameraExtended(
+                [each.astype(np.float32) for each in points],
+                [np.ascontiguousarray(view.pixels.astype(np.float32)[:, None]) for view in views],
+                self.size,
+                np.eye(3) if start is None else start.matrix.copy(),
+                # OpenCV accepts eight coefficients for every model.
+                np.zeros(8)
+                if start is None
+                else np.pad(start.coefficients, (0, 8 - lens.coefficients)),
+                flags=lens.flags | (0 if start is None else cv2.CALIB_USE_INTRINSIC_GUESS),
+                criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9),
+            )
+        except cv2.error as error:
+            raise CalibrationRefused(refusal) from error
+        if not (np.isfinite(matrix).all() and np.isfinite(coefficients).all() and matrix[0, 0] > 0):
+            raise CalibrationRefused(refusal)
+        return _Fit(
+            self.size,
+            lens,
+            np.asarray(matrix, dtype=float),
+            np.ravel(coefficients).astype(float)[: lens.coefficients],
+            np.ravel(deviations).astype(float),
+            [np.asarray(turn, dtype=float) for turn in turns],
+        )
+
+    def residuals(self, view: TargetView, fit: _Fit) -> Array:
+        """Compute the residuals (N, 2) of a view's corners after fitting its pose to this
+        camera."""
+        points = np.column_stack([self.target.points[view.ids], np.zeros(len(view.ids))])
+        camera = fit.matrix, fit.coefficients
+        good, turn, shift = cv2.solvePnP(points, view.pixels, *camera, flags=cv2.SOLVEPNP_IPPE)
+        if not good:
+            return np.full((len(view.ids), 2), np.inf)
+        turn, shift = cv2.solvePnPRefineLM(points, view.pixels, *camera, turn, shift)
+        seen, _ = cv2.projectPoints(points, turn, shift, *camera)
+        return np.asarray(view.pixels - seen.reshape(-1, 2), dtype=float)
+
+    def errors(self, views: Sequence[TargetView], fit: _Fit) -> Array:
+        """Compute the root mean square corner error (V,) of each view."""
+        return np.array([_rms(self.residuals(view, fit)) for view in views])
+
+    def without_stray_corners(self, views: Sequence[TargetView], lens: Lens) -> list[TargetView]:
+        """Return the views without corners that have large residuals."""
+        for _ in range(3):
+            fit = self.fit(views, lens)
+            lengths = [np.linalg.norm(self.residuals(view, fit), axis=1) for view in views]
+            spread = 0.85 * float(np.median(np.concatenate(lengths)))
+            limit = max(_CORNER_RATIO * spread, _CORNER_PIXELS)
+            if max(length.max() for length in lengths) <= limit:
+                break
+            views = [
+                replace(view, ids=view.ids[length <= limit], pixels=view.pixels[length <= limit])
+                if (length <= limit).sum() >= self.target.least_corners
+                else view
+                for view, length in zip(views, lengths, strict=True)
+            ]
+        return list(views)
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt((residuals**2).sum(axis=1).mean()))
 
 
 def _result(
-    views: Sequence[TargetView],
-    rejected: Sequence[Rejected],
-    target: Target,
-    size: tuple[int, int],
-    lens: Lens,
-    held_out: dict[str, float],
+    fitter: _Fitter, views: Sequence[TargetView], rejected: Sequence[Rejected], choice: _Choice
 ) -> CameraCalibration:
-    fit = _fit(views, target, size, lens)
-    model = _model(fit, size, lens)
-    names = ("fx", "fy", "cx", "cy", *_NAMES)
+    lens, fit = choice.lens, fitter.fit(views, choice.lens)
+    model = fit.model()
+    names = ("fx", "fy", "cx", "cy", *_NAMES)[: 4 + lens.coefficients]
     deviations = dict(zip(names, fit.deviations.tolist(), strict=False))
-    deviations = {k: v for k, v in deviations.items() if k in names[: 4 + lens.coefficients]}
     normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in fit.turns])
     turns = np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))
     if turns.max() < _MIN_TURN:
@@ -424,30 +400,29 @@ def _result(
         )
     used = []
     for view, normal in zip(views, normals, strict=True):
-        residuals = _residuals(view, target, fit)
-        error = float(np.sqrt((residuals**2).sum(axis=1).mean()))
-        used.append(UsedView(view, residuals, error, float(np.arccos(min(1.0, abs(normal[2]))))))
-    every = np.concatenate([entry.residuals for entry in used])
-    counts = coverage(views, size)
+        residuals = fitter.residuals(view, fit)
+        tilt = float(np.arccos(min(1.0, abs(normal[2]))))
+        used.append(UsedView(view, residuals, _rms(residuals), tilt))
+    rms = _rms(np.concatenate([entry.residuals for entry in used]))
+    counts = coverage(views, fitter.size)
     return CameraCalibration(
         model=model,
-        rms=float(np.sqrt((every**2).sum(axis=1).mean())),
+        rms=rms,
         deviations=deviations,
         lens=lens.label,
-        held_out=held_out,
+        held_out=choice.held_out,
         views=tuple(used),
         rejected=tuple(rejected),
         coverage=counts,
-        warnings=tuple(_warnings(used, counts, worst, every)),
+        warnings=tuple(_warnings(used, counts, worst, rms)),
     )
 
 
 def _warnings(
-    used: Sequence[UsedView], counts: NDArray[np.intp], worst: float, residuals: Array
+    used: Sequence[UsedView], counts: NDArray[np.intp], worst: float, rms: float
 ) -> list[str]:
-    """Return warnings about the used views; ``residuals`` (N, 2) are those of all views."""
+    """Return warnings about the used views and their root mean square error in pixels."""
     warnings = []
-    rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     if rms > _HIGH_RMS:
         warnings.append(
             f"corners are {rms:.2f} pixels (rms) from their reprojections; a flat target in "

@@ -11,12 +11,11 @@ import numpy as np
 from tapping_cell.calibration.camera import CameraCalibration
 from tapping_cell.calibration.keep import fingerprints, now
 from tapping_cell.configuration.provenance import Provenance, provenance_yaml
-from tapping_cell.vision.camera import Array, CameraModel
+from tapping_cell.se2 import Array
+from tapping_cell.vision.camera import CameraModel
 
 
-def camera_record(
-    result: CameraCalibration, target: str, inputs: Sequence[Path], notes: Sequence[str] = ()
-) -> Provenance:
+def camera_record(result: CameraCalibration, target: str, inputs: Sequence[Path]) -> Provenance:
     """Create the record of a calibration; ``target`` is a description of the target used."""
     return Provenance(
         by="calibrate camera",
@@ -34,7 +33,6 @@ def camera_record(
             f"{len(result.views)} views used, {len(result.rejected)} photographs left out",
             f"lens: {result.lens}",
             *result.warnings,
-            *notes,
         ),
     )
 

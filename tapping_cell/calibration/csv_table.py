@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 UNITS: dict[str, dict[str, float]] = {
     "": {},
@@ -128,7 +128,8 @@ def read_csv(
     text_columns = {
         name: header.index(name) for name in (*texts, *optional_texts) if name in header
     }
-    missing = [c.name for c in columns if c.required and c.name not in _names(places)]
+    found = {place.column.name for place in places}
+    missing = [c.name for c in columns if c.required and c.name not in found]
     missing += [name for name in texts if name not in text_columns]
     if missing:
         wanted = ", ".join(_described(c) for c in columns if c.name in missing)
@@ -201,10 +202,6 @@ def _with_points(lines: list[tuple[int, list[str]]]) -> list[tuple[int, list[str
         for number, row in lines[1:]
     ]
     return [lines[0], *commas]
-
-
-def _names(places: Sequence[_Place]) -> set[str]:
-    return {place.column.name for place in places}
 
 
 def _described(column: Column) -> str:

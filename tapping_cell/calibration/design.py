@@ -14,15 +14,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-import yaml
-
 from tapping_cell.calibration.csv_table import RecordError
-from tapping_cell.calibration.experiment import ExperimentFile
-from tapping_cell.calibration.track import TrackProblem, slide_of
+from tapping_cell.calibration.experiment import ExperimentFile, write_new
+from tapping_cell.calibration.track import Rejection, slide_of
 from tapping_cell.calibration.trials import Trial
 from tapping_cell.configuration.schema import ConfigurationError, load, quantity
 from tapping_cell.mechanics import Tap
@@ -155,7 +153,7 @@ def judged(trial: Trial, header: ExperimentFile, expected: float) -> Trial:
     found = slide_of(
         trial, header.track_position_std, header.track_rotation_std, rate, header.exposure
     )
-    if isinstance(found, TrackProblem):
+    if isinstance(found, Rejection):
         return replace(
             trial,
             outcome=_ONE_TAP.get(found.reason, "lost"),
@@ -171,11 +169,8 @@ def write_design(folder: Path, design: Design) -> None:
         RecordError: the folder already contains a design.
         OSError: the folder cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    content = {key: _plain(value) for key, value in asdict(design).items()}
     try:
-        with (folder / DESIGN_FILE).open("x", encoding="utf-8") as stream:
-            yaml.safe_dump(content, stream, sort_keys=False, default_flow_style=None)
+        write_new(folder / DESIGN_FILE, asdict(design))
     except FileExistsError as error:
         raise RecordError(
             f"{folder} already contains an experiment; continue it (--resume) or choose "
@@ -198,7 +193,3 @@ def read_design(folder: Path) -> Design:
         return load(Design, file)
     except ConfigurationError as error:
         raise RecordError(str(error)) from error
-
-
-def _plain(value: object) -> object:
-    return list(value) if isinstance(value, Sequence) else value

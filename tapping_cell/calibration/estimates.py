@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from itertools import compress
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.bootstrap import spread
 from tapping_cell.calibration.csv_table import RecordError
-from tapping_cell.calibration.impact_fit import ImpactFit
-from tapping_cell.calibration.model_error import ModelError
+from tapping_cell.calibration.impact_fit import NAMES, ImpactFit
+from tapping_cell.calibration.model_error import ModelError, Taps
 from tapping_cell.calibration.prediction import Launches
 from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.calibration.sliding_fit import SlideFit
-from tapping_cell.configuration.objects import ObjectFile
-
-Array = NDArray[np.float64]
+from tapping_cell.configuration.objects import ObjectFile, ScatterSection
+from tapping_cell.se2 import Array
 
 _MIN_SCATTER_TRIALS = 8
-_MIN_ROTATION = 0.2  # rad per m of displacement, that is 0.2 degrees for 17 mm
+_KEYS = ("friction", "torque_factor", "restitution", "contact_friction", "smallest_tap")
+"""Keys of the object file that have the name of their estimate."""
 _UNKNOWN = 0.5  # relative standard deviation above which a value counts as not determined
 
 
@@ -41,6 +43,19 @@ class Estimate:
     old: float
     unit: str = ""
     fitted: bool = True
+
+
+def with_estimates(content: ObjectFile, estimates: Sequence[Estimate]) -> ObjectFile:
+    """Return the object file with the fitted values, rounded to six digits; values that were not
+    fitted are unchanged. The scatter is limited to the range of its keys."""
+    found = {entry.name: float(f"{entry.value:.6g}") for entry in estimates if entry.fitted}
+    scatter = {
+        key.name: min(found[f"scatter_{key.name}"], key.metadata["limits"].maximum)
+        for key in fields(ScatterSection)
+        if f"scatter_{key.name}" in found
+    }
+    values: dict[str, Any] = {name: found[name] for name in _KEYS if name in found}
+    return replace(content, scatter=replace(content.scatter, **scatter), **values)
 
 
 def slide_estimates(
@@ -90,13 +105,8 @@ def impact_estimates(
 
     ``inflation`` widens the intervals if the model does not fit.
     """
-    old = {
-        "restitution": content.restitution,
-        "contact_friction": content.contact_friction,
-        "scale_b1": content.impact_scale[0],
-        "scale_b2": content.impact_scale[1],
-        "scale_b3": content.impact_scale[2],
-    }
+    known = (content.restitution, content.contact_friction, *content.impact_scale)
+    old = dict(zip(NAMES, known, strict=True))
     try:
         width = spread(impact.score, impact.information, runs, seed + 1)
     except ValueError:
@@ -124,8 +134,7 @@ def impact_estimates(
 
 
 def scatter_estimates(
-    measured: Launches,
-    tapped: Launches,
+    taps: Taps,
     impact: ImpactFit,
     runs: Sequence[int],
     content: ObjectFile,
@@ -140,57 +149,41 @@ def scatter_estimates(
     constant floor.
     """
     expected = {entry.quantity: entry.total for entry in errors}
-    place, angle = _parts(measured, tapped, impact, runs)
+    place, angle = _parts(taps.measured, taps.predicted, impact, runs)
     between = {entry.quantity: entry.error for entry in errors}
     if place is not None and place.floor > 0.0:
         expected["distance"] = math.hypot(place.shares[0], between.get("distance", 0.0))
     if angle is not None and angle.floor > 0.0:
         expected["rotation"] = math.hypot(angle.shares[0], between.get("rotation", 0.0))
-    # The relative scatter of the rotation is not defined for taps that hardly rotate the object.
-    clear = np.abs(tapped.rotation) > _MIN_ROTATION * tapped.distance
-    rotation = np.where(clear, tapped.rotation, 1.0)
-    columns = {
-        "scatter_speed": (impact.deviations[:, 0], math.nan, impact.scatter[0]),
-        "scatter_spin": (
-            np.where(clear, impact.deviations[:, 1], math.nan),
-            math.nan,
-            impact.scatter[1],
-        ),
-        "scatter_direction": (
-            impact.deviations[:, 2],
-            content.scatter.direction,
-            impact.scatter[2] if place is None or place.floor == 0.0 else place.shares[1],
-        ),
-        "scatter_distance": (
-            measured.distance / tapped.distance - 1,
-            content.scatter.distance,
-            expected.get("distance", math.nan),
-        ),
-        "scatter_rotation": (
-            np.where(clear, measured.rotation / rotation - 1, math.nan),
-            content.scatter.rotation,
-            expected.get("rotation", math.nan),
-        ),
-    }
+    direction = impact.scatter[2] if place is None or place.floor == 0.0 else place.shares[1]
+    old, off = content.scatter, taps.deviations()
+    spin = np.where(taps.turned(), impact.deviations[:, 1], math.nan)
     found = []
-    for name, (off, old, value) in columns.items():
-        known = np.isfinite(off)
-        unit = "rad" if name == "scatter_direction" else ""
+    for name, deviation, before, value in (
+        ("speed", impact.deviations[:, 0], math.nan, impact.scatter[0]),
+        ("spin", spin, math.nan, impact.scatter[1]),
+        ("direction", impact.deviations[:, 2], old.direction, direction),
+        ("distance", off["distance"], old.distance, expected.get("distance", math.nan)),
+        ("rotation", off["rotation"], old.rotation, expected.get("rotation", math.nan)),
+    ):
+        known = np.isfinite(deviation)
+        unit = "rad" if name == "direction" else ""
         if known.sum() < _MIN_SCATTER_TRIALS:
             continue
-        total = math.sqrt(float(np.mean(off[known] ** 2)))
+        total = math.sqrt(float(np.mean(deviation[known] ** 2)))
         if total == 0.0:
             continue
         value = total if math.isnan(value) else value
-        square = (off[known] / total) ** 2
+        square = (deviation[known] / total) ** 2
         width = spread(
             (1 - square)[:, None],
             np.full((int(known.sum()), 1, 1), 2.0),
-            [run for run, is_known in zip(runs, known, strict=True) if is_known],
+            list(compress(runs, known)),
             seed + 2,
         )
         low, high = (value * math.exp(float(end[0])) for end in (width.low, width.high))
-        found.append(Estimate(name, value, low, high, value * float(width.std[0]), old, unit))
+        std = value * float(width.std[0])
+        found.append(Estimate(f"scatter_{name}", value, low, high, std, before, unit))
     return [*found, *floor_estimates(place, angle, content)]
 
 

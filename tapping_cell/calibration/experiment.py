@@ -98,11 +98,10 @@ def read_experiment(place: Path | str) -> Experiment:
     place = Path(place)
     folder = place if place.is_dir() else place.parent
     records = read_trials(place)
-    header = folder / HEADER_FILE
-    if not header.is_file():
-        unknown = ExperimentFile(format=1, made="", source="other")
-        return Experiment(folder, unknown, records.trials, records.left_out)
-    return Experiment(folder, load(ExperimentFile, header), records.trials, records.left_out)
+    header = ExperimentFile(format=1, made="", source="other")
+    if (folder / HEADER_FILE).is_file():
+        header = load(ExperimentFile, folder / HEADER_FILE)
+    return Experiment(folder, header, *records)
 
 
 def write_header(folder: Path, header: ExperimentFile) -> None:
@@ -112,14 +111,24 @@ def write_header(folder: Path, header: ExperimentFile) -> None:
         RecordError: the file already exists.
         OSError: the folder cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     file = folder / HEADER_FILE
-    content = yaml.safe_dump(plain(asdict(header)), sort_keys=False, default_flow_style=None)
     try:
-        with file.open("x", encoding="utf-8") as stream:
-            stream.write(content)
+        write_new(file, asdict(header))
     except FileExistsError as error:
         raise RecordError(f"{file} exists already; resume it or choose another folder") from error
+
+
+def write_new(file: Path, content: dict[str, Any]) -> None:
+    """Write a section to a YAML file, and create its folder if missing.
+
+    Raises:
+        FileExistsError: the file already exists.
+        OSError: the folder cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    text = yaml.safe_dump(plain(content), sort_keys=False, default_flow_style=None)
+    with file.open("x", encoding="utf-8") as stream:
+        stream.write(text)
 
 
 def plain(value: Any) -> Any:

@@ -15,11 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tapping_cell.calibration.impact_fit import NAMES, ImpactModel, Strikes, weighted_slopes
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 GAIN = "striker_speed_gain"
 _ALL = (*NAMES, GAIN)
@@ -146,11 +144,10 @@ def _advice(
     for index, name in enumerate(_ALL):
         if math.isfinite(float(known[index])):
             continue
-        found = []
-        for description, more in _candidates(model, values, scatter):
-            after = float(_deviations(information + more, values)[1][index])
-            found.append((after, description))
-        after, description = min(found)
+        after, description = min(
+            (float(_deviations(information + more, values)[1][index]), description)
+            for description, more in _candidates(model, values, scatter)
+        )
         if after < _UNKNOWN:
             sentences.append(
                 f"{_TAPS} more taps {description} would reduce the uncertainty of the "
@@ -164,45 +161,29 @@ def _candidates(
 ) -> list[tuple[str, Array]]:
     strikes = model.strikes
     speed = float(np.median(strikes.speed))
-    found = []
+    found: list[tuple[str, Array]] = []
     for incidence in _INCIDENCES:
-        taps = _alike(strikes, speed, incidence)
-        other = model.with_strikes(taps)
+        other = model.with_strikes(_alike(strikes, speed, incidence))
         information = _information(other, values, scatter, math.inf)
         angle = f"at {speed:.2f} m/s and an incidence of {math.degrees(incidence):.0f} degrees"
-        found.append((angle, information))
-        rebound = _rebound(other, values)
-        found.append(
-            (
-                angle + " with the striker's speed measured before and after the impact",
-                information + rebound,
-            )
-        )
+        both = angle + " with the striker's speed measured before and after the impact"
+        found += [(angle, information), (both, information + _rebound(other, values))]
     return found
 
 
 def _alike(strikes: Strikes, speed: float, incidence: float) -> Strikes:
     """Create candidate taps with incidences of both signs, measured as accurately as the median
     trial."""
-
-    def many(column: Array) -> Array:
-        return np.full(_TAPS, float(np.nanmedian(column)))
-
+    usual = ("speed_std", "launch_speed", "launch_speed_std", "spin", "spin_std", "angle_std")
     side = np.where(np.arange(_TAPS) % 2 == 0, 1.0, -1.0)
-    contact = np.repeat(np.median(strikes.contact, axis=0)[None], _TAPS, axis=0)
     measured = np.isfinite(strikes.angle).any()
     return replace(
         strikes,
         speed=np.full(_TAPS, speed),
-        speed_std=many(strikes.speed_std),
         incidence=side * incidence,
-        contact=contact,
-        launch_speed=many(strikes.launch_speed),
-        launch_speed_std=many(strikes.launch_speed_std),
-        spin=many(strikes.spin),
-        spin_std=many(strikes.spin_std),
+        contact=np.tile(np.median(strikes.contact, axis=0), (_TAPS, 1)),
         angle=np.full(_TAPS, 0.0 if measured else math.nan),
-        angle_std=many(strikes.angle_std),
+        **{name: np.full(_TAPS, np.nanmedian(getattr(strikes, name))) for name in usual},
     )
 
 

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tapping_cell.mechanics import Body, Impact, Striker
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 # All parameters of the impact. Restitution is fitted as ln(1 + e), the others as logarithms.
 NAMES = ("restitution", "contact_friction", "scale_b1", "scale_b2", "scale_b3")
@@ -178,8 +177,7 @@ class ImpactModel:
 
     def deviation_std(self, launch: Array, scatter: Sequence[float]) -> Array:
         """Compute the standard deviations of the residuals, (n, 3)."""
-        size = np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
-        return np.asarray(np.hypot(size * np.asarray(scatter), self.measured_std()))
+        return np.asarray(np.hypot(_sizes(launch) * np.asarray(scatter), self.measured_std()))
 
     def with_known(self, **values: float) -> ImpactModel:
         """Return a copy that keeps the given parameters at these values unless they are fitted."""
@@ -207,6 +205,11 @@ class ImpactModel:
         for name, value in zip(free, x.tolist(), strict=True):
             values[name] = _outside(name, value)
         return values
+
+
+def _sizes(launch: Array) -> Array:
+    """Return the sizes (n, 3) to which the scatters of speed, spin and direction refer."""
+    return np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
 
 
 def _inside(name: str, value: float) -> float:
@@ -270,7 +273,7 @@ def _scatter(
     """Estimate the scatter of a tap: its variance is the variance of the residuals minus that of
     the measurement."""
     measured = model.measured_std()
-    size = np.stack([launch[:, 0], np.abs(launch[:, 1]), np.ones(len(launch))], axis=1)
+    size = _sizes(launch)
     values = []
     for k, floor in enumerate(_FLOOR):
         usable = np.isfinite(off[:, k])

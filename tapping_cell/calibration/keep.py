@@ -76,18 +76,14 @@ def refuse_better(output: Output, new: Provenance) -> None:
         return
     if old is None or old.by != new.by:
         return
+    before, after = (
+        {("residual", r.residual_of): r.residual, ("uncertainty", r.uncertainty_of): r.uncertainty}
+        for r in (old, new)
+    )
     worse = [
-        f"{what}: old {before:.4g}, new {after:.4g}"
-        for what, same, before, after in (
-            (old.residual_of, old.residual_of == new.residual_of, old.residual, new.residual),
-            (
-                old.uncertainty_of,
-                old.uncertainty_of == new.uncertainty_of,
-                old.uncertainty,
-                new.uncertainty,
-            ),
-        )
-        if same and after > _SLACK * before
+        f"{key[1]}: old {value:.4g}, new {after[key]:.4g}"
+        for key, value in before.items()
+        if key in after and after[key] > _SLACK * value
     ]
     if worse:
         raise KeptFile(

@@ -20,15 +20,13 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2, t
 
 from tapping_cell.calibration.csv_table import RecordError
-from tapping_cell.calibration.estimates import Estimate, floor_estimates
+from tapping_cell.calibration.estimates import Estimate, floor_estimates, with_estimates
 from tapping_cell.calibration.keep import fingerprints, now
 from tapping_cell.calibration.scatter_floor import Parts, scatter_parts
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.mechanics import Sliding
-from tapping_cell.se2 import wrap_angle
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array, wrap_angle
 
 FEWEST_TAPS = 5
 _DISTANCE, _ROTATION, _SLOPE = 0.05, 0.15, 0.1
@@ -137,22 +135,9 @@ def learn_object(content: ObjectFile, commanded: ArrayLike, measured: ArrayLike)
         *floor_estimates(place, angle, content),
         _smallest(content, predicted(start)[rows]),
     )
-    value = {entry.name: float(f"{entry.value:.6g}") for entry in estimates if entry.fitted}
-    made = replace(
-        content,
-        friction=value["friction"],
-        torque_factor=value.get("torque_factor", content.torque_factor),
-        scatter=replace(
-            content.scatter,
-            distance=min(value["scatter_distance"], 0.5),
-            rotation=min(value["scatter_rotation"], 1.0),
-            direction=min(value["scatter_direction"], 0.5),
-            position_floor=min(value.get("scatter_position_floor", 0.0), 0.05),
-            angle_floor=min(value.get("scatter_angle_floor", 0.0), 0.5),
-        ),
-        smallest_tap=value["smallest_tap"],
-        calibration=None,
-    )
+    # The floors of the old file do not apply to the new scatter.
+    own = replace(content.scatter, position_floor=0.0, angle_floor=0.0)
+    made = with_estimates(replace(content, scatter=own, calibration=None), estimates)
     return LearntObject(made, estimates, count, int(usable.size) - count)
 
 

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tapping_cell.calibration.prediction import Launches
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 LEVEL = 0.95
 _SIGNIFICANT = 0.001
@@ -33,7 +32,8 @@ _FLOOR = {"distance": 0.005, "rotation": 0.01}
 """Relative standard deviations that are negligible in practice; the scatter is assumed to be at
 least this large, so that smaller model errors are not reported."""
 _MIN_TURN = 0.2
-"""Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful."""
+"""Minimum rotation per distance, in rad/m, for which a relative rotation error is meaningful; 0.2
+degrees for 17 mm."""
 _CAUSES = {
     "setting": "from run to run, that is, with the striker's speed and the incidence.",
     "place": "with the contact point on the object. Is the centre of mass or of friction off "
@@ -97,10 +97,13 @@ class Taps:
     contact: Array
     direction: Array
 
+    def turned(self) -> NDArray[np.bool_]:
+        """Return for which taps (n,) a relative deviation of the rotation is meaningful."""
+        return np.abs(self.predicted.rotation) > _MIN_TURN * self.predicted.distance
+
     def deviations(self) -> dict[str, Array]:
         """Compute relative deviations from the predictions; NaN for small predicted rotations."""
-        measured, predicted = self.measured, self.predicted
-        turned = np.abs(predicted.rotation) > _MIN_TURN * predicted.distance
+        measured, predicted, turned = self.measured, self.predicted, self.turned()
         rotation = np.where(turned, predicted.rotation, 1.0)
         return {
             "distance": measured.distance / predicted.distance - 1,

@@ -15,15 +15,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import Column
 from tapping_cell.mechanics import Tap
-from tapping_cell.se2 import Pose, wrap_angle
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array, Pose, wrap_angle
 
 RECORD_COLUMNS = (
     Column("speed", "m/s", 0.001, 50.0),
@@ -170,16 +167,15 @@ def fit_mount(
         x_scale=np.array([1e-4, 1e-3, 1e-2]),
         diff_step=1e-4,
     )
-    jacobian = found.jac
-    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    covariance = np.linalg.inv(found.jac.T @ found.jac)
     offset, angle, speed = (float(value) for value in found.x)
     mount = _moved(nominal, offset, angle)
     reach = np.hypot(before[:, 0] - mount.x, before[:, 1] - mount.y).mean() - (
         tap.body.bounding_radius
     )
     lever = np.array([1.0, float(reach), 0.0])
-    rest = residuals(found.x)[:-3]
-    spread = max(1.0, float(np.sqrt(np.mean(rest**2))))
+    residual = float(np.sqrt(np.mean(residuals(found.x)[:-3] ** 2)))
+    spread = max(1.0, residual)
     return MountFit(
         name=name,
         mount=mount,
@@ -189,7 +185,7 @@ def fit_mount(
         line_offset=float(lever @ found.x),
         line_deviation=spread * math.sqrt(float(lever @ covariance @ lever)),
         angle_deviation=spread * math.sqrt(float(covariance[1, 1])),
-        residual=float(np.sqrt(np.mean(rest**2))),
+        residual=residual,
         taps=int(used.sum()),
         left_out=int((~used).sum()),
     )

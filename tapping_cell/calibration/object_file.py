@@ -10,45 +10,24 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from tapping_cell.calibration.estimates import with_estimates
 from tapping_cell.calibration.experiment import plain
 from tapping_cell.calibration.keep import fingerprints, now
 from tapping_cell.calibration.object_fit import ObjectFit
-from tapping_cell.configuration.objects import ObjectFile, ScatterSection
+from tapping_cell.configuration.objects import ObjectFile
 from tapping_cell.configuration.provenance import Provenance, provenance_yaml
 
-_DIGITS = 6
-_VALUES = ("friction", "torque_factor", "restitution", "contact_friction")
 _SCALES = ("scale_b1", "scale_b2", "scale_b3")
-_MAX_SCATTER = {
-    "distance": 0.5,
-    "rotation": 1.0,
-    "direction": 0.5,
-    "position_floor": 0.05,
-    "angle_floor": 0.5,
-}
 
 
 def fitted_object(fit: ObjectFit, record: Provenance) -> ObjectFile:
     """Return the object with the fitted values; values that were not fitted are unchanged."""
-    found = {entry.name: _rounded(entry.value) for entry in fit.estimates if entry.fitted}
-    values = {name: found[name] for name in _VALUES if name in found}
-    scatter = {
-        name: min(found[f"scatter_{name}"], most)
-        for name, most in _MAX_SCATTER.items()
-        if f"scatter_{name}" in found
-    }
-    old: ScatterSection = replace(fit.content.scatter, **scatter)
     scale = fit.content.impact_scale
     if fit.impact is not None:
-        one, two, three = (_rounded(fit.impact.values[name]) for name in _SCALES)
+        one, two, three = (float(f"{fit.impact.values[name]:.6g}") for name in _SCALES)
         scale = (one, two, three)
-    return replace(
-        fit.content,
-        impact_scale=scale,
-        scatter=old,
-        calibration=record,
-        **values,  # type: ignore[arg-type]
-    )
+    fitted = with_estimates(fit.content, fit.estimates)
+    return replace(fitted, impact_scale=scale, calibration=record)
 
 
 def fit_record(fit: ObjectFit, inputs: Sequence[Path]) -> Provenance:
@@ -94,7 +73,3 @@ def object_yaml(content: ObjectFile, record: Provenance | None, heading: str = F
     text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, allow_unicode=True)
     title = f"# {heading}\n# Lengths in m, masses in kg, angles in rad.\n"
     return title + text + (provenance_yaml(record) if record is not None else "")
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")

@@ -42,8 +42,7 @@ from tapping_cell.calibration.sliding_fit import SlideFit, fit_slides
 from tapping_cell.calibration.trials import LeftOut
 from tapping_cell.configuration.objects import GRAVITY, ObjectFile
 from tapping_cell.mechanics import Body, Polygon, Striker
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 _OUTLIER = 6.0  # robust standard deviations
 _MIN_FRICTION_SPREAD = 0.01
@@ -131,15 +130,7 @@ def fit_object(experiments: Sequence[Experiment], content: ObjectFile, seed: int
         known = _speed_known([used[row] for row in impacts.rows])
         found = identifiability(impacts.model, impact.values, impact.scatter, known)
         sentences.extend(found.sentences)
-        estimates += scatter_estimates(
-            measured.of(impacts.rows),
-            by_tapping.of(impacts.rows),
-            impact,
-            struck,
-            content,
-            seed,
-            errors,
-        )
+        estimates += scatter_estimates(taps, impact, struck, content, seed, errors)
         sentences.extend(_prediction_sentence(errors))
     by_sliding = _slid(measured, slide, body)
     sentences.extend(_tapper_sentences(used))
@@ -212,7 +203,7 @@ def _inconsistent(used: Sequence[Used], slide: SlideFit) -> dict[int, LeftOut]:
             reason = f"the residual of its {what} is {times:.0f} times the usual residual"
         if reason:
             sentence = f"the object does not slide as in the other trials: {reason}"
-            found[index] = LeftOut(entry.trial.file, entry.trial.row, "disturbed", sentence)
+            found[index] = entry.trial.left_out("disturbed", sentence)
     if len(found) > _MAX_OUTLIERS * len(used):
         raise RecordError(
             f"{len(found)} of {len(used)} trials are inconsistent with the others. The first is "
@@ -237,16 +228,10 @@ def predict(fit: ObjectFit, experiments: Sequence[Experiment]) -> tuple[RunError
         RecordError: the records cannot be used.
     """
     body = fit.content.body()
-    used, _ = screen(experiments, body, GRAVITY)
-    own = _fit_slides(used, body)
-    measured = _measured(used, own)
-    impacts = _others(fit, used, own, experiments)
-    return run_errors(
-        _labels(used),
-        measured,
-        _slid(measured, fit.slide, body),
-        _tapped(used, fit.slide, impacts, body),
-    )
+    new = _unseen(fit, experiments)
+    by_sliding = _slid(new.measured, fit.slide, body)
+    by_tapping = _tapped(new.used, fit.slide, new.impacts, body)
+    return run_errors(_labels(new.used), new.measured, by_sliding, by_tapping)
 
 
 def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
@@ -255,32 +240,37 @@ def predicted_taps(fit: ObjectFit, experiments: Sequence[Experiment]) -> Taps:
     Raises:
         RecordError: the records cannot be used, or the impact was not fitted.
     """
-    body = fit.content.body()
-    used, _ = screen(experiments, body, GRAVITY)
-    own = _fit_slides(used, body)
-    impacts = _others(fit, used, own, experiments)
+    used, measured, impacts = _unseen(fit, experiments)
     if impacts is None:
         raise RecordError(
             "the taps cannot be predicted: either the object's impact was not fitted, or no "
             "experiment.yaml describes the striker"
         )
-    tapped = _tapped(used, fit.slide, impacts, body)
-    return _taps(used, _labels(used), _measured(used, own), tapped, impacts.rows)
+    tapped = _tapped(used, fit.slide, impacts, fit.content.body())
+    return _taps(used, _labels(used), measured, tapped, impacts.rows)
 
 
-def _others(
-    fit: ObjectFit, used: Sequence[Used], own: SlideFit, experiments: Sequence[Experiment]
-) -> _Impacts | None:
-    """Apply the fitted impact model to the strikes of experiments that were not used in the fit;
-    None if the impact was not fitted or no ``experiment.yaml`` describes the striker."""
-    striker = _striker(experiments)
-    if fit.impact is None or striker is None:
-        return None
+class _Unseen(NamedTuple):
+    """Trials that were not used in a fit, their launches, and their strikes with the fitted impact
+    model; None if the impact was not fitted or no ``experiment.yaml`` describes the striker."""
+
+    used: tuple[Used, ...]
+    measured: Launches
+    impacts: _Impacts | None
+
+
+def _unseen(fit: ObjectFit, experiments: Sequence[Experiment]) -> _Unseen:
     body = fit.content.body()
-    strikes, known = _strikes(used, own, body)
-    rows = np.flatnonzero(known)
-    model = ImpactModel(strikes.of(rows), body, striker, dict(fit.impact.values))
-    return _Impacts(fit.impact, model, rows)
+    used, _ = screen(experiments, body, GRAVITY)
+    own = _fit_slides(used, body)
+    striker = _striker(experiments)
+    impacts = None
+    if fit.impact is not None and striker is not None:
+        strikes, known = _strikes(used, own, body)
+        rows = np.flatnonzero(known)
+        model = ImpactModel(strikes.of(rows), body, striker, dict(fit.impact.values))
+        impacts = _Impacts(fit.impact, model, rows)
+    return _Unseen(used, _measured(used, own), impacts)
 
 
 def _measured(used: Sequence[Used], slide: SlideFit) -> Launches:
@@ -331,24 +321,22 @@ def _fit_impact(
 def _strikes(
     used: Sequence[Used], slide: SlideFit, body: Body
 ) -> tuple[Strikes, NDArray[np.bool_]]:
-    trials = [entry.trial for entry in used]
-    speed = np.array(
-        [
-            t.striker_speed if math.isnan(t.striker_speed_measured) else t.striker_speed_measured
-            for t in trials
-        ]
-    )
-    share = np.array([entry.header.striker_speed_std for entry in used])
-    given = np.array([t.striker_speed_std for t in trials])
-    contact_angle = np.array([t.contact_angle for t in trials])
+    def of_trials(name: str) -> Array:
+        return np.array([getattr(entry.trial, name) for entry in used])
+
+    def of_headers(name: str) -> Array:
+        return np.array([getattr(entry.header, name) for entry in used])
+
+    commanded, seen = of_trials("striker_speed"), of_trials("striker_speed_measured")
+    speed = np.where(np.isnan(seen), commanded, seen)
+    given, share = of_trials("striker_speed_std"), of_headers("striker_speed_std")
+    contact_angle = of_trials("contact_angle")
     local, inward = contact_frame(body, contact_angle)
-    start = np.array([t.start_theta for t in trials])
-    direction = np.array([t.direction for t in trials])
-    angle = np.remainder(direction - start - inward + math.pi, math.tau) - math.pi
-    place = np.array([entry.header.rest_position_std for entry in used])
-    turn = np.array([entry.header.rest_rotation_std for entry in used])
+    launched = of_trials("direction") - of_trials("start_theta")
+    angle = np.remainder(launched - inward + math.pi, math.tau) - math.pi
+    place, turn = of_headers("rest_position_std"), of_headers("rest_rotation_std")
     distance = np.array([entry.motion.displacement for entry in used])
-    incidence = np.array([t.incidence for t in trials])
+    incidence = of_trials("incidence")
     strikes = Strikes(
         speed=speed,
         speed_std=np.where(np.isnan(given), share * speed, given),
@@ -378,10 +366,10 @@ def _speed_known(used: Sequence[Used]) -> float:
 
 def _slid(measured: Launches, slide: SlideFit, body: Body) -> Launches:
     """Predict displacements from measured velocities, and velocities from displacements."""
-    curves = SlideCurves(body.support, body.support_radius, body.gamma, GRAVITY)
+    curves = SlideCurves(body, GRAVITY)
     log_factor = math.log(slide.torque_factor)
     distance, rotation = _rest(curves, slide, measured.speed, measured.spin)
-    speed, spin, _ = curves.launch(measured.distance, measured.rotation, slide.friction, log_factor)
+    speed, spin = curves.launch(measured.distance, measured.rotation, slide.friction, log_factor)
     return Launches(speed, spin, distance, rotation)
 
 
@@ -402,7 +390,7 @@ def _tapped(
     if impacts is not None:
         launch = impacts.model.launch(impacts.fit.values)
         speed, spin = launch[:, 0], launch[:, 0] * launch[:, 1]
-        curves = SlideCurves(body.support, body.support_radius, body.gamma, GRAVITY)
+        curves = SlideCurves(body, GRAVITY)
         columns[:, impacts.rows] = speed, spin, *_rest(curves, slide, speed, spin)
     return Launches(*columns)
 
@@ -471,7 +459,7 @@ def _slide_sentences(
         label: float(np.mean(slide.information[names == label, 1, 1]))
         for label in dict.fromkeys(labels)
     }
-    best = max(each, key=lambda label: each[label])
+    best = max(each, key=each.__getitem__)
     share = (torque.high - torque.low) / (2 * torque.value)
     if share > 0.05:
         more = 10 * each[best]
@@ -513,15 +501,13 @@ def _tapper(used: Sequence[Used]) -> tuple[SpeedPoint, ...]:
             draw = -1.0 if math.isnan(trial.draw) else trial.draw
             key = (draw, round(trial.striker_speed, 6) if draw < 0 else -1.0)
             settings.setdefault(key, []).append(trial.striker_speed_measured)
-    points = []
-    for (draw, commanded), speeds in sorted(settings.items()):
-        points.append(
-            SpeedPoint(
-                math.nan if draw < 0 else draw,
-                math.nan if commanded < 0 else commanded,
-                float(np.mean(speeds)),
-                float(np.std(speeds, ddof=1)) if len(speeds) > 1 else math.nan,
-                len(speeds),
-            )
+    return tuple(
+        SpeedPoint(
+            math.nan if draw < 0 else draw,
+            math.nan if commanded < 0 else commanded,
+            float(np.mean(speeds)),
+            float(np.std(speeds, ddof=1)) if len(speeds) > 1 else math.nan,
+            len(speeds),
         )
-    return tuple(points)
+        for (draw, commanded), speeds in sorted(settings.items())
+    )

@@ -14,14 +14,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from tapping_cell.calibration.prediction import Launches
 from tapping_cell.calibration.slide_curves import TORQUE_FACTORS, SlideCurves
 from tapping_cell.mechanics import Body
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 
 class PaperFit(NamedTuple):
@@ -41,15 +39,14 @@ def paper_fit(
     start: tuple[float, float],
 ) -> PaperFit:
     """Fit friction and torque factor; ``start`` contains their initial values."""
-    curves = SlideCurves(body.support, body.support_radius, body.gamma, gravity)
+    curves = SlideCurves(body, gravity)
     names = np.array(labels)
     runs = [names == label for label in dict.fromkeys(labels)]
     turn = np.sign(measured.rotation)
 
     def differences(x: Array) -> Array:
-        speed, spin, _ = curves.launch(
-            measured.distance, measured.rotation, math.exp(x[0]), float(x[1])
-        )
+        friction = math.exp(x[0])
+        speed, spin = curves.launch(measured.distance, measured.rotation, friction, float(x[1]))
         along = measured.speed - speed
         around = body.support_radius * turn * (measured.spin - spin)
         return np.array([float(np.mean(part[run])) for part in (along, around) for run in runs])

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)

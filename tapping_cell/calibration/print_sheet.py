@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.target import Target
-from tapping_cell.vision.camera import Array
+from tapping_cell.se2 import Array
 from tapping_cell.vision.markers.detection import ReferenceMap, ReferenceMarker, marker_pattern
 
 PAPERS = {

@@ -14,11 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 MIN_TRIALS = 8
 MIN_RATIO = 2.5

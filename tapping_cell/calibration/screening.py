@@ -16,7 +16,7 @@ import numpy as np
 from tapping_cell.calibration.csv_table import RecordError
 from tapping_cell.calibration.experiment import Experiment, ExperimentFile
 from tapping_cell.calibration.sliding_fit import Motion
-from tapping_cell.calibration.track import Slide, slide_of
+from tapping_cell.calibration.track import Rejection, slide_of
 from tapping_cell.calibration.trials import LeftOut, Trial
 from tapping_cell.mechanics import Body
 
@@ -53,11 +53,6 @@ class Screened(NamedTuple):
     left_out: tuple[LeftOut, ...]
 
 
-class _Rejection(NamedTuple):
-    reason: str
-    sentence: str
-
-
 def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Screened:
     """Select the usable trials of all experiments. Runs of different folders remain separate.
 
@@ -77,7 +72,7 @@ def screen(experiments: Sequence[Experiment], body: Body, gravity: float) -> Scr
             if isinstance(found, Motion):
                 used.append(Used(trial, found, experiment.header))
                 continue
-            row = LeftOut(trial.file, trial.row, found.reason, found.sentence)
+            row = trial.left_out(*found)
             left_out.append(row)
             if found.reason == "units" or (found.reason == "missed" and trial.outcome == "ok"):
                 wrong[trial.file] += 1
@@ -105,14 +100,10 @@ def enough(used: Sequence[Used], left_out: Sequence[LeftOut]) -> Screened:
         if size >= MIN_IN_RUN:
             kept.append(entry)
             continue
-        dropped.append(
-            LeftOut(
-                entry.trial.file,
-                entry.trial.row,
-                "short run",
-                f"run {entry.trial.run} has {size} usable trials; at least {MIN_IN_RUN} are needed",
-            )
+        sentence = (
+            f"run {entry.trial.run} has {size} usable trials; at least {MIN_IN_RUN} are needed"
         )
+        dropped.append(entry.trial.left_out("short run", sentence))
     runs = {run_of(entry.trial) for entry in kept}
     if len(runs) < MIN_RUNS or len(kept) < MIN_TRIALS:
         reasons = "; ".join(str(row) for row in dropped[:3])
@@ -130,14 +121,14 @@ def run_of(trial: Trial) -> tuple[str, int]:
     return trial.file.rpartition("/")[0], trial.run
 
 
-def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> Motion | _Rejection:
+def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> Motion | Rejection:
     """Return the trial's slide, or the reason for its rejection."""
     if trial.outcome != "ok":
-        return _Rejection(trial.outcome, f"the recorded outcome is '{trial.outcome}'")
+        return Rejection(trial.outcome, f"the recorded outcome is '{trial.outcome}'")
     if not math.isfinite(trial.displacement + trial.rotation):
         if trial.track is not None:
             return _from_track(trial, header, math.inf, math.inf, gravity)
-        return _Rejection(
+        return Rejection(
             "not measured",
             "displacement or rotation is missing; give both, or the poses before and after the tap",
         )
@@ -150,12 +141,12 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     # below.
     still = not trial.initial_speed > _MIN_SPEED
     if still and trial.displacement < max(_MIN_MOTION, _OTHER_NOISE * spread):
-        return _Rejection(
+        return Rejection(
             "missed", f"the object moved by only {1e3 * trial.displacement:.3g} mm: a miss"
         )
     radius, gamma = body.support_radius, body.gamma
     if radius * abs(trial.rotation) > 3 * gamma * trial.displacement:
-        return _Rejection(
+        return Rejection(
             "units",
             f"a rotation of {trial.rotation:.4g} rad over {trial.displacement:.4g} m is "
             "larger than a tap can give; check that rotation_rad is in rad (not in degrees) and "
@@ -164,19 +155,19 @@ def _judge(trial: Trial, header: ExperimentFile, body: Body, gravity: float) -> 
     if math.isfinite(trial.initial_speed + trial.initial_spin):
         return _from_velocities(trial, spread, turn_spread, body, gravity)
     if trial.track is None:
-        return _Rejection(
+        return Rejection(
             "no velocity", "neither the initial velocities nor a track of poses are given"
         )
     return _from_track(trial, header, spread, turn_spread, gravity)
 
 
-def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Rejection | None:
+def _against_poses(trial: Trial, spread: float, turn_spread: float) -> Rejection | None:
     """Check that displacement and rotation agree with the poses, if all are given."""
     by_poses = math.hypot(trial.end_x - trial.start_x, trial.end_y - trial.start_y)
     off = abs(by_poses - trial.displacement)
     if off > max(_MIN_MOTION, 0.02 * by_poses, _OTHER_NOISE * spread):
         units = max(by_poses, trial.displacement) > 100 * min(by_poses, trial.displacement)
-        return _Rejection(
+        return Rejection(
             "units" if units else "inconsistent",
             f"displacement_m is {trial.displacement:.4g}, but the start and end poses are "
             f"{by_poses:.4g} m apart" + ("; is one of them in mm?" if units else ""),
@@ -184,7 +175,7 @@ def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Rejectio
     turned = trial.end_theta - trial.start_theta - trial.rotation
     turned = abs(math.remainder(turned, math.tau)) if math.isfinite(turned) else 0.0
     if turned > max(0.005, 0.02 * abs(trial.rotation), _OTHER_NOISE * turn_spread):
-        return _Rejection(
+        return Rejection(
             "inconsistent",
             f"rotation_rad is {trial.rotation:.4g}, but the start and end poses differ by "
             f"{trial.end_theta - trial.start_theta:.4g} rad; is one of them in degrees?",
@@ -194,18 +185,18 @@ def _against_poses(trial: Trial, spread: float, turn_spread: float) -> _Rejectio
 
 def _from_velocities(
     trial: Trial, spread: float, turn_spread: float, body: Body, gravity: float
-) -> Motion | _Rejection:
+) -> Motion | Rejection:
     speed, spin, distance = trial.initial_speed, trial.initial_spin, trial.displacement
     friction = speed**2 / (2 * gravity * distance)
     if not _FRICTION[0] < friction < _FRICTION[1]:
-        return _Rejection(
+        return Rejection(
             "units",
             f"initial_speed {speed:.4g} m/s with a displacement of {distance:.4g} m implies a "
             f"friction of {friction:.3g}; {_remedy(speed, distance, gravity)}",
         )
     striker = _or(trial.striker_speed_measured, trial.striker_speed)
     if not _STRIKER_GAIN[0] < _or(speed / striker, 1.0) < _STRIKER_GAIN[1]:
-        return _Rejection(
+        return Rejection(
             "units",
             f"initial_speed is {speed:.4g} m/s after a tap at a striker speed of {striker:.4g} "
             "m/s; is one of them in mm/s?",
@@ -213,7 +204,7 @@ def _from_velocities(
     radius = body.support_radius
     fastest = speed * body.bounding_radius / body.radius_of_gyration**2
     if abs(spin) > 1.5 * fastest:
-        return _Rejection(
+        return Rejection(
             "units",
             f"initial_spin is {spin:.4g} rad/s at {speed:.4g} m/s, more than the {fastest:.4g} "
             "rad/s that an impulse at the rim gives; is it in degrees/s, or the speed in other "
@@ -224,9 +215,9 @@ def _from_velocities(
     if abs(trial.rotation) > _OTHER_NOISE * turn_spread + 0.005 and abs(spin) > 2 * noise:
         gain = 2 * distance * spin / (speed * trial.rotation)
         if gain < 0:
-            return _Rejection("disturbed", "initial_spin and rotation have different signs")
+            return Rejection("disturbed", "initial_spin and rotation have different signs")
         if not _SPIN_GAIN[0] < gain < _SPIN_GAIN[1]:
-            return _Rejection(
+            return Rejection(
                 "units",
                 f"initial_spin {spin:.4g} rad/s does not fit a rotation of {trial.rotation:.4g} "
                 "rad; is one of them in degrees?",
@@ -262,13 +253,13 @@ def _remedy(speed: float, distance: float, gravity: float) -> str:
 
 def _from_track(
     trial: Trial, header: ExperimentFile, spread: float, turn_spread: float, gravity: float
-) -> Motion | _Rejection:
+) -> Motion | Rejection:
     assert trial.track is not None
     time = trial.track.time
     own_rate = 1.0 / float(np.median(np.diff(time))) if time.size > 1 else math.nan
     rate = _or(trial.camera_rate_hz, header.camera_rate_hz or own_rate)
     if not _RATE[0] < _or(own_rate / rate, 1.0) < _RATE[1]:
-        return _Rejection(
+        return Rejection(
             "units",
             f"the track has {own_rate:.4g} samples per second, but the camera has a rate of "
             f"{rate:.4g} Hz; is t_s in ms?",
@@ -276,8 +267,8 @@ def _from_track(
     slide = slide_of(
         trial, header.track_position_std, header.track_rotation_std, rate, header.exposure
     )
-    if not isinstance(slide, Slide):
-        return _Rejection(slide.reason, slide.sentence)
+    if isinstance(slide, Rejection):
+        return slide
     # Where displacement or rotation are not recorded, those between the ends of the track are used.
     displacement, rotation = (
         _or(trial.displacement, slide.displacement),
@@ -286,21 +277,21 @@ def _from_track(
     off = abs(slide.displacement - displacement)
     if off > max(_MIN_MOTION, 0.03 * displacement, _OTHER_NOISE * spread):
         units = off > 100 * min(slide.displacement, displacement)
-        return _Rejection(
+        return Rejection(
             "units" if units else "disturbed",
             f"the track ends {1e3 * slide.displacement:.4g} mm from its start, but the poses at "
             f"rest are {1e3 * displacement:.4g} mm apart"
             + ("; is one of them in mm?" if units else "; was the object moved by hand?"),
         )
     if slide.moving < _TRACK_POINTS:
-        return _Rejection(
+        return Rejection(
             "short slide",
             f"only {slide.moving} samples of the track show the object sliding; tap harder, or use "
             "a faster camera",
         )
     friction = slide.deceleration / gravity
     if slide.moving > _TRACK_POINTS and not _FRICTION[0] < friction < _FRICTION[1]:
-        return _Rejection(
+        return Rejection(
             "units",
             f"the object decelerates by {slide.deceleration:.3g} m/s^2 in the track, which implies "
             f"a friction of {friction:.3g}; are x_m and y_m in mm, or t_s in ms?",

@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
+
 Rows = NDArray[np.intp]
 
 _STEPS = 60

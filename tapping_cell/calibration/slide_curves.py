@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.mechanics import Body
 from tapping_cell.mechanics.slide_table import SlideTable
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 TORQUE_FACTORS = (0.1, 15.0)
 """Range of torque factors that a fit considers."""
@@ -121,20 +121,17 @@ def _curve(support: str, gamma: float, log_torque_factor: float) -> _Curve:
 
 
 class SlideCurves:
-    """Slides of a support ("disk" or "ring") of ``radius`` R in m, with ``gamma`` = m R^2 / I."""
+    """Slides of a body; a polygon slides like its equivalent disk."""
 
-    def __init__(
-        self, support: str, radius: float, gamma: float, gravity: float, grid: float = FINE
-    ) -> None:
-        self._support = support
-        self._radius = radius
-        self._gamma = gamma
+    def __init__(self, body: Body, gravity: float, grid: float = FINE) -> None:
+        self._body = body
+        self._radius, self._gamma = body.support_radius, body.gamma
         self._gravity = gravity
         self._grid = grid
 
     def on(self, grid: float) -> SlideCurves:
         """Return a copy with tables of another spacing."""
-        return SlideCurves(self._support, self._radius, self._gamma, self._gravity, grid)
+        return SlideCurves(self._body, self._gravity, grid)
 
     def _around(self, log_torque_factor: float) -> tuple[_Curve, _Curve, float]:
         """Return the tables with the next smaller and larger torque factor, and the position
@@ -142,11 +139,11 @@ class SlideCurves:
         low, high = (math.log(limit) for limit in (0.05, 20.0))
         place = min(max(log_torque_factor, low), high) / self._grid
         step = math.floor(place)
-        return (
-            _curve(self._support, self._gamma, step * self._grid),
-            _curve(self._support, self._gamma, (step + 1) * self._grid),
-            place - step,
+        below, above = (
+            _curve(self._body.support, self._gamma, number * self._grid)
+            for number in (step, step + 1)
         )
+        return below, above, place - step
 
     def at(
         self,
@@ -184,17 +181,12 @@ class SlideCurves:
 
     def launch(
         self, distance: Array, rotation: Array, friction: float, log_torque_factor: float
-    ) -> tuple[Array, Array, tuple[Array, Array]]:
-        """Compute speeds and spins (n,) that cause these displacements, and the derivatives of
-        both.
-
-        The derivatives are with respect to ln(torque factor).
-        """
+    ) -> tuple[Array, Array]:
+        """Compute speeds and spins (n,) that cause these displacements."""
         pull = friction * self._gravity
         below, above, part = self._around(log_torque_factor)
         (v0, s0), (v1, s1) = (
             curve.table.launch_many(distance * pull, rotation * pull * self._radius)
             for curve in (below, above)
         )
-        slopes = ((v1 - v0) / self._grid, (s1 - s0) / (self._grid * self._radius))
-        return v0 + part * (v1 - v0), (s0 + part * (s1 - s0)) / self._radius, slopes
+        return v0 + part * (v1 - v0), (s0 + part * (s1 - s0)) / self._radius

@@ -27,7 +27,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.calibration.shared_least_squares import (
-    Array,
     Estimate,
     NormalEquations,
     Rows,
@@ -39,6 +38,7 @@ from tapping_cell.calibration.shared_least_squares import (
 from tapping_cell.calibration.slide_curves import COARSE, TORQUE_FACTORS, SlideCurves
 from tapping_cell.calibration.track import Slide
 from tapping_cell.mechanics import Body
+from tapping_cell.se2 import Array
 
 # Local parameters, in this order: time of impact, speed, spin, offset of the start position and
 # angle, and ln of the trial's friction over the shared friction.
@@ -157,8 +157,9 @@ def fit_slides(motions: Sequence[Motion], body: Body, gravity: float) -> SlideFi
     problem = _weighted(_unblurred(problem, motions, start), start)._replace(curves=fine)
     start = _fitted(problem, start, _MIN_SCATTER)
     problem = _weighted(problem, start)
-    own, own_std = _own_friction(problem, _fitted(problem, start, _FREE, local_only=True))
-    scatter = _between(own, own_std)
+    alone = _fitted(problem, start, _FREE, local_only=True)
+    _, _, own_std = _deviations_alone(problem, alone)
+    scatter = _between(alone.local[:, _FRICTION], own_std)
     best = _fitted(problem, start, max(scatter, _MIN_SCATTER))
     return _result(problem, best, scatter)
 
@@ -190,7 +191,7 @@ def _problem(motions: Sequence[Motion], body: Body, gravity: float) -> _Problem:
     )
     given = np.array([[m.speed, m.spin, m.speed_std, m.spin_std] for m in motions])
     return _Problem(
-        curves=SlideCurves(body.support, body.support_radius, body.gamma, gravity),
+        curves=SlideCurves(body, gravity),
         radius=body.support_radius,
         gamma=body.gamma,
         gravity=gravity,
@@ -213,7 +214,7 @@ def _first_guess(problem: _Problem, motions: Sequence[Motion], torque_factor: fl
     ]
     friction = float(np.clip(np.median(pulls) / problem.gravity, 0.01, 3.0))
     shared = np.array([math.log(friction), math.log(torque_factor), 0.0, 0.0])
-    speed, spin, _ = problem.curves.launch(distance, rotation, friction, shared[1])
+    speed, spin = problem.curves.launch(distance, rotation, friction, shared[1])
     local = np.zeros((len(motions), _LOCAL))
     local[:, _IMPACT] = [0.0 if m.slide is None else m.slide.impact for m in motions]
     local[:, _SPEED], local[:, _SPIN] = speed, spin
@@ -407,17 +408,17 @@ def _fitted(
     return solve(lambda at: _linearised(problem, at, prior), start, _limited, local_only=local_only)
 
 
-def _own_friction(problem: _Problem, at: Estimate) -> tuple[Array, Array]:
-    """Estimate ln of each trial's friction over the shared friction, with standard deviations."""
-    covariance = np.linalg.inv(_linearised(problem, at, _FREE).h_local)
-    return at.local[:, _FRICTION], np.sqrt(covariance[:, _FRICTION, _FRICTION])
+def _deviations_alone(problem: _Problem, alone: Estimate) -> Array:
+    """Compute the standard deviations (3, n) of speed, spin and ln friction that are estimated from
+    each trial alone."""
+    covariance = np.linalg.inv(_linearised(problem, alone, _FREE).h_local)
+    return np.sqrt([covariance[:, index, index] for index in (_SPEED, _SPIN, _FRICTION)])
 
 
 def _result(problem: _Problem, best: Estimate, scatter: float) -> SlideFit:
     score, information = eliminated(_linearised(problem, best, max(scatter, _MIN_SCATTER)))
     alone = _fitted(problem, best, _FREE, local_only=True)
-    own, own_std = _own_friction(problem, alone)
-    covariance = np.linalg.inv(_linearised(problem, alone, _FREE).h_local)
+    speed_std, spin_std, own_std = _deviations_alone(problem, alone)
     tracked, given = problem.tracked, problem.given
     samples, misses = problem.samples, _misses(problem, best)
     sampled = np.isfinite(samples.time)
@@ -426,24 +427,22 @@ def _result(problem: _Problem, best: Estimate, scatter: float) -> SlideFit:
     count = np.bincount(samples.rows, 2.0 * sampled, minlength=tracked.size)
     speed_off = (given.speed - best.local[:, _SPEED]) / given.speed_std
     launch_off = np.hypot(speed_off, (given.spin - best.local[:, _SPIN]) / given.spin_std)
+    x, y = (problem.radius * best.shared[2:]).tolist()
     by_track = np.sqrt(total / np.maximum(count, 1.0))
     return SlideFit(
         friction=math.exp(best.shared[0]),
         torque_factor=math.exp(best.shared[1]),
-        pressure_centre=(
-            problem.radius * float(best.shared[2]),
-            problem.radius * float(best.shared[3]),
-        ),
+        pressure_centre=(x, y),
         score=score,
         information=information,
         speed=np.where(tracked, alone.local[:, _SPEED], given.speed),
         spin=np.where(tracked, alone.local[:, _SPIN], given.spin),
-        speed_std=np.where(tracked, np.sqrt(covariance[:, _SPEED, _SPEED]), given.speed_std),
-        spin_std=np.where(tracked, np.sqrt(covariance[:, _SPIN, _SPIN]), given.spin_std),
+        speed_std=np.where(tracked, speed_std, given.speed_std),
+        spin_std=np.where(tracked, spin_std, given.spin_std),
         launch_speed=best.local[:, _SPEED],
         launch_spin=best.local[:, _SPIN],
         impact_time=np.where(tracked, best.local[:, _IMPACT], math.nan),
-        own_friction=np.exp(own),
+        own_friction=np.exp(alone.local[:, _FRICTION]),
         own_friction_std=own_std,
         friction_scatter=scatter,
         position_rms=_rms(misses.distance[sampled] * samples.distance_std[sampled]),

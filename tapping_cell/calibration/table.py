@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.table_frame import rigid, with_poses
-from tapping_cell.se2 import compose, inverse, transform_points
-from tapping_cell.vision.camera import Array, CameraModel, CameraPose, Image
+from tapping_cell.se2 import Array, compose, inverse, transform_points
+from tapping_cell.vision.camera import CameraModel, CameraPose, Image
 from tapping_cell.vision.markers.detection import (
     UNIT_CORNERS,
     Effort,
@@ -185,9 +185,8 @@ def _without(
 ) -> TableCalibration:
     """Repeat the calibration without a marker that is an outlier in every image."""
     kept = [
-        MarkerView(v.name, v.ids[own], v.rays[own], v.noise[own])
-        for v in views
-        for own in [v.ids != marker]
+        replace(v, ids=v.ids[own], rays=v.rays[own], noise=v.noise[own])
+        for v, own in ((v, v.ids != marker) for v in views)
     ]
     result = calibrate_table(kept, sizes, dictionary, focal)
     sentence = (
@@ -263,14 +262,16 @@ def _join(
     Raises:
         CalibrationRefused: an image has no marker in common with the others.
     """
-    first = int(np.argmax([len(view.ids) for view in views]))
-    places: dict[int, Array] = {
-        i: starts[first][1][row] for row, i in enumerate(views[first].ids.tolist())
-    }
+    maps: list[dict[int, Array]] = [
+        dict(zip(view.ids.tolist(), poses, strict=True))
+        for view, (_, poses) in zip(views, starts, strict=True)
+    ]
+    first = int(np.argmax([len(each) for each in maps]))
+    places = dict(maps[first])
     frames: dict[int, Array] = {first: np.zeros(3)}
     while len(frames) < len(views):
         waiting = [k for k in range(len(views)) if k not in frames]
-        shared = {k: [i for i in views[k].ids.tolist() if i in places] for k in waiting}
+        shared = {k: [i for i in maps[k] if i in places] for k in waiting}
         best = max(waiting, key=lambda k: len(shared[k]))
         if not shared[best]:
             names = ", ".join(views[k].name for k in waiting[:5])
@@ -278,25 +279,21 @@ def _join(
                 f"{names}: no marker in common with the other images; take further images, each "
                 "with markers from these and from the other images"
             )
-        own = {i: starts[best][1][row] for row, i in enumerate(views[best].ids.tolist())}
-        if len(shared[best]) == 1:
-            (i,) = shared[best]
-            frame = compose(places[i], inverse(own[i]))
+        here, there = (np.array([m[i] for i in shared[best]]) for m in (maps[best], places))
+        if len(here) == 1:
+            frame = compose(there[0], inverse(here[0]))
         else:
-            a = np.stack([own[i] for i in shared[best]])[:, :2]
-            frame = rigid(a, np.stack([places[i] for i in shared[best]])[:, :2])
+            frame = rigid(here[:, :2], there[:, :2])
         frames[best] = frame
-        for i, pose in own.items():
+        for i, pose in maps[best].items():
             places.setdefault(i, compose(frame, pose))
     ids = np.array(sorted(places), dtype=np.intp)
     poses = []
-    for k in range(len(views)):
+    for k, (start, _) in enumerate(starts):
         # Transform from the table to this image's own plane, and from there to the camera.
-        into = inverse(frames[k])
-        turn = _turn(into.tolist()[2])
-        start = starts[k][0]
-        shift = start.rotation @ np.array([into[0], into[1], 0.0]) + start.translation
-        poses.append(CameraPose(start.rotation @ turn, shift))
+        x, y, angle = inverse(frames[k]).tolist()
+        shift = start.rotation @ np.array([x, y, 0.0]) + start.translation
+        poses.append(CameraPose(start.rotation @ _turn(angle), shift))
     return ids, np.array([places[int(i)] for i in ids]), poses
 
 
@@ -334,18 +331,9 @@ class _Problem:
         z = p[..., 2]
         u, v = p[..., 0] / z, p[..., 1] / z
         zero = np.zeros_like(z)
-        by_u = np.stack([1.0 / z, zero, -u / z], axis=-1)
-        by_v = np.stack([zero, 1.0 / z, -v / z], axis=-1)
-        by_point = np.stack([by_u, by_v], axis=2)
+        by_point = _matrix([[1.0 / z, zero, -u / z], [zero, 1.0 / z, -v / z]])
         x, y = p[..., 0], p[..., 1]
-        cross = np.stack(
-            [
-                np.stack([zero, z, -y], axis=-1),
-                np.stack([-z, zero, x], axis=-1),
-                np.stack([y, -x, zero], axis=-1),
-            ],
-            axis=-2,
-        )
+        cross = _matrix([[zero, z, -y], [-z, zero, x], [y, -x, zero]])
         by_pose = np.concatenate([by_point @ cross, by_point], axis=-1)
         arm = points - places[:, None, :2]
         tangent = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
@@ -424,6 +412,11 @@ class _Problem:
         free = 8 * int(self.used.sum()) - len(matrix) + 3
         factor = max(1.0, cost / max(free, 1))
         return np.asarray(factor * (vectors * inverse_values) @ vectors.T)
+
+
+def _matrix(rows: Sequence[Sequence[Array]]) -> Array:
+    """Stack entries of the shape (...) into matrices (..., rows, columns)."""
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _warnings(

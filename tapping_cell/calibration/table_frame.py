@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tapping_cell.calibration.camera import CalibrationRefused
-from tapping_cell.se2 import compose, inverse, transform_points, wrap_angle
-from tapping_cell.vision.camera import Array
+from tapping_cell.se2 import Array, compose, inverse, transform_points, wrap_angle
 from tapping_cell.vision.markers.detection import ReferenceMap, ReferenceMarker
 
 

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from tapping_cell.calibration.camera import CalibrationRefused
 from tapping_cell.calibration.csv_table import Column
 from tapping_cell.mechanics import Impact, Tap
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 MIN_TAPS = 8
 SHARES = (8, 4, 3, 3, 4, 8)
@@ -180,9 +179,10 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
     # The speed is proportional to the square root of the displacement, so its relative error is
     # half that of the displacement.
     seen = 0.5 * record.deviations / np.maximum(record.distances, _NO_MOTION)
-    if len(np.unique(groups[usable])) < 3:
+    levels = len(np.unique(groups[usable]))
+    if levels < 3:
         raise CalibrationRefused(
-            f"only {len(np.unique(groups[usable]))} different energies were used, too few for a "
+            f"only {levels} different energies were used, too few for a "
             "curve: use at least 3, preferably 6, from the smallest tap to the largest"
         )
     while True:
@@ -205,9 +205,10 @@ def calibrate_tapper(record: TapRecord, tap: Tap) -> TapperCalibration:
             )
         )
         usable[worst] = False
-        if usable.sum() < max(MIN_TAPS, len(x) // 2):
+        needed = max(MIN_TAPS, len(x) // 2)
+        if usable.sum() < needed:
             raise CalibrationRefused(
-                f"no single curve fits the taps: fewer than {max(MIN_TAPS, len(x) // 2)} of the "
+                f"no single curve fits the taps: fewer than {needed} of the "
                 f"{len(x)} taps are consistent with one curve. Check the columns' units and that "
                 "all taps hit the object's middle"
             )
@@ -389,14 +390,10 @@ def _propagation(record: TapRecord, tap: Tap, usable: NDArray[np.bool_]) -> tupl
     part = TapRecord(*(getattr(record, name)[usable] for name in TapRecord.__slots__))
     plain = striker_speeds(part, tap)
     step = 0.01
-    rough = Tap(
-        replace(tap.sliding, friction=tap.sliding.friction * (1 + step)),
-        tap.impact,
-        tap.smallest_distance,
-    )
-    e = tap.impact.restitution
+    friction, e = tap.sliding.friction, tap.impact.restitution
+    rough = replace(tap, sliding=replace(tap.sliding, friction=friction * (1 + step)))
     towards = step if e + step <= 1.0 else -step
-    lively = Tap(tap.sliding, replace(tap.impact, restitution=e + towards), tap.smallest_distance)
+    lively = replace(tap, impact=replace(tap.impact, restitution=e + towards))
     by_friction = float(np.log(striker_speeds(part, rough) / plain).mean() / step)
     by_restitution = float(np.log(striker_speeds(part, lively) / plain).mean() / towards)
     return by_friction, by_restitution

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tapping_cell.vision.camera import Array, Image
+from tapping_cell.se2 import Array
+from tapping_cell.vision.camera import Image
 from tapping_cell.vision.markers import aruco
 from tapping_cell.vision.markers.detection import marker_dictionary
 

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tapping_cell.calibration.trials import Track, Trial
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 # Samples that are closer to the start or the end of the slide than this fraction of the
 # displacement may be at rest.
@@ -22,8 +20,8 @@ _MIN_MOTION = 0.0002  # m: minimum displacement
 _GAP = 1.6  # maximum time between two samples, in camera periods
 
 
-class TrackProblem(NamedTuple):
-    """Reason why a track is not the result of one tap, as a keyword and a sentence."""
+class Rejection(NamedTuple):
+    """Reason why a trial or its track cannot be used, as a keyword and a sentence."""
 
     reason: str
     sentence: str
@@ -57,7 +55,7 @@ class Slide:
 
 def slide_of(
     trial: Trial, position_std: float, rotation_std: float, rate: float, exposure: float = 0.0
-) -> Slide | TrackProblem:
+) -> Slide | Rejection:
     """Extract the slide from a trial's track, or return the reason why the track is unusable.
 
     ``position_std`` and ``rotation_std`` apply to samples that contain no standard deviations.
@@ -65,21 +63,21 @@ def slide_of(
     """
     track = trial.track
     if track is None or track.time.size < 4:
-        return TrackProblem("short track", "the track has fewer than four samples")
+        return Rejection("short track", "the track has fewer than four samples")
     noise = np.where(np.isfinite(track.position_std), track.position_std, position_std)
     turn_noise = np.where(np.isfinite(track.rotation_std), track.rotation_std, rotation_std)
     floor = _NOISE * float(np.median(noise))
     places = np.stack([track.x, track.y], axis=1)
     start, end = _rest(places[:2], floor), _rest(places[-2:], floor)
     if start is None or end is None:
-        return TrackProblem(
+        return Rejection(
             "not at rest",
             "the object moves at the start or at the end of the track; record from before the tap "
             "until the object is at rest",
         )
     moved = end - start
     distance = float(np.hypot(*moved))
-    too_short = TrackProblem("missed", f"the object moved by only {1e3 * distance:.3g} mm")
+    too_short = Rejection("missed", f"the object moved by only {1e3 * distance:.3g} mm")
     if distance < max(_MIN_MOTION, floor):
         return too_short
     direction = moved / distance
@@ -134,14 +132,14 @@ def _disturbed(
     motion: tuple[int, int],
     edge: float,
     rate: float,
-) -> TrackProblem | None:
+) -> Rejection | None:
     """Detect gaps in the track and motions that a single tap does not cause."""
     first, last = motion
     steps = np.diff(track.time)
     during = slice(max(first - 1, 0), min(last + 1, steps.size))
     longest = float(np.max(steps[during], initial=0.0))
     if longest * rate > _GAP:
-        return TrackProblem(
+        return Rejection(
             "gap",
             f"the track has no sample for {1e3 * longest:.0f} ms ({longest * rate:.1f} periods "
             "of the camera) while the object slides",
@@ -149,7 +147,7 @@ def _disturbed(
     side = float(np.max(np.abs(across)))
     reach = float(along[-1])
     if side > max(2 * edge, 0.1 * reach):
-        return TrackProblem(
+        return Rejection(
             "disturbed",
             f"the object deviates by {1e3 * side:.3g} mm from the straight line between its start "
             "and its end; was it pushed?",
@@ -161,7 +159,7 @@ def _disturbed(
         faster = np.diff(velocity) > slack
         if faster.any():
             when = float(track.time[first + 1 + int(np.flatnonzero(faster)[0])] - track.time[0])
-            return TrackProblem(
+            return Rejection(
                 "disturbed",
                 f"the object accelerates again {when:.3f} s after the track's first sample; "
                 "was it pushed or hit twice?",

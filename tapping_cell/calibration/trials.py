@@ -19,14 +19,12 @@ import os
 import re
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tapping_cell.calibration.csv_table import Column, RecordError, read_csv
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array
 
 TRACK_FOLDER = "tracks"
 OUTCOMES = ("ok", "missed", "disturbed", "lost")
@@ -38,36 +36,11 @@ lost the object. Fits use only the trials with the outcome ``ok``."""
 _TURNS = 100.0
 
 
-def _column(name: str, unit: str, low: float, high: float) -> Column:
-    return Column(name, unit, low, high, required=False)
+def measured(unit: str, low: float, high: float) -> Any:
+    """Declare a field of a trial as an optional column with its SI unit and range."""
+    return field(default=math.nan, metadata={"unit": unit, "minimum": low, "maximum": high})
 
 
-# The ranges cover any conceivable tapping cell. ``screening`` detects values that are within these
-# ranges but contradict the rest of their row.
-TRIAL_COLUMNS: tuple[Column, ...] = (
-    _column("striker_speed", "m/s", 0.001, 20.0),
-    _column("striker_speed_measured", "m/s", 0.001, 20.0),
-    _column("striker_speed_std", "m/s", 0.0, 5.0),
-    _column("draw", "m", 0.0, 0.5),
-    _column("incidence", "rad", -math.pi / 2, math.pi / 2),
-    _column("contact_angle", "rad", -7.0, 7.0),
-    _column("start_x", "m", -5.0, 5.0),
-    _column("start_y", "m", -5.0, 5.0),
-    _column("start_theta", "rad", -_TURNS, _TURNS),
-    _column("end_x", "m", -5.0, 5.0),
-    _column("end_y", "m", -5.0, 5.0),
-    _column("end_theta", "rad", -_TURNS, _TURNS),
-    _column("displacement", "m", 0.0, 3.0),
-    _column("rotation", "rad", -_TURNS, _TURNS),
-    _column("direction", "rad", -7.0, 7.0),
-    _column("displacement_std", "m", 0.0, 0.1),
-    _column("rotation_std", "rad", 0.0, 1.0),
-    _column("initial_speed", "m/s", 0.0, 20.0),
-    _column("initial_speed_std", "m/s", 0.0, 5.0),
-    _column("initial_spin", "rad/s", -1000.0, 1000.0),
-    _column("initial_spin_std", "rad/s", 0.0, 100.0),
-    _column("camera_rate_hz", "", 1.0, 100000.0),
-)
 TRACK_COLUMNS: tuple[Column, ...] = (
     Column("t", "s"),
     Column("x", "m", -5.0, 5.0),
@@ -104,37 +77,51 @@ class Trial:
     (into the object) to the striker's axis. ``contact_angle`` is the direction from the centre of
     mass to the contact point in the object frame, and ``direction`` is the direction of travel in
     table axes. ``file`` and ``row`` are the source of the record.
+
+    The ranges cover any conceivable tapping cell. ``screening`` detects values that are within
+    these ranges but contradict the rest of their row.
     """
 
     run: int
     trial: int
     outcome: str = "ok"
-    striker_speed: float = math.nan
-    striker_speed_measured: float = math.nan
-    striker_speed_std: float = math.nan
-    draw: float = math.nan
-    incidence: float = math.nan
-    contact_angle: float = math.nan
-    start_x: float = math.nan
-    start_y: float = math.nan
-    start_theta: float = math.nan
-    end_x: float = math.nan
-    end_y: float = math.nan
-    end_theta: float = math.nan
-    displacement: float = math.nan
-    rotation: float = math.nan
-    direction: float = math.nan
-    displacement_std: float = math.nan
-    rotation_std: float = math.nan
-    initial_speed: float = math.nan
-    initial_speed_std: float = math.nan
-    initial_spin: float = math.nan
-    initial_spin_std: float = math.nan
-    camera_rate_hz: float = math.nan
+    striker_speed: float = measured("m/s", 0.001, 20.0)
+    striker_speed_measured: float = measured("m/s", 0.001, 20.0)
+    striker_speed_std: float = measured("m/s", 0.0, 5.0)
+    draw: float = measured("m", 0.0, 0.5)
+    incidence: float = measured("rad", -math.pi / 2, math.pi / 2)
+    contact_angle: float = measured("rad", -7.0, 7.0)
+    start_x: float = measured("m", -5.0, 5.0)
+    start_y: float = measured("m", -5.0, 5.0)
+    start_theta: float = measured("rad", -_TURNS, _TURNS)
+    end_x: float = measured("m", -5.0, 5.0)
+    end_y: float = measured("m", -5.0, 5.0)
+    end_theta: float = measured("rad", -_TURNS, _TURNS)
+    displacement: float = measured("m", 0.0, 3.0)
+    rotation: float = measured("rad", -_TURNS, _TURNS)
+    direction: float = measured("rad", -7.0, 7.0)
+    displacement_std: float = measured("m", 0.0, 0.1)
+    rotation_std: float = measured("rad", 0.0, 1.0)
+    initial_speed: float = measured("m/s", 0.0, 20.0)
+    initial_speed_std: float = measured("m/s", 0.0, 5.0)
+    initial_spin: float = measured("rad/s", -1000.0, 1000.0)
+    initial_spin_std: float = measured("rad/s", 0.0, 100.0)
+    camera_rate_hz: float = measured("", 1.0, 100000.0)
     note: str = ""
     track: Track | None = field(default=None, compare=False)
     file: str = field(default="", compare=False)
     row: int = field(default=0, compare=False)
+
+    def left_out(self, reason: str, sentence: str) -> LeftOut:
+        """Return the rejection of this trial for a reason, a keyword and a sentence."""
+        return LeftOut(self.file, self.row, reason, sentence)
+
+
+TRIAL_COLUMNS = tuple(
+    Column(entry.name, **entry.metadata, required=False)
+    for entry in fields(Trial)
+    if entry.metadata
+)
 
 
 class LeftOut(NamedTuple):

@@ -35,23 +35,21 @@ def with_section(
             "per line"
         )
     indent = section.value[0][0].start_mark.column
-    changes: list[tuple[int, int, str]] = []
-    for key, value in values.items():
-        node = _child(section, key)
-        if node is not None:
-            changes.append((node.start_mark.index, node.end_mark.index, value))
-    end = _end(text, section)
-    added = [f"{key}: {value}" for key, value in values.items() if _child(section, key) is None]
-    tail = "".join(" " * indent + line + "\n" for line in added)
-    tail += provenance_yaml(record, indent)
+    nodes = {key: _child(section, key) for key in values}
+    changes = [
+        (node.start_mark.index, node.end_mark.index, values[key])
+        for key, node in nodes.items()
+        if node is not None
+    ]
+    end = _line_end(text, _last(section))
+    added = [f"{key}: {values[key]}" for key, node in nodes.items() if node is None]
+    tail = "".join(" " * indent + line + "\n" for line in added) + provenance_yaml(record, indent)
     for key_node, value_node in section.value:
         if key_node.value == "calibration":
             start = key_node.start_mark.index - key_node.start_mark.column
             changes.append((start, _line_end(text, _last(value_node)), ""))
     changes.append((end, end, tail if text[:end].endswith("\n") else "\n" + tail))
-    for start, stop, new in sorted(changes, reverse=True):
-        text = text[:start] + new + text[stop:]
-    return text
+    return _replaced(text, changes)
 
 
 def with_value(text: str, name: str, value: str) -> str:
@@ -86,10 +84,6 @@ def _line_end(text: str, index: int) -> int:
     return len(text) if after < 0 else after + 1
 
 
-def _end(text: str, section: yaml.Node) -> int:
-    return _line_end(text, _last(section))
-
-
 def with_entry(text: str, path: Sequence[str], index: int, values: Mapping[str, str]) -> str:
     """Set keys of one entry of the list at ``path`` to YAML ``values``.
 
@@ -107,6 +101,11 @@ def with_entry(text: str, path: Sequence[str], index: int, values: Mapping[str, 
         if place is None:
             raise ConfigurationError(f"'{'.'.join(path)}[{index}]' has no key '{key}'")
         changes.append((place.start_mark.index, place.end_mark.index, value))
+    return _replaced(text, changes)
+
+
+def _replaced(text: str, changes: list[tuple[int, int, str]]) -> str:
+    """Replace each range of characters, given by its start and end, by a new text."""
     for start, stop, new in sorted(changes, reverse=True):
         text = text[:start] + new + text[stop:]
     return text

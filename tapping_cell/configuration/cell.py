@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from tapping_cell.configuration.files import shared_folder
 from tapping_cell.configuration.objects import ObjectFile, load_object
@@ -161,10 +161,8 @@ class Ros2ControlSection:
     )
 
     def __post_init__(self) -> None:
-        for key in ("controller", "joint_states"):
-            name = getattr(self, key)
-            if not name.startswith("/") or name.endswith("/") or len(name) < 2:
-                raise ValueError(f"{key} is '{name}', but must be a full name, such as /name")
+        _check_full_name("controller", self.controller)
+        _check_full_name("joint_states", self.joint_states)
         if len(set(self.joints)) != len(self.joints) or not all(self.joints):
             raise ValueError(f"joints {list(self.joints)}: each joint needs a name of its own")
 
@@ -377,20 +375,7 @@ class ArmSection:
 
     def geometry(self) -> ScaraGeometry:
         """Return the dimensions and limits for the kinematics."""
-        return ScaraGeometry(
-            upper_arm=self.upper_arm,
-            forearm=self.forearm,
-            tip_forward=self.tip_forward,
-            tip_side=self.tip_side,
-            tip_yaw=self.tip_yaw,
-            tip_height=self.tip_height,
-            lower=self.lower,
-            upper=self.upper,
-            max_speed=self.max_speed,
-            max_acceleration=self.max_acceleration,
-            singularity_margin=self.singularity_margin,
-            joint_offset=self.joint_offset,
-        )
+        return ScaraGeometry(**_values(self, ScaraGeometry))
 
     @property
     def homes_alone(self) -> bool:
@@ -485,14 +470,7 @@ class ArmSection:
 
     def motion(self) -> MotionSettings:
         """Return heights, speeds and park pose of the tap moves."""
-        return MotionSettings(
-            travel_height=self.travel_height,
-            travel_speed=self.travel_speed,
-            near_speed=self.near_speed,
-            near_height=self.near_height,
-            back_off=self.back_off,
-            park=self.park,
-        )
+        return MotionSettings(**_values(self, MotionSettings))
 
     def shape(self, tapper: TapperSection) -> ArmShape:
         """Return the parts of the arm and its tool that can occlude the table."""
@@ -503,6 +481,17 @@ class ArmSection:
             tool_half_width=tapper.tool_radius,
             tool_length=tapper.tool_length,
         )
+
+
+def _values(section: ArmSection, kind: type) -> dict[str, Any]:
+    """Return the keys of a section for a class, all of whose fields are keys of the section."""
+    return {field.name: getattr(section, field.name) for field in fields(kind)}
+
+
+def _check_full_name(key: str, name: str) -> None:
+    """Raise ValueError if the value of a key is not the full name of a ROS topic or service."""
+    if not name.startswith("/") or name.endswith("/") or len(name) < 2:
+        raise ValueError(f"{key} is '{name}', but must be a full name, such as /name")
 
 
 LONGEST_SHOT = 0.1
@@ -547,12 +536,10 @@ class OutputSection:
     )
 
     def __post_init__(self) -> None:
-        for key in ("name", "guard", "read_back"):
-            name = getattr(self, key)
-            if name == "" and key == "read_back":
-                continue
-            if not name.startswith("/") or name.endswith("/") or len(name) < 2:
-                raise ValueError(f"{key} is '{name}', but must be a full name, such as /name")
+        _check_full_name("name", self.name)
+        _check_full_name("guard", self.guard)
+        if self.read_back:
+            _check_full_name("read_back", self.read_back)
         if any(b <= a for a, b in pairwise(self.pulses)):
             raise ValueError(f"pulses {list(self.pulses)} must increase")
         longest = max(self.pulses, default=0.0) + 2 * self.latency
@@ -909,23 +896,22 @@ class Cell:
         Raises:
             ConfigurationError: the cell has an arm.
         """
-        made = []
-        for entry in self.fixed_tappers.tappers:
-            tapper = self.tapper_of(entry)
-            made.append(
-                MountedTapper(
-                    entry.name,
-                    Pose(*entry.position, entry.direction),
-                    self.fixed_tappers.strike_height,
-                    tapper.stroke,
-                    tapper.tool_start,
-                    tapper.tool_length,
-                    tapper.tool_radius,
-                    tapper.mass,
-                    tapper.curve().fastest,
-                )
+        return tuple(
+            MountedTapper(
+                entry.name,
+                Pose(*entry.position, entry.direction),
+                self.fixed_tappers.strike_height,
+                tapper.stroke,
+                tapper.tool_start,
+                tapper.tool_length,
+                tapper.tool_radius,
+                tapper.mass,
+                tapper.curve().fastest,
             )
-        return tuple(made)
+            for entry, tapper in zip(
+                self.fixed_tappers.tappers, self.tapper_sections.values(), strict=True
+            )
+        )
 
     @property
     def strike_height(self) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -76,16 +77,15 @@ def _refuse_unplaced(content: TableFile, path: Path | str) -> None:
             f"{path}: key 'markers' lists {len(content.markers)} marker(s), but at least "
             "two are needed, preferably six or more around the working area"
         )
-    for number, first in enumerate(content.markers):
-        for second in content.markers[number + 1 :]:
-            apart = math.hypot(first.x - second.x, first.y - second.y)
-            least = 0.5 * (first.size + second.size)
-            if apart < least:
-                raise ConfigurationError(
-                    f"{path}: the markers {first.id} and {second.id} lie {apart * 1e3:.1f} mm "
-                    f"apart; below {least * 1e3:.1f} mm, their squares overlap; correct x and y "
-                    "in the key 'markers'"
-                )
+    for first, second in combinations(content.markers, 2):
+        apart = math.hypot(first.x - second.x, first.y - second.y)
+        least = 0.5 * (first.size + second.size)
+        if apart < least:
+            raise ConfigurationError(
+                f"{path}: the markers {first.id} and {second.id} lie {apart * 1e3:.1f} mm "
+                f"apart; below {least * 1e3:.1f} mm, their squares overlap; correct x and y "
+                "in the key 'markers'"
+            )
 
 
 def load_camera_model(path: Path | str) -> CameraModel:

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from tapping_cell.report.bag import Bag
+from tapping_cell.report.message_values import seconds_of
 from tapping_cell.report.run import Phase
 
 TRAVELS, LOWERS, CHARGES, SLIDES, WITHDRAWS, FLIES, MEASURES, PLANS, ASKS = (
@@ -32,10 +33,10 @@ def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:
     the state of fixed tappers was recorded."""
     messages: list[tuple[float, str, Any]] = []
     for topic in ("arm_state", "object_state", "plan_state", "tapper_state"):
-        messages += [(_seconds(m.header.stamp), topic, m) for _, m in bag.of(topic)]
-    if not any(topic == "arm_state" for _, topic, _ in messages):
-        fixed = any(m.fixed_mounts for _, topic, m in messages if topic == "tapper_state")
-        return _of_fixed_tappers(messages, began, ended) if fixed else ()
+        messages += [(seconds_of(m.header.stamp), topic, m) for _, m in bag.of(topic)]
+    has_arm = any(topic == "arm_state" for _, topic, _ in messages)
+    if not has_arm and not any(getattr(m, "fixed_mounts", False) for _, _, m in messages):
+        return ()
     latest: dict[str, Any] = {}
     found: list[Phase] = []
     highest = -math.inf
@@ -43,74 +44,52 @@ def activities(bag: Bag, began: float, ended: float) -> tuple[Phase, ...]:
         if at > ended:
             break
         latest[topic] = message
-        if "arm_state" not in latest or topic == "tapper_state":
+        if has_arm and ("arm_state" not in latest or topic == "tapper_state"):
             continue
-        if topic == "arm_state":
-            height = float(message.tip_pose.position.z)
-            highest = max(highest, height) if message.state == _ARM_MOVING else height
         name = _activity(latest)
-        lowered = latest["arm_state"].tip_pose.position.z < highest - LOWERED_M
-        if name == TRAVELS and lowered:
-            name = LOWERS
+        if has_arm:
+            arm = latest["arm_state"]
+            height = float(arm.tip_pose.position.z)
+            if topic == "arm_state":
+                highest = max(highest, height) if arm.state == _ARM_MOVING else height
+            if name == TRAVELS and height < highest - LOWERED_M:
+                name = LOWERS
         if not found or found[-1].name != name:
             found.append(Phase(max(0.0, at - began), name))
         if at < began:
             found = [Phase(0.0, name)]
     return tuple(found)
-
-
-def _of_fixed_tappers(
-    messages: list[tuple[float, str, Any]], began: float, ended: float
-) -> tuple[Phase, ...]:
-    latest: dict[str, Any] = {}
-    found: list[Phase] = []
-    for at, topic, message in sorted(messages, key=lambda entry: entry[0]):
-        if at > ended:
-            break
-        latest[topic] = message
-        name = _activity_of_fixed_tappers(latest)
-        if not found or found[-1].name != name:
-            found.append(Phase(max(0.0, at - began), name))
-        if at < began:
-            found = [Phase(0.0, name)]
-    return tuple(found)
-
-
-def _activity_of_fixed_tappers(latest: dict[str, Any]) -> str:
-    tapper, seen, plan = (
-        latest.get(name) for name in ("tapper_state", "object_state", "plan_state")
-    )
-    if plan is not None and plan.state == _PLAN_CONFIRMING:
-        return ASKS
-    state, outcome = (tapper.state, tapper.outcome) if tapper is not None else (0, 0)
-    if state in (_TAPPER_CHARGING, _TAPPER_CHARGED) or (state == _TAPPER_FIRING and not outcome):
-        return CHARGES
-    if seen is not None and seen.visible and not seen.at_rest:
-        return SLIDES
-    if state == _TAPPER_FIRING:
-        return FLIES
-    if plan is not None and plan.state == _PLAN_LOOKING:
-        return MEASURES
-    return PLANS
 
 
 def _activity(latest: dict[str, Any]) -> str:
-    arm, seen, plan = (latest.get(name) for name in ("arm_state", "object_state", "plan_state"))
-    assert arm is not None
+    """Return the activity according to the latest message of each topic."""
+    plan, seen = latest.get("plan_state"), latest.get("object_state")
     if plan is not None and plan.state == _PLAN_CONFIRMING:
         return ASKS
-    if arm.state == _ARM_MOVING:
-        return TRAVELS
-    if arm.state == _ARM_IN_POSITION:
-        return CHARGES
+    if "arm_state" in latest:
+        striking, afterwards = _of_arm(latest["arm_state"])
+    else:
+        striking, afterwards = _of_fixed_tapper(latest.get("tapper_state"))
+    if striking:
+        return striking
     if seen is not None and seen.visible and not seen.at_rest:
         return SLIDES
-    if arm.state == _ARM_WITHDRAWING:
-        return WITHDRAWS
-    if plan is not None and plan.state == _PLAN_LOOKING:
-        return MEASURES
-    return PLANS
+    if afterwards:
+        return afterwards
+    return MEASURES if plan is not None and plan.state == _PLAN_LOOKING else PLANS
 
 
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec) if stamp is not None else math.nan
+def _of_arm(arm: Any) -> tuple[str, str]:
+    """Return the arm's activity before the tap and its activity after the tap; empty if none. The
+    second applies only if the object does not slide."""
+    before = {_ARM_MOVING: TRAVELS, _ARM_IN_POSITION: CHARGES}
+    return before.get(arm.state, ""), WITHDRAWS if arm.state == _ARM_WITHDRAWING else ""
+
+
+def _of_fixed_tapper(tapper: Any) -> tuple[str, str]:
+    """Return the activities of a fixed tapper, as :func:`_of_arm` does for an arm."""
+    if tapper is None:
+        return "", ""
+    firing = tapper.state == _TAPPER_FIRING
+    charging = tapper.state in (_TAPPER_CHARGING, _TAPPER_CHARGED)
+    return CHARGES if charging or (firing and not tapper.outcome) else "", FLIES if firing else ""

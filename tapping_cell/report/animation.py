@@ -87,7 +87,5 @@ def _add_arrow(plan: Plan, strike: Pose, index: int) -> None:
     along = np.array([math.cos(strike.theta), math.sin(strike.theta)])
     tip = 1000 * np.array([strike.x, strike.y])
     with plan.group(f'id="strike{index}"'):
-        plan.arrow(tip - ARROW_MM * along, tip, STRIKE, 0.8)
-        x, y = tip - (ARROW_MM + 3 * plan.unit) * along
-        plan.text(float(x), float(y), str(index + 1), STRIKE, 3.6)
+        plan.strike(strike, index + 1, ARROW_MM, 0.8)
         plan.polygon([tip, tip + 6 * along], stroke(STRIKE, 0.4 * plan.unit, True), closed=False)

@@ -7,15 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon, Rectangle
-from numpy.typing import NDArray
 
 from tapping_cell.planning.evaluation.arrangements import ArrangementTrial
-from tapping_cell.se2 import Pose, transform_points
-
-Array = NDArray[np.float64]
+from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_SCENES = 6
 ROW_INCHES = 0.28
@@ -42,7 +38,6 @@ def draw_scene(trial: ArrangementTrial, file: Path, table: Sequence[Sequence[str
     """
     below = ROW_INCHES * len(table)
     figure = Figure(figsize=(13.0, 4.0 + below), layout="constrained")
-    FigureCanvasAgg(figure)
     panels: Figure | SubFigure = figure
     if table:
         panels, under = figure.subfigures(2, 1, height_ratios=(4.0, below))

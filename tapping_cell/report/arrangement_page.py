@@ -16,13 +16,13 @@ from tapping_cell.report.arrangement_run import (
     ArrangementRun,
     moves_of,
 )
-from tapping_cell.report.palette import INK, LINE, SERIES, TABLE
+from tapping_cell.report.palette import INK, SERIES
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.rendering import render
 from tapping_cell.report.run import REACHED, Picture
 from tapping_cell.report.run_folder import PAGE
 from tapping_cell.report.svg import Plan
-from tapping_cell.report.words import counted
+from tapping_cell.report.words import counted, motion
 from tapping_cell.se2 import Array, Pose
 
 _MARGIN_MM = 12.0
@@ -130,7 +130,7 @@ def _plan(run: ArrangementRun, poses: Mapping[str, Pose], moved: str = "") -> Pl
     plan = Plan(
         (-half[0] - _MARGIN_MM, -half[1] - _MARGIN_MM), (half[0] + _MARGIN_MM, half[1] + _MARGIN_MM)
     )
-    plan.rectangle(-half, half, f'fill="{TABLE}" stroke="{LINE}" stroke-width="1"')
+    plan.table(half)
     for number, one in enumerate(run.objects):
         if one.goal is not None and moved in ("", one.name):
             plan.outline(_outline(one), one.goal, _colour(number), dashed=True)
@@ -201,8 +201,8 @@ def _taps(run: ArrangementRun) -> list[tuple[str, ...]]:
         (
             str(tap.number),
             tap.name,
-            _between(tap.before, tap.predicted),
-            _between(tap.before, tap.measured),
+            motion(tap.before, tap.predicted),
+            "not seen" if tap.measured is None else motion(tap.before, tap.measured),
             f"{1000 * tap.striker_speed:.0f} mm/s",
             tap.outcome,
             tap.reason,
@@ -222,10 +222,3 @@ def _residual(pose: Pose | None, goal: Pose | None) -> str:
         return "-"
     turn = math.degrees(abs(pose.rotation_to(goal)))
     return f"{1000 * pose.distance_to(goal):.2f} mm, {turn:.2f} deg"
-
-
-def _between(one: Pose, other: Pose | None) -> str:
-    if other is None:
-        return "not seen"
-    turn = math.degrees(one.rotation_to(other))
-    return f"{1000 * one.distance_to(other):.1f} mm, {turn:+.1f} deg"

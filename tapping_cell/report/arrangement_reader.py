@@ -12,15 +12,18 @@ from tapping_cell.report.arrangement_run import ArrangedObject, ArrangedTap, Arr
 from tapping_cell.report.bag import Bag, BagError, read_bag
 from tapping_cell.report.message_values import pose_of, seconds_of
 from tapping_cell.report.run import Picture
-from tapping_cell.report.run_reader import PICTURES, notes_of, records_of
+from tapping_cell.report.run_reader import (
+    SAME_TIME_S,
+    TRUTH_WITHIN_S,
+    notes_of,
+    pictures_of,
+    records_of,
+)
 from tapping_cell.report.words import OUTCOMES, PROGRESS, word
 from tapping_cell.se2 import Pose
 
 NOT_MOVED = "not moved"
 """Outcome of an object that had no goal and was not tapped."""
-_SAME_TIME_S = 1e-6
-_TRUTH_WITHIN_S = 0.2
-"""A pose counts as a final pose up to this time, in s, after the end of the arrangement."""
 
 
 def holds_arrangement(path: Path) -> bool:
@@ -40,7 +43,7 @@ def read_arranged_run(path: Path, name: str) -> tuple[ArrangementRun, tuple[Pict
     """
     bag = read_bag(path)
     notes = notes_of(bag)
-    since = float(notes.get("began", -math.inf)) - _SAME_TIME_S
+    since = float(notes.get("began", -math.inf)) - SAME_TIME_S
     reports = [
         message
         for _, message in bag.of("arrangement_state")
@@ -66,11 +69,7 @@ def read_arranged_run(path: Path, name: str) -> tuple[ArrangementRun, tuple[Pict
         error_code=code,
         error_msg=sentence,
     )
-    pictures = tuple(
-        Picture(seconds_of(message.header.stamp) - began, bytes(message.data))
-        for _, message in bag.of(PICTURES)
-    )
-    return run, pictures
+    return run, pictures_of(bag, began)
 
 
 def arranged_tap(
@@ -103,7 +102,7 @@ def arranged_tap(
 def _taps(bag: Bag, began: float) -> tuple[ArrangedTap, ...]:
     """Return the finished taps. They are read from the planner's report or, if that is missing,
     from its state messages."""
-    since = began - _SAME_TIME_S
+    since = began - SAME_TIME_S
     plans = [m for _, m in bag.of("plan_state") if seconds_of(m.header.stamp) >= since]
     reports = [
         message
@@ -159,10 +158,10 @@ def _objects(
 
 def _poses(bag: Bag, topic: str, ended: float) -> dict[str, list[Pose]]:
     """Return the poses of each object while it was visible, in order of time. Poses up to
-    ``_TRUTH_WITHIN_S`` after the end are included."""
+    ``TRUTH_WITHIN_S`` after the end are included."""
     found: dict[str, list[Pose]] = {}
     for _, message in bag.of(topic):
-        if seconds_of(message.header.stamp) > ended + _TRUTH_WITHIN_S:
+        if seconds_of(message.header.stamp) > ended + TRUTH_WITHIN_S:
             continue
         for state in message.objects:
             if state.visible:

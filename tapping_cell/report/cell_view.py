@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from tapping_cell.report.palette import GOAL, LINE, REST, START, STRIKE, TABLE, WAITING
 from tapping_cell.report.run import Run
-from tapping_cell.report.words import counted, remaining_error
+from tapping_cell.report.words import counted, motion, remaining_error
 from tapping_cell.se2 import Array, Pose, transform_points
 
 MAX_IN_WORDS = 6
@@ -23,7 +22,6 @@ MAX_IN_WORDS = 6
 def draw_cell(run: Run, path: Path) -> None:
     """Write the figure of a run as PNG."""
     figure = Figure(figsize=(14.0, 5.4), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 3, width_ratios=(1.45, 1.1, 0.8))
     _draw_table(figure.add_subplot(grid[:, 0]), run)
     _draw_close_up(figure.add_subplot(grid[:, 1]), run)
@@ -44,9 +42,7 @@ def _headline(run: Run) -> str:
 def _moves(run: Run) -> str:
     """Describe the displacement of each tap, or of the last taps of a long run."""
     parts = [
-        f"tap {tap.number}: {1000 * tap.before.distance_to(tap.measured):.1f} mm, "
-        f"{math.degrees(tap.before.rotation_to(tap.measured)):+.1f} deg"
-        for tap in run.taps[-MAX_IN_WORDS:]
+        f"tap {tap.number}: {motion(tap.before, tap.measured)}" for tap in run.taps[-MAX_IN_WORDS:]
     ]
     return "     ".join(parts)
 
@@ -67,10 +63,8 @@ def _heading(run: Run, pose: Pose) -> Array:
 
 def _draw_table(axes: Axes, run: Run) -> None:
     length, width = run.table_size
-    x, y = np.array([-500, 500]) * length, np.array([-500, 500]) * width
-    axes.add_patch(
-        Rectangle((x[0], y[0]), x[1] - x[0], y[1] - y[0], facecolor=TABLE, edgecolor=LINE)
-    )
+    x, y = 500 * length, 500 * width
+    axes.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, facecolor=TABLE, edgecolor=LINE))
     poses = [(run.start, START, 1.0)] if run.start is not None else []
     poses += [(tap.measured, REST, 0.35 + 0.5 * tap.number / len(run.taps)) for tap in run.taps]
     for pose, colour, alpha in poses:
@@ -85,7 +79,7 @@ def _draw_table(axes: Axes, run: Run) -> None:
         )
         axes.plot(*_heading(run, run.goal).T, color=GOAL, lw=2.0, ls="--")
     for tap in run.taps:
-        _draw_strike(axes, run, tap.before, tap.strike, tap.number)
+        _draw_strike(axes, tap.strike, tap.number)
     # Legend entries for the outlines.
     axes.plot([], [], color=START, label="start")
     axes.plot([], [], color=REST, label="at rest after a tap")
@@ -93,23 +87,17 @@ def _draw_table(axes: Axes, run: Run) -> None:
     axes.plot([], [], color=STRIKE, marker=">", label="strike, with the tap's number")
     axes.legend(loc="lower left", fontsize=8)
     axes.set(title="the table from above", xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-    axes.set_xlim(x[0] - 15, x[1] + 15)
-    axes.set_ylim(y[0] - 15, y[1] + 15)
+    axes.set(xlim=(-x - 15, x + 15), ylim=(-y - 15, y + 15))
 
 
-def _draw_strike(axes: Axes, run: Run, before: Pose, strike: Pose, number: int) -> None:
+def _draw_strike(axes: Axes, strike: Pose, number: int) -> None:
     """Draw an arrow along the striker's travel, with its head at the object."""
-    cos, sin = math.cos(strike.theta), math.sin(strike.theta)
+    along = np.array([math.cos(strike.theta), math.sin(strike.theta)])
     tip = 1000 * np.array([strike.x, strike.y])
-    tail = tip - 45 * np.array([cos, sin])
-    axes.annotate(
-        "",
-        xy=(tip[0], tip[1]),
-        xytext=(tail[0], tail[1]),
-        arrowprops={"arrowstyle": "-|>", "color": STRIKE, "lw": 1.6},
-    )
-    label = tail - 9 * np.array([cos, sin])
-    axes.text(label[0], label[1], str(number), color=STRIKE, ha="center", va="center", fontsize=10)
+    arrow = {"arrowstyle": "-|>", "color": STRIKE, "lw": 1.6}
+    head, tail, (x, y) = ((tip - length * along).tolist() for length in (0, 45, 54))
+    axes.annotate("", xy=head, xytext=tail, arrowprops=arrow)
+    axes.text(x, y, str(number), color=STRIKE, ha="center", va="center", fontsize=10)
 
 
 def _draw_close_up(axes: Axes, run: Run) -> None:
@@ -122,13 +110,9 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
     if run.start is not None:
         axes.plot(*_mm(run.start), marker="o", color=START, ms=6)
         axes.annotate("start", _mm(run.start), (-4, 10), textcoords="offset points", color=START)
+    arrow = {"arrowstyle": "-|>", "color": REST, "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
     for tap in run.taps:
-        axes.annotate(
-            "",
-            xy=_mm(tap.measured),
-            xytext=_mm(tap.before),
-            arrowprops={"arrowstyle": "-|>", "color": REST, "lw": 1.5, "shrinkA": 0, "shrinkB": 0},
-        )
+        axes.annotate("", xy=_mm(tap.measured), xytext=_mm(tap.before), arrowprops=arrow)
         axes.plot(*_mm(tap.predicted), marker="x", color=WAITING, ms=6)
         axes.annotate(
             str(tap.number), _mm(tap.measured), (5, 6), textcoords="offset points", color=REST
@@ -140,8 +124,8 @@ def _draw_close_up(axes: Axes, run: Run) -> None:
     if len(points):
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         half = max(float(np.max(np.ptp(points, axis=0))) / 2 * 1.35, 4 * tolerance, 1.0)
-        axes.set_xlim(middle[0] - half, middle[0] + half)
-        axes.set_ylim(middle[1] - half, middle[1] + half)
+        (left, bottom), (right, top) = middle - half, middle + half
+        axes.set(xlim=(left, right), ylim=(bottom, top))
     axes.set(
         title=f"path of the centre, tolerance {tolerance:g} mm",
         xlabel="x (mm)",

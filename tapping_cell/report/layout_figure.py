@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import matplotlib
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from tapping_cell.configuration.assembly import make_fixed_space
 from tapping_cell.configuration.cell import Cell
 from tapping_cell.planning.coverage import coverage
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
-from matplotlib.patches import Circle
 
 
 def draw_layout(cell: Cell, path: Path) -> None:
@@ -26,7 +24,8 @@ def draw_layout(cell: Cell, path: Path) -> None:
     space = make_fixed_space(cell)
     cover = coverage(space)
     points, count = 1e3 * cover.points, cover.reached.sum(axis=1)
-    figure, axes = plt.subplots(figsize=(7.6, 6.6), constrained_layout=True)
+    figure = Figure(figsize=(7.6, 6.6), layout="constrained")
+    axes = figure.subplots()
     levels = np.arange(len(space.tappers) + 2) - 0.5
     shown = axes.scatter(
         points[:, 0],
@@ -34,7 +33,7 @@ def draw_layout(cell: Cell, path: Path) -> None:
         c=count,
         s=22,
         marker="s",
-        cmap=plt.get_cmap("viridis", len(levels) - 1),
+        cmap=colormaps["viridis"].resampled(len(levels) - 1),
         vmin=levels[0],
         vmax=levels[-1],
         linewidths=0,
@@ -42,47 +41,34 @@ def draw_layout(cell: Cell, path: Path) -> None:
     figure.colorbar(shown, ax=axes, label="tappers that reach an object here", shrink=0.8)
     dead = points[cover.dead]
     if dead.size:
-        axes.scatter(
-            dead[:, 0],
-            dead[:, 1],
-            c="crimson",
-            s=14,
-            marker="x",
-            label="no tap leads inward",
-        )
+        x, y = dead.T
+        axes.scatter(x, y, c="crimson", s=14, marker="x", label="no tap leads inward")
     area = space.area
     axes.add_patch(Circle((1e3 * area.x, 1e3 * area.y), 1e3 * area.radius, fill=False, lw=1.5))
     for tapper in space.tappers:
         mount, stroke = tapper.mount, 1e3 * tapper.stroke
-        x, y = 1e3 * mount.x, 1e3 * mount.y
+        tip = 1e3 * np.array([mount.x, mount.y])
         along = np.array([math.cos(mount.theta), math.sin(mount.theta)])
-        end = np.array([x, y]) + stroke * along
-        axes.plot([x, end[0]], [y, end[1]], color="0.25", lw=0.8, ls="--", zorder=3)
+        line = np.array([tip, tip + stroke * along])
+        axes.plot(*line.T, color="0.25", lw=0.8, ls="--", zorder=3)
         axes.annotate(
             "",
-            xy=(x + 28.0 * along[0], y + 28.0 * along[1]),
-            xytext=(x, y),
+            xy=(tip + 28.0 * along).tolist(),
+            xytext=tip.tolist(),
             arrowprops={"arrowstyle": "-|>", "lw": 2.0, "color": "tab:orange"},
             zorder=4,
         )
-        label = np.array([x, y]) - 16.0 * along
-        axes.text(label[0], label[1], tapper.name, ha="center", va="center", fontsize=8)
-    outline = 1e3 * np.array([*cell.outline(), cell.outline()[0]])
-    axes.plot(
-        outline[:, 0] + 1e3 * area.x,
-        outline[:, 1] + 1e3 * area.y,
-        color="white",
-        lw=1.2,
-        label="the object",
-    )
-    axes.set_aspect("equal")
+        x, y = (tip - 16.0 * along).tolist()
+        axes.text(x, y, tapper.name, ha="center", va="center", fontsize=8)
+    corners = np.array([*cell.outline(), cell.outline()[0]])
+    outline = 1e3 * (corners + np.array([area.x, area.y]))
+    axes.plot(*outline.T, color="white", lw=1.2, label="the object")
     axes.margins(0.1)
-    axes.set_xlabel("x in mm")
-    axes.set_ylabel("y in mm")
-    share = 100.0 * float(np.mean(cover.dead))
-    axes.set_title(
-        f"{cell.file.name}: {len(space.tappers)} tappers, working area of "
-        f"{1e3 * area.radius:.0f} mm radius, {share:.1f} % dead zone"
+    axes.set(
+        aspect="equal",
+        xlabel="x in mm",
+        ylabel="y in mm",
+        title=f"{cell.file.name}: {len(space.tappers)} tappers, working area of "
+        f"{1e3 * area.radius:.0f} mm radius, {100.0 * np.mean(cover.dead):.1f} % dead zone",
     )
     figure.savefig(path, dpi=120)
-    plt.close(figure)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -29,7 +28,6 @@ def write_figures(tap: Tap, folder: Path) -> list[Path]:
     files = []
     for name, draw in ((CONE, _cone), (VELOCITIES, _velocities)):
         figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-        FigureCanvasAgg(figure)
         draw(figure, tap)
         figure.savefig(folder / name, dpi=110)
         files.append(folder / name)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -105,8 +104,8 @@ def draw_histograms(rows: dict[str, dict[str, Any]], path: Path) -> None:
         axis.bar(np.arange(last + 1), share, color=REST)
         axis.axvline(figures["taps"]["mean"], color=STRIKE, linewidth=1.2)
         axis.set_title(f"{label}: mean {figures['taps']['mean']:.2f}", fontsize=9)
-        axis.set_xlabel("taps" + (f" ({last} and more)" if longest > last else ""))
-        axis.set_ylabel("runs (%)")
+        more = f" ({last} and more)" if longest > last else ""
+        axis.set(xlabel=f"taps{more}", ylabel="runs (%)")
     figure.savefig(path)
 
 
@@ -116,10 +115,7 @@ def draw_success(rows: dict[str, dict[str, Any]], path: Path) -> None:
     for label, figures in rows.items():
         share = 100.0 * _within(figures)
         axis.plot(np.arange(share.size), share, marker="o", markersize=3, label=label)
-    axis.set_xlim(0, 10)
-    axis.set_ylim(0, 101)
-    axis.set_xlabel("taps")
-    axis.set_ylabel("completed runs (%)")
+    axis.set(xlim=(0, 10), ylim=(0, 101), xlabel="taps", ylabel="completed runs (%)")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
     figure.savefig(path)
@@ -136,7 +132,7 @@ def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
     back = slope * np.abs(x - distance)
     left.fill_between(x, turn - back, turn + back, color="#f4cccc", alpha=0.5, lw=0)
     left.plot(0.0, 0.0, "ko")
-    left.annotate("start", (0.0, 0.0), textcoords="offset points", xytext=(6, -12), fontsize=8)
+    left.annotate("start", (0.0, 0.0), (6, -12), textcoords="offset points", fontsize=8)
     left.plot(distance, turn, "k*", markersize=12)
     for method in methods():
         tap = _planner(method, settings).choose(1e-3 * distance, math.radians(turn))
@@ -150,8 +146,7 @@ def draw_cones(settings: PlannerSettings, goal: Goal, path: Path) -> None:
     left.legend(fontsize=7, loc="upper left")
     _draw_chain(right, settings, distance, turn)
     for axis in (left, right):
-        axis.set_xlabel("distance (mm)")
-        axis.set_ylabel("rotation (degrees)")
+        axis.set(xlabel="distance (mm)", ylabel="rotation (degrees)")
     figure.savefig(path)
 
 
@@ -164,13 +159,8 @@ def _draw_chain(axis: Axes, settings: PlannerSettings, distance: float, turn: fl
         upper = np.degrees(np.clip(opening, 0.0, None))[shown]
         axis.plot(x, upper, label=f"cone {number}")
     axis.plot(distance, turn, "ko")
-    axis.annotate(
-        f"start: {planned} taps",
-        (distance, turn),
-        textcoords="offset points",
-        xytext=(8, -3),
-        fontsize=8,
-    )
+    start = f"start: {planned} taps"
+    axis.annotate(start, (distance, turn), (8, -3), textcoords="offset points", fontsize=8)
     axis.set_ylim(0.0, max(2.5 * turn, 12.0))
     axis.set_title(
         "cone n: errors that the method multi corrects with n taps,\n"
@@ -191,20 +181,11 @@ def draw_fans(settings: PlannerSettings, goal: Goal, path: Path) -> None:
         for run in fan_of_runs(planner, (1e-3 * distance, math.radians(turn)), FAN_RUNS, FAN_SEED):
             axis.plot(1e3 * run[:, 0], np.degrees(run[:, 1]), color=REST, alpha=0.15, lw=0.8)
             axis.plot(1e3 * run[1:, 0], np.degrees(run[1:, 1]), ".", color=STRIKE, markersize=2)
-        box = settings.stopping
-        axis.add_patch(
-            Rectangle(
-                (distance - 1e3 * box.distance, turn - math.degrees(box.rotation)),
-                2e3 * box.distance,
-                2.0 * math.degrees(box.rotation),
-                fill=False,
-                color="k",
-                lw=0.8,
-            )
-        )
+        wide, high = 1e3 * settings.stopping.distance, math.degrees(settings.stopping.rotation)
+        corner = (distance - wide, turn - high)
+        axis.add_patch(Rectangle(corner, 2 * wide, 2 * high, fill=False, color="k", lw=0.8))
         axis.set_title(method.label, fontsize=9)
-        axis.set_xlabel("distance (mm)")
-        axis.set_ylabel("rotation (degrees)")
+        axis.set(xlabel="distance (mm)", ylabel="rotation (degrees)")
     figure.savefig(path)
 
 
@@ -224,7 +205,6 @@ def _within(figures: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
 def _figure(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Axes]]:
     rows = math.ceil(count / columns)
     figure = Figure(figsize=(size[0], size[1] * rows), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes[count:]:
         axis.set_axis_off()

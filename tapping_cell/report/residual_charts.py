@@ -6,12 +6,12 @@ import math
 from collections.abc import Sequence
 
 from tapping_cell.report.run import Run
-from tapping_cell.report.svg import chart
+from tapping_cell.report.svg import round_length
 
 
-def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[tuple[str, str]]:
-    """Plot remaining distance and rotation of each run in its colour. Return labels and drawings;
-    none without taps.
+def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[dict[str, object]]:
+    """Return charts of the remaining distance and rotation of each run in its colour, which the
+    template ``parts.html`` draws; none without taps.
 
     The charts show the largest tolerance of the runs.
     """
@@ -30,9 +30,45 @@ def residual_charts(runs: Sequence[Run], colours: Sequence[str]) -> list[tuple[s
         return []
     far, turned = (max(run.tolerance[axis] for run in runs) for axis in (0, 1))
     return [
-        (label, chart(lines, limit, label))
-        for label, lines, limit in (
-            ("remaining distance (mm)", distances, 1000 * far),
-            ("remaining rotation (deg)", rotations, math.degrees(turned)),
-        )
+        _chart("remaining distance (mm)", distances, 1000 * far),
+        _chart("remaining rotation (deg)", rotations, math.degrees(turned)),
     ]
+
+
+def _chart(
+    label: str, lines: Sequence[tuple[str, Sequence[float], str]], limit: float
+) -> dict[str, object]:
+    """Compute a chart of lines over the number of taps, 420 units wide and 200 high.
+
+    ``lines``: name, values (the first is that before the first tap) and colour of each line.
+    """
+    left, right, top, bottom = 46.0, 394.0, 14.0, 166.0
+    most = max([limit * 1.5, *(v for _, values, _ in lines for v in values if math.isfinite(v))])
+    step = round_length(most / 3)
+    ticks = [step * index for index in range(math.floor(most / step + 1e-9) + 1)]
+    most = max(most * 1.08, ticks[-1])
+    last = max(len(values) - 1 for _, values, _ in lines)
+
+    def x(index: int) -> float:
+        return left + (right - left) * index / last
+
+    def y(value: float) -> float:
+        return top + (bottom - top) * (1 - value / most)
+
+    points = [[(i, v) for i, v in enumerate(values) if math.isfinite(v)] for _, values, _ in lines]
+    # With a single line, its points are labelled: all of them, or the ends if there are many.
+    labelled = [(i, v) for i, v in points[0] if last < 8 or i in (0, last)]
+    return {
+        "label": label,
+        "tolerance": (y(limit), y(0)),
+        "ticks": [(y(tick), tick) for tick in ticks],
+        "counts": [(x(index), index) for index in range(0, last + 1, max(1, math.ceil(last / 10)))],
+        "lines": [
+            (name, colour, [(x(i), y(v)) for i, v in known])
+            for (name, _, colour), known in zip(lines, points, strict=True)
+        ],
+        "labels": [
+            (x(i) + (4 if i else 6), y(v) - 9, "end" if i == last else "start", v)
+            for i, v in (labelled if len(lines) == 1 else [])
+        ],
+    }

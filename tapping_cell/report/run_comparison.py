@@ -35,22 +35,16 @@ class Row:
 
 def row_of(run: Run) -> Row:
     """Compute the results of one run for the comparison."""
-    start, measured, true = (
-        _to_go(pose, run.goal) for pose in (run.start, run.final_measured, run.final_true)
-    )
     return Row(
-        name=run.name,
-        outcome=run.outcome,
-        planner=run.planner,
-        object_name=run.object_name,
-        taps=len(run.taps),
-        start_distance=start[0],
-        start_rotation=start[1],
-        distance=measured[0],
-        rotation=measured[1],
-        true_distance=true[0],
-        true_rotation=true[1],
-        time=run.wall_time,
+        run.name,
+        run.outcome,
+        run.planner,
+        run.object_name,
+        len(run.taps),
+        *_to_go(run.start, run.goal),
+        *_to_go(run.final_measured, run.goal),
+        *_to_go(run.final_true, run.goal),
+        run.wall_time,
     )
 
 

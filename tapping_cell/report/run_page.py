@@ -9,7 +9,7 @@ import numpy as np
 
 from tapping_cell.report import activities, palette
 from tapping_cell.report.animation import TAP_S, animation
-from tapping_cell.report.palette import GOAL, LINE, PREDICTED, REST, START, STRIKE, TABLE
+from tapping_cell.report.palette import GOAL, PREDICTED, REST, START
 from tapping_cell.report.photograph import photograph
 from tapping_cell.report.rendering import render, unbroken
 from tapping_cell.report.residual_charts import residual_charts
@@ -26,7 +26,7 @@ from tapping_cell.report.run import (
 from tapping_cell.report.run_reader import IllustratedRun
 from tapping_cell.report.svg import Plan, window
 from tapping_cell.report.tap_words import tap_sentence
-from tapping_cell.report.words import counted, remaining_error
+from tapping_cell.report.words import counted, motion, remaining_error
 from tapping_cell.se2 import Array, Pose
 
 SHORTEST_SHOWN_S = 0.05
@@ -139,7 +139,7 @@ def _table_plan(run: Run) -> Plan:
         low, high = window([(1000 * p.x, 1000 * p.y) for p in places], 60.0, 200.0)
     plan = Plan((low[0], low[1]), (high[0], high[1]))
     if half.any():
-        plan.rectangle(-half, half, f'fill="{TABLE}" stroke="{LINE}" stroke-width="1"')
+        plan.table(half)
     return plan
 
 
@@ -153,19 +153,10 @@ def overview(run: Run) -> str:
     if run.goal is not None:
         plan.outline(outline, run.goal, GOAL, dashed=True, fill=0.15)
     for tap in run.taps:
-        _strike(plan, tap, 42.0)
+        plan.strike(tap.strike, tap.number, 42.0, 0.6)
     plan.scale_bar()
     plan.axes()
     return plan.drawing("the table from above")
-
-
-def _strike(plan: Plan, tap: TapRow, length: float) -> None:
-    along = np.array([math.cos(tap.strike.theta), math.sin(tap.strike.theta)])
-    tip = 1000 * np.array([tap.strike.x, tap.strike.y])
-    tail = tip - length * along
-    plan.arrow(tail, tip, STRIKE, 0.6)
-    x, y = tail - 3 * plan.unit * along
-    plan.text(float(x), float(y), str(tap.number), STRIKE, 3.6)
 
 
 def _timeline(run: Run) -> dict[str, object] | None:
@@ -204,14 +195,14 @@ def _tap(run: Run, tap: TapRow, pictures: tuple[Picture, ...]) -> dict[str, obje
         else ""
     )
     rows = [
-        ("commanded", _between(Pose(0.0, 0.0, 0.0), tap.commanded)),
-        ("predicted", _between(tap.before, tap.predicted)),
-        ("measured", _between(tap.before, tap.measured)),
-        ("measured - predicted", _between(tap.predicted, tap.measured)),
+        ("commanded", motion(Pose(0.0, 0.0, 0.0), tap.commanded, 2)),
+        ("predicted", motion(tap.before, tap.predicted, 2)),
+        ("measured", motion(tap.before, tap.measured, 2)),
+        ("measured - predicted", motion(tap.predicted, tap.measured, 2)),
         ("striker", f"{1000 * tap.striker_speed:.0f} mm/s{gate}; {tap.outcome}"),
     ]
     if run.goal is not None:
-        rows.append(("remaining", _between(tap.measured, run.goal)))
+        rows.append(("remaining", motion(tap.measured, run.goal, 2)))
     if math.isfinite(tap.fired_at):
         at_rest = f", at rest at {tap.at_rest_at:.1f} s" if math.isfinite(tap.at_rest_at) else ""
         rows.append(("when", f"fired at {tap.fired_at:.1f} s{at_rest}"))
@@ -251,7 +242,7 @@ def _close_up(run: Run, tap: TapRow) -> str:
     if math.isfinite(tap.measured.x):
         plan.outline(outline, tap.measured, REST)
         plan.arrow(middles[0], middles[-1], REST, 0.5)
-    _strike(plan, tap, back)
+    plan.strike(tap.strike, tap.number, back, 0.6)
     plan.scale_bar()
     plan.axes()
     return plan.drawing(f"tap {tap.number} from above")
@@ -273,8 +264,3 @@ def _aim(learnt: Learnt) -> str:
         f"{math.degrees(learnt.direction_deviation):.2f} deg; rotation due to off-centre mass or "
         f"friction {offset:.3f} \u00b1 {spread:.3f} deg per mm of travel"
     )
-
-
-def _between(one: Pose, other: Pose) -> str:
-    turn = math.degrees(one.rotation_to(other))
-    return f"{1000 * one.distance_to(other):.2f} mm, {turn:+.2f} deg"

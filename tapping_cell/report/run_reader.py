@@ -37,9 +37,10 @@ NOTES = "run_notes"
 """Topic (``std_msgs/String``, JSON) with information on a run that no other topic contains."""
 PICTURES = "camera/image_annotated/compressed"
 _STATE_TOPICS = ("plan_state", "arm_state", "tapper_state", "object_state")
-_TRUTH_WITHIN_S = 0.2
-"""Maximum time difference between a measured pose and its ground truth, s."""
-_SAME_TIME_S = 1e-6
+TRUTH_WITHIN_S = 0.2
+"""Maximum time difference between a measured pose and its ground truth, s. A pose counts as a final
+pose up to this time after the end of the run."""
+SAME_TIME_S = 1e-6
 _FINAL_WORDS = ("reached", "failed", "canceled")
 
 
@@ -92,7 +93,7 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
         for plan in own
         if not refused
         and _same_goal(plan.goal, last.goal)
-        and _seconds(plan.header.stamp) >= since - _SAME_TIME_S
+        and _seconds(plan.header.stamp) >= since - SAME_TIME_S
     ]
     began = float(notes.get("began", _seconds((mine or [last])[0].header.stamp)))
     ended = _seconds(last.header.stamp)
@@ -100,7 +101,7 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
     truths = [(_seconds(m.header.stamp), _pose(m.pose)) for _, m in bag.of("ground_truth")]
     records = report.records if report is not None else records_of(mine)
     seen = [(at, m) for at, m in states if m.visible and m.at_rest and not m.error_code]
-    after = [(at, m) for at, m in seen if at <= ended + _TRUTH_WITHIN_S]
+    after = [(at, m) for at, m in seen if at <= ended + TRUTH_WITHIN_S]
     final = after[-1] if after else None
     taps = _taps(records, bag, truths, began)
     # A client sets the stamp of a goal to the stamp of the observation to which the goal refers, to
@@ -139,10 +140,14 @@ def illustrated_run(bag: Bag, name: str) -> IllustratedRun:
         errors=_errors(bag, began, ended),
         files=notes.get("files", {}),
     )
-    pictures = tuple(
+    return IllustratedRun(run, pictures_of(bag, began))
+
+
+def pictures_of(bag: Bag, began: float) -> tuple[Picture, ...]:
+    """Return the camera images in order of time; ``began`` is the start of the run, s."""
+    return tuple(
         Picture(_seconds(m.header.stamp) - began, bytes(m.data)) for _, m in bag.of(PICTURES)
     )
-    return IllustratedRun(run, pictures)
 
 
 def notes_of(bag: Bag) -> dict[str, Any]:
@@ -159,7 +164,7 @@ def notes_of(bag: Bag) -> dict[str, Any]:
 def _own_report(reports: list[Any], notes: dict[str, Any]) -> Any:
     """Select the report of this run's goal. A bag may also contain an earlier report, because the
     topic is latched."""
-    began = float(notes.get("began", -math.inf)) - _SAME_TIME_S
+    began = float(notes.get("began", -math.inf)) - SAME_TIME_S
     since = [report for report in reports if _seconds(report.header.stamp) >= began]
     if notes.get("refused") is not None:
         since = [report for report in since if bool(report.refused) == notes["refused"]]
@@ -235,7 +240,7 @@ def _learnt(record: Any) -> Learnt:
 def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
     """Return the last resting pose up to the time ``asked``. If there is none, return the first
     resting pose after it, or None."""
-    before = [message for at, message in seen if at <= asked + _SAME_TIME_S]
+    before = [message for at, message in seen if at <= asked + SAME_TIME_S]
     message = before[-1] if before else (seen[0][1] if seen else None)
     return None if message is None else _pose(message.pose.pose)
 
@@ -243,7 +248,7 @@ def _pose_at(seen: list[tuple[float, Any]], asked: float) -> Pose | None:
 def _start(seen: list[tuple[float, Any]], asked: float, taps: Sequence[TapRow]) -> Pose | None:
     """Return the resting pose at the beginning of a run. If the recorder connected to the camera's
     node only after the first tap, return the pose for which that tap was planned."""
-    if taps and taps[0].number == 1 and all(at > asked + _SAME_TIME_S for at, _ in seen):
+    if taps and taps[0].number == 1 and all(at > asked + SAME_TIME_S for at, _ in seen):
         return taps[0].before
     return _pose_at(seen, asked)
 
@@ -255,7 +260,7 @@ def _truth_at(truths: list[tuple[float, Pose]], at: float) -> Pose | None:
     place = bisect.bisect_left(truths, at, key=lambda entry: entry[0])
     near = truths[max(0, place - 1) : place + 1]
     stamp, pose = min(near, key=lambda entry: abs(entry[0] - at))
-    return pose if abs(stamp - at) <= _TRUTH_WITHIN_S else None
+    return pose if abs(stamp - at) <= TRUTH_WITHIN_S else None
 
 
 def _outcome(

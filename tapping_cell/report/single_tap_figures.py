@@ -8,12 +8,12 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from tapping_cell.report.palette import INK, MUTED, PREDICTED, REST, STRIKE
-from tapping_cell.report.single_tap import Array, ProfileView, SingleTapReport
+from tapping_cell.report.single_tap import ProfileView, SingleTapReport
+from tapping_cell.se2 import Array
 
 RUNS = "single_tap_runs.png"
 PROFILES = "single_tap_profiles.png"
@@ -41,7 +41,6 @@ def write_figures(report: SingleTapReport, folder: Path) -> list[Path]:
         if name == PROFILES and not report.profiles:
             continue
         figure = Figure(figsize=size, dpi=110, layout="constrained")
-        FigureCanvasAgg(figure)
         draw(figure, report)
         figure.savefig(folder / name)
         files.append(folder / name)
@@ -116,13 +115,14 @@ def _profiles(figure: Figure, report: SingleTapReport) -> None:
 
 
 def _profile(speed: Axes, spin: Axes, pose: Axes, view: ProfileView) -> None:
-    speed.plot(view.plain_time, view.plain_speed, "--", color=MUTED)
-    speed.plot(view.curve_time, view.curve_speed, color=STRIKE)
-    speed.plot(view.rate_time, view.seen_speed, "o", color=INK, ms=5)
+    for axes, plain, curve, seen in (
+        (speed, view.plain_speed, view.curve_speed, view.seen_speed),
+        (spin, view.plain_spin, view.curve_spin, view.seen_spin),
+    ):
+        axes.plot(view.plain_time, plain, "--", color=MUTED)
+        axes.plot(view.curve_time, curve, color=STRIKE)
+        axes.plot(view.rate_time, seen, "o", color=INK, ms=5)
     speed.set(ylabel="speed (mm/s)", title=view.title)
-    spin.plot(view.plain_time, view.plain_spin, "--", color=MUTED)
-    spin.plot(view.curve_time, view.curve_spin, color=STRIKE)
-    spin.plot(view.rate_time, view.seen_spin, "o", color=INK, ms=5)
     spin.set(ylabel="spin (degrees/s)", title="spin")
     pose.plot(view.curve_time, view.curve_distance, color=STRIKE)
     pose.plot(view.seen_time, view.seen_distance, "o", color=INK, ms=5)

@@ -1,9 +1,9 @@
-"""SVG drawings for a page: a plan of the table in mm with y upwards, and small charts."""
+"""SVG drawing of a plan of the table, in mm with y upwards."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
@@ -11,7 +11,7 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tapping_cell.report.palette import GOAL, INK, LINE, MUTED
+from tapping_cell.report.palette import INK, LINE, MUTED, STRIKE, TABLE
 from tapping_cell.se2 import Array, Pose, transform_points
 
 _ELLIPSE_95 = math.sqrt(-2.0 * math.log(0.05))
@@ -33,10 +33,11 @@ class Plan:
         """A hundredth of the drawing's larger side, in mm. Line widths and font sizes are multiples
         of it."""
 
-    def rectangle(self, low: ArrayLike, high: ArrayLike, style: str) -> None:
-        """Draw a rectangle between two corners in mm."""
-        (x0, y0), (x1, y1) = np.asarray(low), np.asarray(high)
-        self.polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], style)
+    def table(self, half: ArrayLike) -> None:
+        """Draw the table from its half lengths along x and y, in mm."""
+        x, y = np.asarray(half)
+        corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
+        self.polygon(corners, f'fill="{TABLE}" stroke="{LINE}" stroke-width="1"')
 
     def polygon(self, points: ArrayLike, style: str, closed: bool = True) -> None:
         """Draw a polygon or, if not closed, a polyline through points in mm."""
@@ -67,6 +68,15 @@ class Plan:
         self.polygon([start, neck], stroke(colour, width * self.unit), closed=False)
         self.polygon([end, neck + aside, neck - aside], f'fill="{colour}"')
 
+    def strike(self, strike: Pose, number: int, length: float, width: float) -> None:
+        """Draw the arrow of a tap with its number behind it. ``length`` is in mm, and ``width`` is
+        a multiple of ``unit``."""
+        along = np.array([math.cos(strike.theta), math.sin(strike.theta)])
+        tip = 1000 * np.array([strike.x, strike.y])
+        self.arrow(tip - length * along, tip, STRIKE, width)
+        x, y = (tip - (length + 3 * self.unit) * along).tolist()
+        self.text(x, y, str(number), STRIKE, 3.6)
+
     def outline(
         self, outline: Array, pose: Pose, colour: str, dashed: bool = False, fill: float = 0.0
     ) -> None:
@@ -94,7 +104,7 @@ class Plan:
 
     def axes(self) -> None:
         """Draw tick marks of the table's x and y in mm, along the lower and the left edge."""
-        step = _round_length(max(self.width, self.height) / 5)
+        step = round_length(max(self.width, self.height) / 5)
         mark, low = 1.4 * self.unit, np.asarray(self.low, dtype=float)
         line = stroke(MUTED, 0.25 * self.unit)
         for index in range(math.ceil(low[0] / step), math.floor(self.high[0] / step) + 1):
@@ -120,7 +130,7 @@ class Plan:
 
     def scale_bar(self) -> None:
         """Draw a scale bar of a round length in the lower left corner."""
-        length = _round_length(self.width / 4)
+        length = round_length(self.width / 4)
         x, y = self.low[0] + 9 * self.unit, self.low[1] + 6 * self.unit
         self.polygon([(x, y), (x + length, y)], stroke(INK, 0.6 * self.unit), closed=False)
         self.text(x + length / 2, y + 2.6 * self.unit, f"{length:g} mm", INK, 2.8)
@@ -155,78 +165,7 @@ def window(points: ArrayLike, margin: float, least: float) -> tuple[Array, Array
     return middle - half, middle + half
 
 
-def chart(
-    values: Sequence[tuple[str, Sequence[float], str]],
-    limit: float,
-    label: str,
-    x_label: str = "taps",
-) -> str:
-    """Draw lines over the number of taps; return the SVG element.
-
-    ``values``: for each line its name, its values (the first is that before the first tap) and its
-    colour.
-    """
-    wide, high, left, bottom, top = 420.0, 200.0, 46.0, 34.0, 14.0
-    most = max([limit * 1.5, *(v for _, line, _ in values for v in line if math.isfinite(v))])
-    ticks = _ticks(most)
-    most = max(most * 1.08, ticks[-1])
-    last = max([1, *(len(line) - 1 for _, line, _ in values)])
-
-    def x(index: float) -> float:
-        return left + (wide - left - 26) * index / last
-
-    def y(value: float) -> float:
-        return top + (high - top - bottom) * (1 - value / most)
-
-    parts = [
-        f'<rect x="{left}" y="{y(limit):.1f}" width="{wide - left}" '
-        f'height="{y(0) - y(limit):.1f}" fill="{GOAL}" fill-opacity="0.15"/>'
-    ]
-    for tick in ticks:
-        parts.append(
-            f'<line x1="{left}" x2="{wide}" y1="{y(tick):.1f}" y2="{y(tick):.1f}" '
-            f'stroke="{LINE}"/>'
-            f'<text x="{left - 6}" y="{y(tick):.1f}" text-anchor="end" dominant-baseline="central" '
-            f'fill="{MUTED}">{tick:g}</text>'
-        )
-    for index in range(0, last + 1, max(1, math.ceil(last / 10))):
-        parts.append(
-            f'<text x="{x(index):.1f}" y="{high - bottom + 14}" text-anchor="middle" '
-            f'fill="{MUTED}">{index}</text>'
-        )
-    for name, line, colour in values:
-        known = [(x(i), y(v)) for i, v in enumerate(line) if math.isfinite(v)]
-        path = " ".join(f"{px:.1f},{py:.1f}" for px, py in known)
-        parts.append(
-            f'<polyline points="{path}" {stroke(colour, 2)}>'
-            f"<title>{escape(name)}</title></polyline>"
-        )
-        parts += [
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.4" fill="{colour}"/>' for px, py in known
-        ]
-        if len(values) == 1:
-            parts += [
-                f'<text x="{x(i) + (4 if i else 6):.1f}" y="{y(v) - 9:.1f}" fill="{INK}" '
-                f'text-anchor="{"end" if i == last else "start"}">{v:.2f}</text>'
-                for i, v in enumerate(line)
-                if math.isfinite(v) and (len(line) < 9 or i in (0, len(line) - 1))
-            ]
-    parts.append(
-        f'<text x="{(left + wide) / 2:.0f}" y="{high - 5}" text-anchor="middle" fill="{MUTED}">'
-        f"{escape(x_label)}</text>"
-    )
-    return (
-        f'<svg viewBox="0 0 {wide:.0f} {high:.0f}" role="img" aria-label="{escape(label)}">'
-        f"{''.join(parts)}</svg>"
-    )
-
-
-def _ticks(most: float) -> list[float]:
-    step = _round_length(most / 3)
-    return [step * index for index in range(math.floor(most / step + 1e-9) + 1)]
-
-
-def _round_length(length: float) -> float:
+def round_length(length: float) -> float:
     """Return the largest 1, 2 or 5 times a power of ten that is at most ``length``."""
     power = 10.0 ** math.floor(math.log10(max(length, 1e-9)))
     return next(factor * power for factor in (5.0, 2.0, 1.0) if factor * power <= length * 1.0001)

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 Row = tuple[Mapping[str, float | str], Mapping[str, Any]]
@@ -73,7 +72,6 @@ def write_sweep(folder: Path, rows: Sequence[Row]) -> None:
 def _plot(names: Sequence[str], rows: Sequence[Row]) -> Figure:
     first, others = names[0], names[1:]
     figure = Figure(figsize=(9.0, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
     taps, truth = figure.subplots(1, 2)
     curves: dict[str, list[Row]] = {}
     for row in rows:
@@ -88,8 +86,7 @@ def _plot(names: Sequence[str], rows: Sequence[Row]) -> Figure:
         inside = [n["truly_inside_percent"] for n in numbers]
         truth.plot(x, inside, marker="o", label=label or None)
     for axes, title in ((taps, "mean taps"), (truth, "truly inside, % of those done")):
-        axes.set_xlabel(first.replace("-", " "))
-        axes.set_ylabel(title)
+        axes.set(xlabel=first.replace("-", " "), ylabel=title)
         axes.grid(alpha=0.3)
     taps.set_ylim(bottom=0.0)
     if others:

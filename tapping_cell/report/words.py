@@ -45,6 +45,12 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
+def motion(before: Pose, after: Pose, digits: int = 1) -> str:
+    """Return the distance and the signed rotation between two poses, as text."""
+    turn = math.degrees(before.rotation_to(after))
+    return f"{1000 * before.distance_to(after):.{digits}f} mm, {turn:+.{digits}f} deg"
+
+
 def remaining_error(pose: Pose, goal: Pose) -> str:
     """Return the distance and the angle from a pose to the goal, as text."""
     turn = math.degrees(abs(pose.rotation_to(goal)))

@@ -31,7 +31,6 @@ from tapping_cell.calibration.keep import fingerprints, now, write_kept
 from tapping_cell.calibration.mounts import (
     MAX_DEVIATION,
     RECORD_COLUMNS,
-    Array,
     MountFit,
     TapScatter,
     fit_mount,
@@ -43,7 +42,7 @@ from tapping_cell.configuration.cell import Cell, load_cell
 from tapping_cell.configuration.provenance import Provenance
 from tapping_cell.report.run import TapRow
 from tapping_cell.report.run_folder import SUMMARY, TAPS
-from tapping_cell.se2 import Pose
+from tapping_cell.se2 import Array, Pose
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -41,7 +41,7 @@ def test_states_match_the_mechanics_model(body, speed, ratio, factor, share):
     rest = sliding.rest(speed, spin)
     time = share * float(rest.duration)
     exact = sliding.profile(speed, spin, [time])
-    curves = SlideCurves(body.support, body.support_radius, body.gamma, 9.81)
+    curves = SlideCurves(body, 9.81)
     launch = (np.array([speed]), np.array([spin]))
     state, _ = curves.at(
         launch, np.array([time]), np.zeros(1, dtype=int), np.array([0.17]), math.log(factor)
