@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from tapping_cell.mechanics.bodies import Polygon
-from tapping_cell.mechanics.polygon_sliding import PolygonSlide
+from tapping_cell.mechanics.polygon_sliding import PolygonSlide, runge_kutta
 from tapping_cell.mechanics.round_sliding import RoundSlide
 from tapping_cell.mechanics.slide_table import slide_table
 
@@ -55,8 +55,6 @@ _EDGE = 8
 _STEP = 0.15
 _STEPS_TO_REST = 60
 _SLOW = 1e-6
-_BLOCK = 16384
-"""Number of slides looked up per batch, chosen so that a batch fits in the cache."""
 _TINY = 1e-12
 _FEW_TABLES = 8
 
@@ -222,14 +220,7 @@ class PolygonTable:
 
         state: Array = np.zeros((4, unit.shape[1]))
         for index in range(steps):
-            at = index * step
-            a, p = slope(at, unit, state)
-            b, q = slope(at + step / 2, unit + step / 2 * a, state + step / 2 * p)
-            c, r = slope(at + step / 2, unit + step / 2 * b, state + step / 2 * q)
-            d, s = slope(at + step, unit + step * c, state + step * r)
-            unit = unit + step / 6 * (a + 2 * b + 2 * c + d)
-            unit = unit / np.sqrt((unit**2).sum(axis=0))
-            state = state + step / 6 * (p + 2 * q + 2 * r + s)
+            unit, state = runge_kutta(slope, index * step, step, unit, state)
         return unit, state
 
     def _cubic(self, phi: Array, alpha: Array, known: Array) -> Array:
@@ -285,6 +276,8 @@ def _kept(points: tuple[tuple[float, float], ...], torque_factor: float) -> Poly
 class TabulatedPolygonSlide(PolygonSlide):
     """Slides of one polygon from its table."""
 
+    _chunk = 16384
+    """Number of slides looked up at once, chosen so that they fit in the cache."""
     _inverse_tolerance = 1e-7
     """Relative error below which the inverse makes one last step, which reduces the error to 1e-8,
     far below the error of the table."""
@@ -302,18 +295,10 @@ class TabulatedPolygonSlide(PolygonSlide):
         # Normalised and rounded, so that equal shapes of any scale or position use the same table.
         shape = tuple(map(tuple, np.round(polygon.points / rho, 10).tolist()))
         self._table = _kept(shape, round(torque_factor, 10))
-        self._rho = rho
         self._unit_speed = math.sqrt(deceleration * rho)
         self._unit_time = math.sqrt(rho / deceleration)
 
-    def _slide(self, twist: Array) -> tuple[Array, Array]:
-        """Compute displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and
-        rad/s."""
-        scale = np.array([1.0, 1.0, self._rho]) / self._unit_speed
-        moved, duration = np.empty(twist.shape), np.empty(len(twist))
-        for begin in range(0, len(twist), _BLOCK):
-            part = slice(begin, begin + _BLOCK)
-            reduced, time = self._table.slide(twist[part] * scale)
-            moved[part] = reduced * np.array([self._rho, self._rho, 1.0])
-            duration[part] = time * self._unit_time
-        return moved, duration
+    def _slide_part(self, twist: Array) -> tuple[Array, Array]:
+        scale = np.array([1.0, 1.0, self._gyration]) / self._unit_speed
+        reduced, time = self._table.slide(twist * scale)
+        return reduced * np.array([self._gyration, self._gyration, 1.0]), time * self._unit_time

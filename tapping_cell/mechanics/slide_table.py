@@ -61,10 +61,10 @@ class SlideTable:
         self._guess = np.ascontiguousarray(self._inverse_guess().T)
         rates = solution.ratio_rates
         self._rates = _hermite(rates, np.gradient(rates, 1 / PIECES, axis=1, edge_order=2)).T.copy()
-        self._forward_rows = [tuple(row) for row in self._forward.T.tolist()]
-        self._minor_rows = [tuple(row) for row in self._minor.T.tolist()]
-        self._major_rows = [tuple(row) for row in self._major.T.tolist()]
-        self._guess_rows = [tuple(row) for row in self._guess.T.tolist()]
+        self._forward_rows, self._minor_rows, self._major_rows, self._guess_rows = (
+            [tuple(row) for row in columns.T.tolist()]
+            for columns in (self._forward, self._minor, self._major, self._guess)
+        )
 
     # ---- single slides, with Python floats
 
