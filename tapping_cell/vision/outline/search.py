@@ -29,7 +29,13 @@ from tapping_cell.vision.outline.fit import (
     fit_outline,
 )
 from tapping_cell.vision.outline.patches import patches
-from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
+from tapping_cell.vision.outline.shape import (
+    ANGLES,
+    Dot,
+    ObjectOutline,
+    centroid,
+    turn_differences,
+)
 
 _MIN_SEEN = {"disk": 0.55, "polygon": 0.7}
 """Minimum visible fraction of the rim. The limit is higher for a polygon than for a disk: an arc of
@@ -339,7 +345,7 @@ def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
 def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]:
     """Match a rim (N, 2), projected to the plane of the top, with the outline of the top alone, and
     with the outline of top and wall together. Yield a candidate for each of the two."""
-    middle, radii = _middle(rim), _radii(rim)
+    middle, radii = centroid(rim), _radii(rim)
     model = outline.radii()
     size = float(radii.mean() / model.mean())
     # Walls and thresholds enlarge the rim uniformly, so only the shape is compared.
@@ -358,13 +364,13 @@ def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]
             near = np.arange(-_NEAR, _NEAR + 1)
             step = float(near[differences[near].argmin()])
             pose = _turned(outline, pose, np.array([2.0 * math.pi * step / len(model)]))[0]
-        pose[:2] += middle - _middle(whole)
+        pose[:2] += middle - centroid(whole)
     yield _Place(float(differences.min() / model.mean()), middle, pose, size)
 
 
 def _radii(rim: Array) -> Array:
     """Distances of a rim (N, 2) from its centre, at the angles of :meth:`ObjectOutline.radii`."""
-    arm = rim - _middle(rim)
+    arm = rim - centroid(rim)
     angle = np.arctan2(arm[:, 1], arm[:, 0])
     order = np.argsort(angle)
     length = np.hypot(*arm.T)[order]
@@ -456,10 +462,3 @@ def _walked(polygon: Array, each: int = 8) -> Array:
     after = np.roll(polygon, -1, axis=0)
     share = np.arange(each) / each
     return (polygon[:, None] + share[:, None] * (after - polygon)[:, None]).reshape(-1, 2)
-
-
-def _middle(polygon: Array) -> Array:
-    """Centroid (2,) of a polygon (N, 2)."""
-    after = np.roll(polygon, -1, axis=0)
-    cross = polygon[:, 0] * after[:, 1] - polygon[:, 1] * after[:, 0]
-    return np.asarray(((polygon + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
