@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.se2 import Pose, transform_points, wrap_angle
-from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.camera import Array, Image, View, at_height
 from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.markers.search import Detections
 from tapping_cell.vision.observation import Observation, Problem
@@ -228,7 +228,7 @@ class ObjectFollower(ABC):
     def _through_newest(self, frame: Frame, pose: Array) -> Array:
         """Convert a pose measured in the working view to the newest view of the table."""
         points = transform_points(pose, CROSS)
-        seen = frame.working.pose.apply(np.column_stack([points, np.full(4, self.height)]))
+        seen = frame.working.pose.apply(at_height(points, self.height))
         newest = frame.newest.rays_on_plane(seen[:, :2] / seen[:, 2:], self.height)
         moved = pose + pose_changes(points, newest - points)
         moved[2] = wrap_angle(moved[2])
