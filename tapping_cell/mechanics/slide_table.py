@@ -43,7 +43,6 @@ class SlideTable:
     """
 
     def __init__(self, support: str, torque_ratio: float) -> None:
-        self.support = support
         self.torque_ratio = torque_ratio
         solution = SlideSolution(_FRICTION[support], torque_ratio)
         self.terminal_ratio = solution.terminal_ratio
@@ -136,7 +135,7 @@ class SlideTable:
         """Vectorised :meth:`rest` for two flat arrays of equal length.
         Raises :class:`InvalidParameterError` if a value is not finite.
         """
-        travel, rim_travel, time = _in_blocks(self._rest_block, speed, rim_speed, 3)
+        travel, rim_travel, time = _in_blocks(self._rest_block, speed, rim_speed)
         return travel, rim_travel, time
 
     def _rest_block(self, speed: Array, rim_speed: Array) -> tuple[Array, Array, Array]:
@@ -159,7 +158,7 @@ class SlideTable:
         """Vectorised :meth:`launch` for two flat arrays of equal length.
         Raises :class:`InvalidParameterError` if a value is not finite.
         """
-        speed, rim_speed = _in_blocks(self._launch_block, travel, rim_travel, 2)
+        speed, rim_speed = _in_blocks(self._launch_block, travel, rim_travel)
         return speed, rim_speed
 
     def _launch_block(self, travel: Array, rim_travel: Array) -> tuple[Array, Array]:
@@ -256,15 +255,12 @@ class SlideTable:
 
 
 def _in_blocks(
-    function: Callable[[Array, Array], Sequence[Array]], first: Array, second: Array, results: int
+    function: Callable[[Array, Array], Sequence[Array]], first: Array, second: Array
 ) -> list[Array]:
     """Apply a function to blocks of two flat arrays that fit in the cache, and join its results."""
-    joined: list[Array] = [np.empty(first.size) for _ in range(results)]
-    for start in range(0, first.size, _CHUNK):
-        part = slice(start, start + _CHUNK)
-        for target, values in zip(joined, function(first[part], second[part]), strict=True):
-            target[part] = values
-    return joined
+    parts = [slice(start, start + _CHUNK) for start in range(0, max(first.size, 1), _CHUNK)]
+    results = zip(*(function(first[part], second[part]) for part in parts), strict=True)
+    return [np.concatenate(blocks) for blocks in results]
 
 
 def _graded(major: Array, minor: Array) -> Array:

@@ -60,26 +60,22 @@ likely as an exact lens and print."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Members:
-    """K combinations of amplitudes: their weights (K,), the squared amplitudes ``power`` (K,) of
-    the lens error, and matrices that do not depend on the pose to be corrected."""
-
-    weight: Array
-    power: Array
-    inverse: Array
-    dragged: Array
-    steps: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class SystematicError:
-    """The error model conditioned on the references; see :func:`condition`."""
+    """The error model conditioned on the references; see :func:`condition`.
+
+    It consists of K combinations of amplitudes: their weights (K,), the squared amplitudes
+    ``power`` (K,) of the lens error, and matrices that do not depend on the pose to be corrected.
+    """
 
     lens: Array
     gain: Array
     basis: Array
     data: Array
-    members: _Members
+    weight: Array
+    power: Array
+    inverse: Array
+    dragged: Array
+    steps: Array
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
         """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the remaining
@@ -89,18 +85,17 @@ class SystematicError:
         ``lens`` (3, 8) that with respect to the lens parameters (:func:`lens_shifts`). The
         covariance includes the noise of the reference markers, but not of the object's marker.
         """
-        m = self.members
         own, cross = lens @ lens.T, lens @ self.lens.T
         pulled = cross @ self.gain.T @ response.T
-        power = m.power[:, None, None]
-        to_data = power * (cross @ self.basis) - response @ m.dragged
-        prior = power * (own - pulled - pulled.T) + response @ m.steps @ response.T
-        answer = to_data @ m.inverse
+        power = self.power[:, None, None]
+        to_data = power * (cross @ self.basis) - response @ self.dragged
+        prior = power * (own - pulled - pulled.T) + response @ self.steps @ response.T
+        answer = to_data @ self.inverse
         error = answer @ self.data
         left = prior - answer @ to_data.transpose(0, 2, 1)
-        mean = m.weight @ error
+        mean = self.weight @ error
         apart = error - mean
-        return mean, np.tensordot(m.weight, left, 1) + (m.weight * apart.T) @ apart
+        return mean, np.tensordot(self.weight, left, 1) + (self.weight * apart.T) @ apart
 
 
 def condition(
@@ -142,14 +137,17 @@ def condition(
     total_weight = np.cumsum(weight[order]) / weight.sum()
     kept = order[: int(np.searchsorted(total_weight, 1.0 - _LEFT_OUT)) + 1]
     moved = gain @ np.tensordot(amounts[kept], parts, 1)
-    members = _Members(
-        weight[kept] / weight[kept].sum(),
-        s[kept],
-        np.linalg.inv(total[kept]),
-        moved @ basis,
-        moved @ gain.T,
+    return SystematicError(
+        lens,
+        gain,
+        basis,
+        data,
+        weight=weight[kept] / weight[kept].sum(),
+        power=s[kept],
+        inverse=np.linalg.inv(total[kept]),
+        dragged=moved @ basis,
+        steps=moved @ gain.T,
     )
-    return SystematicError(lens, gain, basis, data, members)
 
 
 def _prior(field: Array, print_: Array, stated: bool) -> Array:
