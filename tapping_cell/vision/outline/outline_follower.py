@@ -16,9 +16,6 @@ from tapping_cell.vision.object_follower import Aim, Failure, Frame, ObjectFollo
 from tapping_cell.vision.observation import Problem
 from tapping_cell.vision.outline.fit import USUAL_BLUR, Linearisation, OutlineFit, fit_again
 from tapping_cell.vision.outline.search import (
-    NO_DOT,
-    OTHER_SIZE,
-    TWO_DOTS,
     Refused,
     accept,
     find_outlines,
@@ -36,11 +33,6 @@ _RIM_BIAS = 7e-6
 """Standard deviation (m) of the error common to all frames, measured on rendered scenes. Its causes
 are the position of the edge within a pixel, uneven light across the rim, and the side wall.
 Chamfers, dirt and errors in the object file are not included."""
-_PROBLEMS = {
-    OTHER_SIZE: Problem.MISSHAPEN_OBJECT,
-    NO_DOT: Problem.DOT_HIDDEN,
-    TWO_DOTS: Problem.DOT_HIDDEN,
-}
 
 
 class OutlineFollower(ObjectFollower):
@@ -155,8 +147,7 @@ class OutlineFollower(ObjectFollower):
         self.failure = None
         if refused:
             first = refused[0]
-            problem = _PROBLEMS.get(first.reason, Problem.WRONG_OBJECT)
-            self.failure = (problem, f"the object is not found: {first.sentence}")
+            self.failure = (first.problem, f"the object is not found: {first.sentence}")
         return self.failure or self._unseen()
 
     def _unseen(self) -> Failure:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.observation import Problem
 from tapping_cell.vision.outline.fit import (
     COARSE,
     MIN_CONTRAST,
@@ -74,10 +75,10 @@ with that of the surroundings (beyond the wall). At each of these positions, pix
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A region of about the right size that is not the object; ``reason`` is one of the constants
-    below."""
+    """A region of about the right size that is not the object: the problem, and a sentence that
+    explains it."""
 
-    reason: str
+    problem: Problem
     sentence: str
 
 
@@ -94,9 +95,6 @@ class _Place:
     middle: Array
     pose: Array
     size: float
-
-
-OTHER_SHAPE, OTHER_SIZE, NO_DOT, TWO_DOTS = "shape", "size", "no dot", "two dots"
 
 
 def least_seen(outline: ObjectOutline) -> float:
@@ -166,7 +164,7 @@ def fit_closely(
         return turned
     whole = fit_surely(image, view, outline, turned, blur=blur)
     if whole is None:
-        return Refused(NO_DOT, "its dot is not seen at the expected position")
+        return Refused(Problem.DOT_HIDDEN, "its dot is not seen at the expected position")
     return accept(whole, outline)
 
 
@@ -214,7 +212,7 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
         return wrong_size(rough)
     seen = 0.0 if rim is None else rim.seen
     return Refused(
-        OTHER_SHAPE,
+        Problem.WRONG_OBJECT,
         f"only {seen * 100:.0f} % of its rim is seen where its outline predicts it (at least "
         f"{least * 100:.0f} % is needed)",
     )
@@ -227,25 +225,25 @@ def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
     least = least_seen(outline)
     if fit.seen < least or fit.contrast < MIN_CONTRAST:
         return Refused(
-            OTHER_SHAPE,
+            Problem.WRONG_OBJECT,
             f"{fit.seen * 100:.0f} % of its rim is seen with a contrast of {fit.contrast:.0f} "
             f"grey levels (at least {least * 100:.0f} % and {MIN_CONTRAST:.0f} are needed)",
         )
     if fit.least_side < _MIN_SIDE:
         return Refused(
-            OTHER_SHAPE,
+            Problem.WRONG_OBJECT,
             f"only {fit.least_side * 100:.0f} % of one of its sides is seen (at least "
             f"{_MIN_SIDE * 100:.0f} % of each side is needed)",
         )
     if outline.dot is not None and fit.dot_contrast < MIN_CONTRAST:
-        return Refused(NO_DOT, "its dot is not seen at the expected position")
+        return Refused(Problem.DOT_HIDDEN, "its dot is not seen at the expected position")
     return fit
 
 
 def wrong_size(fit: OutlineFit) -> Refused:
     """Reject a region that is too large or too small."""
     return Refused(
-        OTHER_SIZE,
+        Problem.MISSHAPEN_OBJECT,
         f"its apparent size differs by {(fit.size - 1.0) * 100:+.1f} % from the size in its file "
         f"(limit {LARGEST_STRETCH * 100:.0f} %): it may be lifted or tilted, or be a different "
         "object, or its height in the file may be wrong",
@@ -428,14 +426,14 @@ def turn_by_dot(
     best = int(contrast.argmax())
     if contrast[best] < MIN_CONTRAST:
         return Refused(
-            NO_DOT,
+            Problem.DOT_HIDDEN,
             f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels; at "
             f"least {MIN_CONTRAST:.0f} are needed)",
         )
     away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius
     if away.any() and contrast[away].max() > 0.6 * contrast[best]:
         return Refused(
-            TWO_DOTS, "two dots are seen instead of one, so the object's angle is unknown"
+            Problem.DOT_HIDDEN, "two dots are seen instead of one, so the object's angle is unknown"
         )
     return np.asarray(poses[best])
 
