@@ -94,6 +94,7 @@ class ObjectFollower(ABC):
         self.wants_search = True
         self.failure: Failure | None = None
         self.track = Track(rest)
+        # Stamp, pose and velocity of the last measurement.
         self._last: tuple[float, Array, Array] | None = None
         self._searching_since: float | None = None
         self._judged: tuple[int, Array, Array, Array] | None = None

@@ -271,35 +271,12 @@ def rough_places(
         fill = cv2.MORPH_OPEN if outline.dot.brighter else cv2.MORPH_CLOSE
         cover = np.ones((across_dot, across_dot), dtype=np.uint8)
         small = np.asarray(cv2.morphologyEx(small, fill, cover), dtype=np.uint8)
-    kernel = np.ones((int(2.6 * outline.reach / pixel / shrink) | 1,) * 2, dtype=np.uint8)
-    operation = cv2.MORPH_OPEN if outline.brighter else cv2.MORPH_CLOSE
-    around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
-    shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
-    places: list[_Place] = []
-    # The area, and the minimum number of points of a contour, in the downscaled image. Of all
-    # shapes with the same area, a disk has the shortest rim. The number of points can be smaller
-    # than the length in pixels by a factor of up to sqrt(2), because a diagonal step adds only one
-    # point.
     area = outline.area / (float(scale.prod()) * pixel**2)
-    shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
-    for threshold in _SHADES:
-        mask = (shade > threshold).astype(np.uint8)
-        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        for contour in contours:
-            if len(contour) < shortest:
-                continue
-            # Contours pass through the centres of the outermost pixels, so half a pixel is missing
-            # along the whole contour.
-            share = (cv2.contourArea(contour) + 0.5 * len(contour)) / area
-            if not _AREAS[0] < share < _AREAS[1]:
-                continue
-            hull = cv2.convexHull(contour)
-            if cv2.contourArea(hull) > _LARGEST_HULL_RATIO * max(cv2.contourArea(contour), 1.0):
-                continue
-            places.extend(_places(view, outline, np.asarray(hull, dtype=np.int32), scale))
+    wide = int(2.6 * outline.reach / pixel / shrink) | 1
+    blobs = _blobs(small, outline.brighter, area, wide)
+    places = [place for hull in blobs for place in _places(view, outline, hull, scale)]
     if not places:
-        reach = outline.reach / pixel / shrink
-        for hull in patches(small, area, reach):
+        for hull in patches(small, area, outline.reach / pixel / shrink):
             share = (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True)) / area
             if _AREAS[0] < share < _AREAS[1]:
                 places.extend(_places(view, outline, hull, scale))
@@ -311,6 +288,34 @@ def rough_places(
         if all(np.hypot(*(place.middle - other)) > 0.4 * outline.reach for other in taken):
             taken.append(place.middle)
             yield place.pose, place.size
+
+
+def _blobs(small: Image, brighter: bool, area: float, wide: int) -> Iterator[NDArray[np.int32]]:
+    """Yield the convex hulls (N, 1, 2) of nearly convex blobs that are brighter or darker than
+    their surroundings. Their area is about ``area``, and they are less than ``wide`` pixels wide.
+    """
+    operation = cv2.MORPH_OPEN if brighter else cv2.MORPH_CLOSE
+    kernel = np.ones((wide, wide), dtype=np.uint8)
+    around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
+    shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
+    # The minimum number of points of a contour. Of all shapes with the same area, a disk has the
+    # shortest rim. The number of points can be smaller than the length in pixels by a factor of up
+    # to sqrt(2), because a diagonal step adds only one point.
+    shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
+    for threshold in _SHADES:
+        mask = (shade > threshold).astype(np.uint8)
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        for contour in contours:
+            if len(contour) < shortest:
+                continue
+            # Contours pass through the centres of the outermost pixels, so half a pixel is missing
+            # along the whole contour.
+            inner = cv2.contourArea(contour)
+            if not _AREAS[0] < (inner + 0.5 * len(contour)) / area < _AREAS[1]:
+                continue
+            hull = np.asarray(cv2.convexHull(contour), dtype=np.int32)
+            if cv2.contourArea(hull) <= _LARGEST_HULL_RATIO * max(inner, 1.0):
+                yield hull
 
 
 def _places(
