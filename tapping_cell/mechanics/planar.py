@@ -25,6 +25,12 @@ def rotate(vector: Array, angle: Array) -> Array:
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
+def turn(planar: Array, angle: Array) -> Array:
+    """Rotate twists or displacements (..., 3) by ``angle`` (rad). The result also contains their
+    components in axes rotated by -angle."""
+    return np.concatenate([rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
+
+
 def to_left(vector: Array) -> Array:
     """Rotate vectors (..., 2) by +90 degrees."""
     return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)

@@ -27,15 +27,13 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from tapping_cell.mechanics.bodies import Polygon
+from tapping_cell.mechanics.planar import Array, rotate, turn
 from tapping_cell.mechanics.polygon_sliding import PolygonSlide, runge_kutta
 from tapping_cell.mechanics.round_sliding import RoundSlide
 from tapping_cell.mechanics.slide_table import slide_table
-
-Array = NDArray[np.float64]
 
 LARGEST_SIZE = 8.0
 """Maximum size s in the table."""
@@ -94,13 +92,10 @@ class PolygonTable:
         steps = math.ceil(float((length * square).max()) / (LARGEST_SIZE * _STEP))
         unit, state = self._advance(twist.T / major, square, length / steps, steps)
         before, turned = square * state[:3], square * state[2]
-        cos, sin = np.cos(turned), np.sin(turned)
         # Stay slightly below the limit of the table, so that rounding errors do not exceed it.
-        vx, vy, spin = (1.0 - _TINY) * math.sqrt(LARGEST_SIZE) * unit
-        inside = np.stack([cos * vx + sin * vy, cos * vy - sin * vx, spin], axis=-1)
-        (x, y, theta), duration = (part.T for part in self._lookup(inside))
-        after = np.stack([cos * x - sin * y, sin * x + cos * y, theta])
-        return (before + after).T, major * state[3] + duration
+        launch = (1.0 - _TINY) * math.sqrt(LARGEST_SIZE) * unit.T
+        after, duration = self._lookup(turn(launch, -turned))
+        return before.T + turn(after, turned), major * state[3] + duration
 
     def _lookup(self, twist: Array) -> tuple[Array, Array]:
         """Look up displacements (n, 3) and durations (n,) of launches up to ``LARGEST_SIZE``."""
@@ -182,24 +177,16 @@ class PolygonTable:
         step = _STEP if known is None else length / steps
         end, moved = self._advance(unit, size, step, steps)
         if known is not None:
-            cos, sin = np.cos(size * moved[2]), np.sin(size * moved[2])
-            vx, vy = cos * end[0] + sin * end[1], cos * end[1] - sin * end[0]
+            turned = size * moved[2]
+            vx, vy = rotate(end[:2].T, -turned).T
             speed = np.hypot(vx, vy)
             a, left, b, d = self._cubic(np.arctan2(end[2], speed), np.arctan2(vy, vx), known)
             ex, ey = vx / speed, vy / speed
-            x, y = ex * a - ey * left, ey * a + ex * left
-            rest = np.stack([cos * x - sin * y, sin * x + cos * y, end[2] * b])
-            moved[:3] += math.exp(-2 * length) * rest
+            rest = np.stack([ex * a - ey * left, ey * a + ex * left, end[2] * b], axis=-1)
+            moved[:3] += math.exp(-2 * length) * turn(rest, turned).T
             moved[3] += math.exp(-length) * d
-        cos, sin = np.cos(alpha), np.sin(alpha)
-        made = np.stack(
-            [
-                cos * moved[0] + sin * moved[1],
-                cos * moved[1] - sin * moved[0],
-                moved[2] / np.sin(phi),
-                moved[3],
-            ]
-        )
+        along, left = rotate(moved[:2].T, -alpha).T
+        made = np.stack([along, left, moved[2] / np.sin(phi), moved[3]])
         return np.asarray(made - self._disk_factors(phi))
 
     def _advance(

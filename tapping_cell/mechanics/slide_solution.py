@@ -36,9 +36,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.support_friction import SupportFriction
 
-Array = NDArray[np.float64]
 Friction = Callable[[Array, Array, NDArray[np.bool_]], SupportFriction]
 
 PIECES = 1024

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.mechanics.errors import InvalidParameterError
+from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.slide_solution import (
     PIECES,
     Friction,
@@ -24,8 +25,6 @@ from tapping_cell.mechanics.slide_solution import (
     grade_inverse,
 )
 from tapping_cell.mechanics.support_friction import disk_friction, ring_friction
-
-Array = NDArray[np.float64]
 
 _CHUNK = 4096
 _NEWTON_STEPS = 2

@@ -15,17 +15,16 @@ import copy
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tapping_cell.mechanics.bodies import Body, Polygon
 from tapping_cell.mechanics.errors import InvalidParameterError, finite, positive
+from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.polygon_sliding import PolygonSlide
 from tapping_cell.mechanics.polygon_table import TabulatedPolygonSlide
 from tapping_cell.mechanics.round_sliding import RoundSlide
 from tapping_cell.mechanics.slide_results import Launch, Profile, Rest
 from tapping_cell.mechanics.slide_table import slide_table
-
-Array = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.81
 

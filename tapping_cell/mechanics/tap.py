@@ -26,7 +26,7 @@ from tapping_cell.mechanics.errors import (
     not_negative,
 )
 from tapping_cell.mechanics.impact import Impact
-from tapping_cell.mechanics.planar import Array, cross, rotate, to_left, to_right, unit
+from tapping_cell.mechanics.planar import Array, cross, rotate, to_left, to_right, turn, unit
 from tapping_cell.mechanics.sliding import Sliding
 
 # Relative tolerance for rounding errors of a displacement at a limit (of rotation or distance).
@@ -173,7 +173,7 @@ class Tap:
         velocity = _from_frame(contact.normal, impact.velocity)
         hit = np.where(missed, 0.0, 1.0)
         launch = np.concatenate([velocity, impact.spin[..., None]], axis=-1) * hit[..., None]
-        twist = _turn(launch, angle)
+        twist = turn(launch, angle)
         return TapResult(
             missed=missed,
             travel=contact.travel,
@@ -183,7 +183,7 @@ class Tap:
             normal_impulse=impact.normal_impulse * hit,
             tangential_impulse=impact.tangential_impulse * hit,
             twist=twist,
-            displacement=_turn(self.sliding.displace(_turn(twist, -angle)), angle),
+            displacement=turn(self.sliding.displace(turn(twist, -angle)), angle),
         )
 
     def plan(self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN) -> TapPlan:
@@ -200,11 +200,11 @@ class Tap:
         held = _poses("object pose", object_pose)
         shape = np.broadcast_shapes(wanted.shape[:-1], held.shape[:-1])
         wanted, held = np.broadcast_to(wanted, (*shape, 3)), np.broadcast_to(held, (*shape, 3))
-        plan = self._plan_in_body(_turn(wanted, -held[..., 2]))
+        plan = self._plan_in_body(turn(wanted, -held[..., 2]))
         if np.isnan(plan.incidence).any():
             self._refuse_contact(wanted, np.isnan(plan.incidence))
         return plan._replace(
-            strike_pose=se2.compose(held, plan.strike_pose), twist=_turn(plan.twist, held[..., 2])
+            strike_pose=se2.compose(held, plan.strike_pose), twist=turn(plan.twist, held[..., 2])
         )
 
     def reachable(
@@ -217,7 +217,7 @@ class Tap:
             return inside
         held = _poses("object pose", object_pose)
         shape = np.broadcast_shapes(inside.shape, held.shape[:-1])
-        turned = np.broadcast_to(_turn(wanted, -held[..., 2]), (*shape, 3))
+        turned = np.broadcast_to(turn(wanted, -held[..., 2]), (*shape, 3))
         found = np.array(np.broadcast_to(inside, shape))
         _, line, slope = self._line_of_action(turned[found])
         local = _in_frame(line.normal, line.point)
@@ -234,13 +234,13 @@ class Tap:
         wanted = _poses("displacement", displacements)
         held = np.broadcast_to(_poses("object pose", object_pose), wanted.shape)
         found = np.array(self._inside(wanted))
-        plan = self._plan_in_body(_turn(wanted[found], -held[found, 2]))
+        plan = self._plan_in_body(turn(wanted[found], -held[found, 2]))
         known = ~np.isnan(plan.incidence)
         found[found] = known
         made = TapPlan(*(each[known] for each in plan))
         return found, made._replace(
             strike_pose=se2.compose(held[found], made.strike_pose),
-            twist=_turn(made.twist, held[found, 2]),
+            twist=turn(made.twist, held[found, 2]),
         )
 
     def jacobian(self, displacement: ArrayLike) -> Array:
@@ -265,7 +265,7 @@ class Tap:
             np.array([0.0, 0.0, _ANGLE_STEP]),
         )
         columns = [
-            _turn(
+            turn(
                 self.outcome(_ORIGIN, pose + shift, plan.striker_speed)
                 - self.outcome(_ORIGIN, pose - shift, plan.striker_speed),
                 -travel,
@@ -372,12 +372,6 @@ def _poses(name: str, values: ArrayLike) -> Array:
             f"{name} has shape {array.shape}; the last axis must have length 3."
         )
     return array
-
-
-def _turn(planar: Array, angle: Array) -> Array:
-    """Rotate a twist or displacement (..., 3) by ``angle``. The result is also its components in
-    axes rotated by -angle."""
-    return np.concatenate([rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
 
 
 def _in_frame(normal: Array, vector: Array) -> Array:

@@ -78,7 +78,7 @@ def _references(
     scale = _scale(picture)
     for marker, corners in zip(references.markers, references.corners(), strict=True):
         colour = BLUE if marker.id in used else RED
-        _outline(picture, view, corners, _TABLE, 0.0, colour)
+        _outline(picture, view, np.asarray(corners), _TABLE, 0.0, colour)
         x, y = (int(c) for c in np.clip(view.project(corners).mean(axis=0), -4000, 8000))
         place = (x - round(9 * scale * len(str(marker.id))), y + round(10 * scale))
         # Outlined text is readable on black and on white modules.
@@ -128,24 +128,17 @@ def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | 
     texts: list[tuple[str, Colour]] = []
     pose = observation.pose
     if pose is not None and observation.covariance is not None:
-        texts.append(_state(observation))
         sigma = np.sqrt(np.diag(observation.covariance))
-        texts.append(
-            (
-                f"x {pose.x * 1e3:+.2f}  y {pose.y * 1e3:+.2f} mm   "
-                f"theta {math.degrees(pose.theta):+.2f} deg   "
-                f"(sd {max(sigma[:2]) * 1e3:.3f} mm, {math.degrees(sigma[2]):.3f} deg)",
-                WHITE,
-            )
+        values = (
+            f"x {pose.x * 1e3:+.2f}  y {pose.y * 1e3:+.2f} mm   "
+            f"theta {math.degrees(pose.theta):+.2f} deg   "
+            f"(sd {max(sigma[:2]) * 1e3:.3f} mm, {math.degrees(sigma[2]):.3f} deg)"
         )
+        texts += [_state(observation), (values, WHITE)]
         if goal is not None:
-            texts.append(
-                (
-                    f"to the goal: {pose.distance_to(goal) * 1e3:.2f} mm, "
-                    f"{math.degrees(pose.rotation_to(goal)):+.2f} deg",
-                    BLUE,
-                )
-            )
+            distance, rotation = pose.distance_to(goal), pose.rotation_to(goal)
+            left = f"to the goal: {distance * 1e3:.2f} mm, {math.degrees(rotation):+.2f} deg"
+            texts.append((left, BLUE))
     if observation.sentence:
         texts.append((observation.sentence, AMBER if observation.visible else RED))
     scale = _scale(picture)

@@ -99,27 +99,28 @@ class ObjectFollower(ABC):
         self._searching_since: float | None = None
         self._judged: tuple[int, Array, Array, Array] | None = None
 
-    # -- implemented by subclasses
+    # -- implemented by subclasses; an object without a marker needs only the abstract methods
 
     @abstractmethod
     def outline(self, pose: Array) -> Array:
         """Return points (N, 2) around the object's visible part at a pose (3,), in ``table``."""
 
-    @abstractmethod
     def detected(self, stamp: float) -> bool:
-        """Return whether the search of the frame with this stamp found the object."""
+        """Return whether the search of the frame with this stamp found the object's marker."""
+        return False
 
-    @abstractmethod
     def aim(self, stamp: float, view: View | None) -> Aim | None:
-        """Return the marker to measure in the next frame together with the reference markers.
+        """Return the object's marker to measure in the next frame together with the reference
+        markers.
 
         Measuring them together improves the estimate of the correlation between neighbouring
         pixels' noise.
         """
+        return None
 
-    @abstractmethod
     def complete(self, detections: Mapping[str, Detections]) -> bool:
-        """Return whether a search has found everything that this follower needs."""
+        """Return whether a search has found every marker that this follower needs."""
+        return True
 
     @abstractmethod
     def searched(self, image: Image, search: Search) -> None:

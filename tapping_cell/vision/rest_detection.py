@@ -83,8 +83,8 @@ class Track:
     def _begin(self) -> None:
         self._recent: deque[tuple[float, Array, Array]] = deque(maxlen=self.settings.longest)
         # The last poses at rest, and the inverses of their covariances.
-        self._poses = np.empty((0, 3))
-        self._information = np.empty((0, 3, 3))
+        self._poses: Array = np.empty((0, 3))
+        self._information: Array = np.empty((0, 3, 3))
         self._rest_since: float | None = None
         self._outliers = 0
         self._fused: tuple[Array, Array] = (np.zeros(3), np.zeros((3, 3)))

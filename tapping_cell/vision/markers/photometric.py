@@ -201,7 +201,7 @@ def align_again(
 
 def _displacement(step: Array, marker: ObjectMarker) -> float:
     """Displacement in m of the marker's sides by a step (x, y, theta)."""
-    return max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size)
+    return max(math.hypot(step[0], step[1]), abs(float(step[2])) * 0.5 * marker.size)
 
 
 def _robust_weights(residual: Array) -> tuple[Array, float]:

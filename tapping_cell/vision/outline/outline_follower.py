@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +10,7 @@ import numpy as np
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, Image, View
 from tapping_cell.vision.markers.detection import ReferenceMap
-from tapping_cell.vision.markers.search import Detections
-from tapping_cell.vision.object_follower import Aim, Failure, Frame, ObjectFollower, Search
+from tapping_cell.vision.object_follower import Failure, Frame, ObjectFollower, Search
 from tapping_cell.vision.observation import Problem
 from tapping_cell.vision.outline.fit import USUAL_BLUR, Linearisation, OutlineFit, fit_again
 from tapping_cell.vision.outline.search import (
@@ -50,18 +48,6 @@ class OutlineFollower(ObjectFollower):
     def outline(self, pose: Array) -> Array:
         """Return points (N, 2) on the rim."""
         return np.asarray(transform_points(pose, self._shape.points()))
-
-    def detected(self, stamp: float) -> bool:
-        """Return False, because a search of markers finds no outline."""
-        return False
-
-    def aim(self, stamp: float, view: View | None) -> Aim | None:
-        """Return None, because the object has no marker."""
-        return None
-
-    def complete(self, detections: Mapping[str, Detections]) -> bool:
-        """Return True, because the follower needs no markers."""
-        return True
 
     def searched(self, image: Image, search: Search) -> None:
         """Search the whole next frame for the outline."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -184,22 +185,14 @@ def fit_surely(
     is displaced and too small. This wrong fit is nearly as good as the correct fit. However, a fit
     whose size is fixed to that of the file finds the correct pose.
     """
-    fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
+    fit_at = partial(fit_outline, image, view, outline, blur=blur, step=step, with_dot=with_dot)
+    fit = fit_at(start)
     if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
         return fit
-    fixed = fit_outline(
-        image,
-        view,
-        outline,
-        fit.pose,
-        blur=blur,
-        step=step,
-        with_dot=with_dot,
-        size_spread=_CERTAIN,
-    )
+    fixed = fit_at(fit.pose, size_spread=_CERTAIN)
     if fixed is None:
         return fit
-    again = fit_outline(image, view, outline, fixed.pose, blur=blur, step=step, with_dot=with_dot)
+    again = fit_at(fixed.pose)
     if again is None or abs(again.size - 1.0) > abs(fit.size - 1.0):
         return fit
     return again if again.seen > fit.seen - 0.1 else fit
