@@ -15,8 +15,8 @@ from tapping_cell.se2 import wrap_angle
 from tapping_cell.simulation.rendered_camera import SceneRenderer, SceneSettings
 from tapping_cell.vision import CameraPose, Dot, ObjectOutline, OutlineError
 from tapping_cell.vision.camera import Array
-from tapping_cell.vision.outline.finder import OutlineFinder
 from tapping_cell.vision.outline.fit import USUAL_BLUR
+from tapping_cell.vision.outline.outline_follower import rim_uncertainty
 from tapping_cell.vision.outline.search import (
     Refused,
     accept,
@@ -90,7 +90,7 @@ def _one(outlines: list[ObjectOutline], places: int) -> dict[str, float]:
     gaps, turns, normalised, follow, search = [], [], [], [], []
     missed = wrong = 0
     for number, outline in enumerate(outlines):
-        shared = OutlineFinder(outline, cell.table).shared()
+        shared = rim_uncertainty(outline)
         settings = SceneSettings(
             noise=random.uniform(2.0, 4.0),
             light_falloff=random.uniform(0.0, 0.67),

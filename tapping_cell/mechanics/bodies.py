@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.mechanics.errors import InvalidBodyError, finite, positive
-
-Array = NDArray[np.float64]
+from tapping_cell.mechanics.planar import Array, cross, to_right, unit
 
 
 class Body:
@@ -64,20 +63,14 @@ class Body:
         raise NotImplementedError
 
 
+@dataclass(frozen=True)
 class _Round(Body):
     radius: float
+    mass: float
+    height: float
 
     def __post_init__(self) -> None:
-        name = type(self).__name__.lower()
-        object.__setattr__(
-            self, "radius", positive(f"{name} radius", self.radius, "m", InvalidBodyError)
-        )
-        object.__setattr__(
-            self, "mass", positive(f"{name} mass", self.mass, "kg", InvalidBodyError)
-        )
-        object.__setattr__(
-            self, "height", positive(f"{name} height", self.height, "m", InvalidBodyError)
-        )
+        _check_positive(self, radius="m", mass="kg", height="m")
 
     @property
     def support_radius(self) -> float:
@@ -91,20 +84,15 @@ class _Round(Body):
         return self.radius * self.normal(angle)
 
     def normal(self, angle: ArrayLike) -> Array:
-        a = np.asarray(angle, dtype=float)
-        return np.stack([np.cos(a), np.sin(a)], axis=-1)
+        return unit(np.asarray(angle, dtype=float))
 
 
-@dataclass(frozen=True)
 class Disk(_Round):
     """A uniform disk: ``radius`` and ``height`` in m, ``mass`` in kg.
 
     Raises :class:`InvalidBodyError` for a value that is not finite and positive.
     """
 
-    radius: float
-    mass: float
-    height: float
     support: ClassVar[str] = "disk"
 
     @property
@@ -113,16 +101,12 @@ class Disk(_Round):
         return self.mass * self.radius**2 / 2
 
 
-@dataclass(frozen=True)
 class Ring(_Round):
     """A thin ring supported on its whole rim: ``radius`` and ``height`` in m, ``mass`` in kg.
 
     Raises :class:`InvalidBodyError` for a value that is not finite and positive.
     """
 
-    radius: float
-    mass: float
-    height: float
     support: ClassVar[str] = "ring"
 
     @property
@@ -147,12 +131,7 @@ class Polygon(Body):
     support: ClassVar[str] = "disk"
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "mass", positive("polygon mass", self.mass, "kg", InvalidBodyError)
-        )
-        object.__setattr__(
-            self, "height", positive("polygon height", self.height, "m", InvalidBodyError)
-        )
+        _check_positive(self, mass="kg", height="m")
         points = _convex(self.vertices)
         points = points - _area_moments(points)[1]
         object.__setattr__(self, "vertices", tuple((float(x), float(y)) for x, y in points))
@@ -167,7 +146,7 @@ class Polygon(Body):
         """Outward unit normals (N, 2) of the edges; edge i runs from vertex i to i + 1."""
         edges = np.roll(self.points, -1, axis=0) - self.points
         tangents = edges / np.linalg.norm(edges, axis=1, keepdims=True)
-        return np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
+        return to_right(tangents)
 
     @cached_property
     def edge_lengths(self) -> Array:
@@ -213,15 +192,13 @@ class Polygon(Body):
     def boundary(self, angle: ArrayLike) -> Array:
         """Return the points at which rays from the centre of mass at the angles ``angle`` (rad)
         leave the face."""
-        a = np.asarray(angle, dtype=float)
-        ray = np.stack([np.cos(a), np.sin(a)], axis=-1)
+        ray = unit(np.asarray(angle, dtype=float))
         return np.asarray(self._exit(ray)[0][..., None] * ray)
 
     def normal(self, angle: ArrayLike) -> Array:
         """Return the outward unit normals of the edges at the points that :meth:`boundary`
         returns."""
-        a = np.asarray(angle, dtype=float)
-        edge = self._exit(np.stack([np.cos(a), np.sin(a)], axis=-1))[1]
+        edge = self._exit(unit(np.asarray(angle, dtype=float)))[1]
         return np.asarray(self.edge_normals[edge])
 
     def _exit(self, ray: Array) -> tuple[Array, NDArray[np.intp]]:
@@ -232,6 +209,14 @@ class Polygon(Body):
         with np.errstate(divide="ignore"):
             distance = np.where(closing > 0, support / np.where(closing > 0, closing, 1), np.inf)
         return distance.min(axis=-1), distance.argmin(axis=-1)
+
+
+def _check_positive(body: Body, **units: str) -> None:
+    """Convert these attributes of a body to float; raise an exception unless all are positive."""
+    for name, unit_name in units.items():
+        title = f"{type(body).__name__.lower()} {name}"
+        value = positive(title, getattr(body, name), unit_name, InvalidBodyError)
+        object.__setattr__(body, name, value)
 
 
 def _convex(vertices: Iterable[Iterable[float]]) -> Array:
@@ -246,7 +231,7 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
         raise InvalidBodyError(
             f"polygon vertices have shape {raw.shape}; they must be (N, 2) with N at least 3."
         )
-    points = _checked_finite(raw)
+    points = finite("polygon vertices", raw, "m", InvalidBodyError)
     points = points - points.mean(axis=0)  # moments about a distant origin lose accuracy
     edges = np.roll(points, -1, axis=0) - points
     lengths = np.hypot(*edges.T)
@@ -255,7 +240,7 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
         i = int(lengths.argmin())
         raise InvalidBodyError(f"polygon vertex {i} at {raw[i].tolist()} m appears twice.")
     following = np.roll(edges, -1, axis=0)
-    turn = np.arctan2(_cross(edges, following), np.einsum("ij,ij->i", edges, following))
+    turn = np.arctan2(cross(edges, following), np.einsum("ij,ij->i", edges, following))
     if turn.sum() < 0:
         points = points[::-1]
         turn = -turn[::-1]
@@ -277,22 +262,11 @@ def _convex(vertices: Iterable[Iterable[float]]) -> Array:
     return np.asarray(points)
 
 
-def _checked_finite(points: Array) -> Array:
-    try:
-        return finite("polygon vertices", points, "m")
-    except ValueError as problem:
-        raise InvalidBodyError(str(problem)) from None
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
 def _area_moments(points: Array) -> tuple[float, Array, Array]:
     """Compute area, centroid and mean of r r^T about the origin, by sums over the triangles between
     the origin and the edges."""
     following = np.roll(points, -1, axis=0)
-    double = _cross(points, following)
+    double = cross(points, following)
     area = float(double.sum() / 2)
     total = points + following
     centroid = double @ total / (6 * area)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.mechanics.bodies import Body, Polygon
-
-Array = NDArray[np.float64]
+from tapping_cell.mechanics.planar import Array, cross, to_left
 
 
 class Contact(NamedTuple):
@@ -39,7 +38,7 @@ def first_contact(body: Body, tip_radius: float, start: Array, direction: Array)
     reach = body.bounding_radius + tip_radius
     travel, hits = _enter_circle(start, direction, reach)
     normal = -(start + travel[..., None] * direction) / reach
-    return _contact(hits, travel, -body.bounding_radius * normal, normal)
+    return Contact(~hits, travel, -body.bounding_radius * normal, normal)
 
 
 def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) -> Contact:
@@ -55,7 +54,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     height = np.einsum("...ij,ij->...i", from_vertex, normals) - tip
     with np.errstate(divide="ignore", invalid="ignore"):
         edge_travel = np.where(faces, -height / np.where(faces, closing, 1.0), np.inf)
-    tangents = np.stack([-normals[:, 1], normals[:, 0]], axis=1)
+    tangents = to_left(normals)
     along = np.einsum("...ij,ij->...i", from_vertex, tangents) + np.where(
         faces, edge_travel, 0.0
     ) * (direction @ tangents.T)
@@ -66,8 +65,7 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     corner_travel, corner_hits = _enter_circle(from_vertex, direction[..., None, :], tip)
     corner_travel = np.where(corner_hits, corner_travel, np.inf)
     edge, corner = edge_travel.argmin(axis=-1), corner_travel.argmin(axis=-1)
-    first_edge = np.take_along_axis(edge_travel, edge[..., None], axis=-1)[..., 0]
-    first_corner = np.take_along_axis(corner_travel, corner[..., None], axis=-1)[..., 0]
+    first_edge, first_corner = edge_travel.min(axis=-1), corner_travel.min(axis=-1)
     # Where an edge meets the arc of a corner, the edge is preferred.
     by_edge = first_edge <= first_corner + 1e-12 * body.bounding_radius
     travel = np.where(by_edge, first_edge, first_corner)
@@ -81,18 +79,14 @@ def _polygon_contact(body: Polygon, tip: float, start: Array, direction: Array) 
     support = (np.einsum("...i,ji->...j", direction, points)).max(axis=-1) + tip
     hits &= np.einsum("...i,...i->...", start, direction) < support
     normal = np.where(hits[..., None], normal, -direction)
-    return _contact(hits, travel, centre + tip * normal, normal)
-
-
-def _contact(hits: NDArray[np.bool_], travel: Array, point: Array, normal: Array) -> Contact:
-    return Contact(~hits, travel, point, normal)
+    return Contact(~hits, travel, centre + tip * normal, normal)
 
 
 def _enter_circle(start: Array, direction: Array, radius: float) -> tuple[Array, NDArray[np.bool_]]:
     """Compute the travel until a point enters a circle about the origin, and whether it enters the
     circle."""
     nearest = -(start * direction).sum(axis=-1)
-    offset = start[..., 0] * direction[..., 1] - start[..., 1] * direction[..., 0]
+    offset = cross(start, direction)
     under = radius * radius - offset * offset
     half = np.sqrt(np.maximum(under, 0.0))
     hits = (under > 0) & (nearest + half > 0)

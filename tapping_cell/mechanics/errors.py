@@ -33,7 +33,10 @@ def positive(
     name: str, value: float, unit: str = "", error: type[MechanicsError] = InvalidParameterError
 ) -> float:
     """Return ``value`` as a float if it is finite and above zero; raise ``error`` otherwise."""
-    return _within(name, value, 0.0, math.inf, unit, error)
+    number = _number(name, value, error)
+    if not 0.0 < number < math.inf:
+        raise error(f"{name} is {_with_unit(number, unit)}; it must be finite and above 0.")
+    return number
 
 
 def fraction(name: str, value: float) -> float:
@@ -52,26 +55,19 @@ def not_negative(name: str, value: float, unit: str = "") -> float:
     return number
 
 
-def finite(name: str, values: ArrayLike, unit: str = "") -> NDArray[np.float64]:
-    """Return ``values`` as a float array if all are finite; else raise
-    :class:`InvalidParameterError`."""
+def finite(
+    name: str,
+    values: ArrayLike,
+    unit: str = "",
+    error: type[MechanicsError] = InvalidParameterError,
+) -> NDArray[np.float64]:
+    """Return ``values`` as a float array if all are finite; raise ``error`` otherwise."""
     array = np.asarray(values, dtype=float)
     wrong = ~np.isfinite(array)
     if wrong.any():
         value = float(array[wrong].flat[0])
-        raise InvalidParameterError(
-            f"{name} holds {_with_unit(value, unit)}; every value must be a finite number."
-        )
+        raise error(f"{name} holds {_with_unit(value, unit)}; every value must be a finite number.")
     return array
-
-
-def _within(
-    name: str, value: float, low: float, high: float, unit: str, error: type[MechanicsError]
-) -> float:
-    number = _number(name, value, error)
-    if not low < number < high:
-        raise error(f"{name} is {_with_unit(number, unit)}; it must be finite and above {low:g}.")
-    return number
 
 
 def _number(name: str, value: float, error: type[MechanicsError]) -> float:

@@ -36,8 +36,8 @@ from tapping_cell.mechanics.errors import (
     not_negative,
     positive,
 )
+from tapping_cell.mechanics.planar import Array, unit
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.intp] | slice
 
 _ALL = slice(None)
@@ -141,11 +141,8 @@ class Impact:
         """
         c = np.asarray(contact, dtype=float)
         angle = np.full(c.shape[:-1], LARGEST_INCIDENCE)
-        slopes = []
-        for side in (angle, -angle):
-            p_n, p_t, _ = self._routh(side, c)
-            slopes.append(np.abs(p_t / p_n))
-        return np.asarray(np.arctan(np.minimum(*slopes)))
+        impulses = (self._routh(side, c) for side in (angle, -angle))
+        return np.asarray(np.arctan(np.minimum(*(np.abs(p_t / p_n) for p_n, p_t, _ in impulses))))
 
     def inverse_inertias(
         self, incidence: ArrayLike, contact: ArrayLike
@@ -198,7 +195,7 @@ class Impact:
         p_n, p_t, sliding = p_n * v, p_t * v, sliding * (v > 0)
         p_n, p_t, c_n, c_t, angle, v = np.broadcast_arrays(p_n, p_t, c[..., 0], c[..., 1], angle, v)
         impulse = np.stack([p_n, p_t], axis=-1)
-        axis = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        axis = unit(angle)
         lost = impulse
         if self.striker.constraint == "linear_bearings":
             lost = (impulse * axis).sum(axis=-1, keepdims=True) * axis

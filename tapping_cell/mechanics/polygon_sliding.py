@@ -19,20 +19,19 @@ tests is no more accurate. The relative error of the inverse is 1e-11.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tapping_cell.mechanics.bodies import Polygon
 from tapping_cell.mechanics.errors import MechanicsError, finite
+from tapping_cell.mechanics.planar import Array, cross, rotate
 from tapping_cell.mechanics.round_sliding import RoundSlide
 from tapping_cell.mechanics.slide_results import Launch, Profile, Rest
 
-Array = NDArray[np.float64]
-
 _STEP = 0.08
 _STEPS = 80
-_CHUNK = 512
 # Ratio of speed to spin, in multiples of the radius of gyration, above which quadrature replaces
 # the closed form. The rounding error of the closed form grows with the cube of this ratio and is
 # 1e-11 at this value. Above this value, the integrand is so smooth that a few points give full
@@ -51,6 +50,8 @@ class PolygonSlide:
     """Slides of one polygon, in the body's axes at the launch. ``deceleration`` is mu g in
     m/s^2."""
 
+    _chunk = 512
+    """Number of slides computed at once."""
     _inverse_tolerance = 5e-11
     """Relative error of a displacement below which the inverse makes only one more step."""
     _inverse_limit = 5e-11
@@ -76,7 +77,7 @@ class PolygonSlide:
         left of ``direction``."""
         v, w, a = _broadcast(("speed", speed), ("spin", spin), ("direction", direction))
         moved, duration = self._slide(_twists(v.ravel(), w.ravel(), a.ravel()))
-        along, left = _turned(moved, -a.ravel())
+        along, left = rotate(moved, -a.ravel()).T
         values = [_scalar(x.reshape(v.shape)) for x in (along, moved[:, 2], duration, left)]
         result = Rest(*values[:3])
         result.lateral = values[3]
@@ -98,12 +99,12 @@ class PolygonSlide:
 
         def forward(z: Array, rows: NDArray[np.intp]) -> Array:
             moved, _ = self._slide(twists(z, rows))
-            return np.stack([_turned(moved, -angle[rows])[0], moved[:, 2]], axis=1)
+            return np.stack([rotate(moved, -angle[rows])[:, 0], moved[:, 2]], axis=1)
 
         scale = self._scale(x.ravel(), theta.ravel())[:, 1:]
         nearby = invert(forward, target, scale, self._inverse_tolerance, self._inverse_limit)
         twist = twists(nearby, np.arange(angle.size))
-        speed, _ = _turned(twist, -angle)
+        speed = rotate(twist, -angle)[:, 0]
         return Launch(_scalar(speed.reshape(x.shape)), _scalar(twist[:, 2].reshape(x.shape)))
 
     def displace(self, twist: Array) -> Array:
@@ -128,9 +129,9 @@ class PolygonSlide:
         velocity, moved = self._path(_twists(speed, spin, direction), times)
         return Profile(
             times=times,
-            speed=_turned(velocity, -direction[:, None])[0],
+            speed=rotate(velocity, -direction[:, None])[..., 0],
             spin=velocity[..., 2],
-            distance=_turned(moved, -direction[:, None])[0],
+            distance=rotate(moved, -direction[:, None])[..., 0],
             rotation=moved[..., 2],
         )
 
@@ -145,12 +146,15 @@ class PolygonSlide:
         """Compute displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and
         rad/s."""
         moved, duration = np.empty(twist.shape), np.empty(len(twist))
-        for begin in range(0, len(twist), _CHUNK):
-            part = slice(begin, begin + _CHUNK)
-            state, _ = self._integrate(twist[part])
-            moved[part] = state[:3].T
-            duration[part] = state[3]
+        for begin in range(0, len(twist), self._chunk):
+            part = slice(begin, begin + self._chunk)
+            moved[part], duration[part] = self._slide_part(twist[part])
         return moved, duration
+
+    def _slide_part(self, twist: Array) -> tuple[Array, Array]:
+        """Compute :meth:`_slide` for at most ``_chunk`` launches."""
+        state, _ = self._integrate(twist)
+        return state[:3].T, state[3]
 
     def _path(self, twist: Array, times: Array) -> tuple[Array, Array]:
         """Compute velocities and displacements, each (n, k, 3), of launches (n, 3) at times
@@ -273,13 +277,7 @@ class PolygonSlide:
         for i in range(_STEPS):
             at = i * _STEP
             steps.append((state, unit / scale * (size0 * np.exp(-at))))
-            a, p = slope(at, unit, state)
-            b, q = slope(at + _STEP / 2, unit + _STEP / 2 * a, state + _STEP / 2 * p)
-            c, r = slope(at + _STEP / 2, unit + _STEP / 2 * b, state + _STEP / 2 * q)
-            d, s = slope(at + _STEP, unit + _STEP * c, state + _STEP * r)
-            unit = unit + _STEP / 6 * (a + 2 * b + 2 * c + d)
-            unit /= np.sqrt((unit**2).sum(axis=0))
-            state = state + _STEP / 6 * (p + 2 * q + 2 * r + s)
+            unit, state = runge_kutta(slope, at, _STEP, unit, state)
         # The last part of the motion, a few millionths of the displacement, is computed with
         # constant friction.
         size = np.exp(-_STEPS * _STEP)
@@ -287,6 +285,25 @@ class PolygonSlide:
         time = per_size * size / loss
         tail = np.stack([*(unit / scale * size0 * size * time / 2), time])
         return np.asarray(np.where(moving, state + tail, 0.0)), steps
+
+
+def runge_kutta(
+    slope: Callable[[Any, Array, Array], tuple[Array, Array]],
+    at: float | Array,
+    step: float | Array,
+    unit: Array,
+    state: Array,
+) -> tuple[Array, Array]:
+    """Advance a unit vector (3, n) and a state (4, n) by one step of the classic Runge-Kutta
+    method. ``slope`` computes their derivatives from the place of the integration, which is ``at``
+    at the beginning of the step, and from the two."""
+    a, p = slope(at, unit, state)
+    b, q = slope(at + step / 2, unit + step / 2 * a, state + step / 2 * p)
+    c, r = slope(at + step / 2, unit + step / 2 * b, state + step / 2 * q)
+    d, s = slope(at + step, unit + step * c, state + step * r)
+    unit = unit + step / 6 * (a + 2 * b + 2 * c + d)
+    unit = unit / np.sqrt((unit**2).sum(axis=0))
+    return unit, state + step / 6 * (p + 2 * q + 2 * r + s)
 
 
 def invert(
@@ -351,7 +368,7 @@ def _quadrature(polygon: Polygon) -> tuple[Array, Array]:
     roots, halves = np.polynomial.legendre.leggauss(_FAR_POINTS)
     nodes, weights = (roots + 1) / 2, halves / 2
     a, b = polygon.points, np.roll(polygon.points, -1, axis=0)
-    double = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    double = cross(a, b)
     chord = a[:, None, :] + (b - a)[:, None, :] * nodes[:, None]
     points = chord[:, :, None, :] * nodes[:, None]
     mass = double[:, None, None] * weights[:, None] * (weights * nodes) / polygon.area
@@ -364,13 +381,6 @@ def _broadcast(*named: tuple[str, ArrayLike]) -> list[Array]:
 
 def _twists(speed: Array, spin: Array, direction: Array) -> Array:
     return np.stack([speed * np.cos(direction), speed * np.sin(direction), spin], axis=-1)
-
-
-def _turned(planar: Array, angle: Array) -> tuple[Array, Array]:
-    """Return x and y of vectors (..., 3) after a rotation by an angle."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = planar[..., 0], planar[..., 1]
-    return cos * x - sin * y, sin * x + cos * y
 
 
 def _scalar(values: Array) -> float | Array:

@@ -27,15 +27,13 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from tapping_cell.mechanics.bodies import Polygon
-from tapping_cell.mechanics.polygon_sliding import PolygonSlide
+from tapping_cell.mechanics.planar import Array, rotate, turn
+from tapping_cell.mechanics.polygon_sliding import PolygonSlide, runge_kutta
 from tapping_cell.mechanics.round_sliding import RoundSlide
 from tapping_cell.mechanics.slide_table import slide_table
-
-Array = NDArray[np.float64]
 
 LARGEST_SIZE = 8.0
 """Maximum size s in the table."""
@@ -55,8 +53,6 @@ _EDGE = 8
 _STEP = 0.15
 _STEPS_TO_REST = 60
 _SLOW = 1e-6
-_BLOCK = 16384
-"""Number of slides looked up per batch, chosen so that a batch fits in the cache."""
 _TINY = 1e-12
 _FEW_TABLES = 8
 
@@ -96,13 +92,10 @@ class PolygonTable:
         steps = math.ceil(float((length * square).max()) / (LARGEST_SIZE * _STEP))
         unit, state = self._advance(twist.T / major, square, length / steps, steps)
         before, turned = square * state[:3], square * state[2]
-        cos, sin = np.cos(turned), np.sin(turned)
         # Stay slightly below the limit of the table, so that rounding errors do not exceed it.
-        vx, vy, spin = (1.0 - _TINY) * math.sqrt(LARGEST_SIZE) * unit
-        inside = np.stack([cos * vx + sin * vy, cos * vy - sin * vx, spin], axis=-1)
-        (x, y, theta), duration = (part.T for part in self._lookup(inside))
-        after = np.stack([cos * x - sin * y, sin * x + cos * y, theta])
-        return (before + after).T, major * state[3] + duration
+        launch = (1.0 - _TINY) * math.sqrt(LARGEST_SIZE) * unit.T
+        after, duration = self._lookup(turn(launch, -turned))
+        return before.T + turn(after, turned), major * state[3] + duration
 
     def _lookup(self, twist: Array) -> tuple[Array, Array]:
         """Look up displacements (n, 3) and durations (n,) of launches up to ``LARGEST_SIZE``."""
@@ -184,24 +177,16 @@ class PolygonTable:
         step = _STEP if known is None else length / steps
         end, moved = self._advance(unit, size, step, steps)
         if known is not None:
-            cos, sin = np.cos(size * moved[2]), np.sin(size * moved[2])
-            vx, vy = cos * end[0] + sin * end[1], cos * end[1] - sin * end[0]
+            turned = size * moved[2]
+            vx, vy = rotate(end[:2].T, -turned).T
             speed = np.hypot(vx, vy)
             a, left, b, d = self._cubic(np.arctan2(end[2], speed), np.arctan2(vy, vx), known)
             ex, ey = vx / speed, vy / speed
-            x, y = ex * a - ey * left, ey * a + ex * left
-            rest = np.stack([cos * x - sin * y, sin * x + cos * y, end[2] * b])
-            moved[:3] += math.exp(-2 * length) * rest
+            rest = np.stack([ex * a - ey * left, ey * a + ex * left, end[2] * b], axis=-1)
+            moved[:3] += math.exp(-2 * length) * turn(rest, turned).T
             moved[3] += math.exp(-length) * d
-        cos, sin = np.cos(alpha), np.sin(alpha)
-        made = np.stack(
-            [
-                cos * moved[0] + sin * moved[1],
-                cos * moved[1] - sin * moved[0],
-                moved[2] / np.sin(phi),
-                moved[3],
-            ]
-        )
+        along, left = rotate(moved[:2].T, -alpha).T
+        made = np.stack([along, left, moved[2] / np.sin(phi), moved[3]])
         return np.asarray(made - self._disk_factors(phi))
 
     def _advance(
@@ -222,14 +207,7 @@ class PolygonTable:
 
         state: Array = np.zeros((4, unit.shape[1]))
         for index in range(steps):
-            at = index * step
-            a, p = slope(at, unit, state)
-            b, q = slope(at + step / 2, unit + step / 2 * a, state + step / 2 * p)
-            c, r = slope(at + step / 2, unit + step / 2 * b, state + step / 2 * q)
-            d, s = slope(at + step, unit + step * c, state + step * r)
-            unit = unit + step / 6 * (a + 2 * b + 2 * c + d)
-            unit = unit / np.sqrt((unit**2).sum(axis=0))
-            state = state + step / 6 * (p + 2 * q + 2 * r + s)
+            unit, state = runge_kutta(slope, index * step, step, unit, state)
         return unit, state
 
     def _cubic(self, phi: Array, alpha: Array, known: Array) -> Array:
@@ -285,6 +263,8 @@ def _kept(points: tuple[tuple[float, float], ...], torque_factor: float) -> Poly
 class TabulatedPolygonSlide(PolygonSlide):
     """Slides of one polygon from its table."""
 
+    _chunk = 16384
+    """Number of slides looked up at once, chosen so that they fit in the cache."""
     _inverse_tolerance = 1e-7
     """Relative error below which the inverse makes one last step, which reduces the error to 1e-8,
     far below the error of the table."""
@@ -302,18 +282,10 @@ class TabulatedPolygonSlide(PolygonSlide):
         # Normalised and rounded, so that equal shapes of any scale or position use the same table.
         shape = tuple(map(tuple, np.round(polygon.points / rho, 10).tolist()))
         self._table = _kept(shape, round(torque_factor, 10))
-        self._rho = rho
         self._unit_speed = math.sqrt(deceleration * rho)
         self._unit_time = math.sqrt(rho / deceleration)
 
-    def _slide(self, twist: Array) -> tuple[Array, Array]:
-        """Compute displacements (n, 3), m and rad, and durations (n,) of launches (n, 3), m/s and
-        rad/s."""
-        scale = np.array([1.0, 1.0, self._rho]) / self._unit_speed
-        moved, duration = np.empty(twist.shape), np.empty(len(twist))
-        for begin in range(0, len(twist), _BLOCK):
-            part = slice(begin, begin + _BLOCK)
-            reduced, time = self._table.slide(twist[part] * scale)
-            moved[part] = reduced * np.array([self._rho, self._rho, 1.0])
-            duration[part] = time * self._unit_time
-        return moved, duration
+    def _slide_part(self, twist: Array) -> tuple[Array, Array]:
+        scale = np.array([1.0, 1.0, self._gyration]) / self._unit_speed
+        reduced, time = self._table.slide(twist * scale)
+        return reduced * np.array([self._gyration, self._gyration, 1.0]), time * self._unit_time

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tapping_cell.mechanics.errors import InvalidParameterError
+from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.slide_results import Launch, Profile, Rest
 from tapping_cell.mechanics.slide_table import SlideTable
-
-Array = NDArray[np.float64]
 
 _PROFILE_STEP = 0.04
 # ln of the smallest remaining fraction of the duration for which the ratio of the velocities is

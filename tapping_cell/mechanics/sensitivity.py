@@ -13,14 +13,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tapping_cell.mechanics.bodies import Disk
 from tapping_cell.mechanics.impact import Impact, Striker
+from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.sliding import Sliding
 from tapping_cell.mechanics.tap import Tap
-
-Array = NDArray[np.float64]
 
 # Jacobian and error vector of section 5.1, mm and degrees.
 PAPER_JACOBIAN = np.array(

@@ -1,13 +1,10 @@
-"""Return types and interface of the sliding models."""
+"""Return types of the sliding models."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-Array = NDArray[np.float64]
+from tapping_cell.mechanics.planar import Array
 
 
 class _RestFields(NamedTuple):
@@ -45,25 +42,3 @@ class Profile(NamedTuple):
     spin: Array
     distance: Array
     rotation: Array
-
-
-class SlideModel(Protocol):
-    """Interface of a sliding model of one body on one table, in SI units. Twists and displacements
-    are (n, 3) in the body's axes at the launch. :class:`~tapping_cell.mechanics.sliding.Sliding`
-    documents the methods.
-    """
-
-    def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike) -> Rest:
-        """Compute where and when the slide with these launch velocities ends."""
-
-    def launch(self, distance: ArrayLike, rotation: ArrayLike, direction: ArrayLike) -> Launch:
-        """Compute the launch that ends after this displacement."""
-
-    def displace(self, twist: Array) -> Array:
-        """Compute the displacements of launches."""
-
-    def twist_for(self, displacement: Array) -> Array:
-        """Compute the launches that cause these displacements."""
-
-    def profile(self, speed: Array, spin: Array, direction: Array, times: Array) -> Profile:
-        """Compute the motion of launches (n,) at times (k,); results (n, k)."""

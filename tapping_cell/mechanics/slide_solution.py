@@ -36,9 +36,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.support_friction import SupportFriction
 
-Array = NDArray[np.float64]
 Friction = Callable[[Array, Array, NDArray[np.bool_]], SupportFriction]
 
 PIECES = 1024
@@ -82,14 +82,10 @@ class SlideSolution:
         self._start(path_p, first, values, slopes)
         self._march(path_p, first, values, slopes)
         slopes[:, [0, PIECES, count]] = 0.0
-        shape = (3, 2, PIECES + 1)
-        self.values = np.empty(shape)
-        self.slopes = np.empty(shape)
-        for target, source in ((self.values, values), (self.slopes, slopes)):
-            target[:, 0] = source[:, : PIECES + 1]
-            target[:, 1] = source[:, : PIECES - 1 : -1]
-        rates = -flow * values[2]
-        self.ratio_rates = np.stack([rates[: PIECES + 1], rates[: PIECES - 1 : -1]])
+        self.values, self.slopes, self.ratio_rates = (
+            np.stack([path[..., : PIECES + 1], path[..., : PIECES - 1 : -1]], axis=-2)
+            for path in (values, slopes, -flow * values[2])
+        )
         self.terminal_ratio = self._terminal(path_p, flow, first)
 
     def _terms(self, p: Array, spinning: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.mechanics.errors import InvalidParameterError
+from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.slide_solution import (
     PIECES,
     Friction,
@@ -24,8 +25,6 @@ from tapping_cell.mechanics.slide_solution import (
     grade_inverse,
 )
 from tapping_cell.mechanics.support_friction import disk_friction, ring_friction
-
-Array = NDArray[np.float64]
 
 _CHUNK = 4096
 _NEWTON_STEPS = 2
@@ -43,7 +42,6 @@ class SlideTable:
     """
 
     def __init__(self, support: str, torque_ratio: float) -> None:
-        self.support = support
         self.torque_ratio = torque_ratio
         solution = SlideSolution(_FRICTION[support], torque_ratio)
         self.terminal_ratio = solution.terminal_ratio
@@ -61,10 +59,10 @@ class SlideTable:
         self._guess = np.ascontiguousarray(self._inverse_guess().T)
         rates = solution.ratio_rates
         self._rates = _hermite(rates, np.gradient(rates, 1 / PIECES, axis=1, edge_order=2)).T.copy()
-        self._forward_rows = [tuple(row) for row in self._forward.T.tolist()]
-        self._minor_rows = [tuple(row) for row in self._minor.T.tolist()]
-        self._major_rows = [tuple(row) for row in self._major.T.tolist()]
-        self._guess_rows = [tuple(row) for row in self._guess.T.tolist()]
+        self._forward_rows, self._minor_rows, self._major_rows, self._guess_rows = (
+            [tuple(row) for row in columns.T.tolist()]
+            for columns in (self._forward, self._minor, self._major, self._guess)
+        )
 
     # ---- single slides, with Python floats
 
@@ -136,7 +134,7 @@ class SlideTable:
         """Vectorised :meth:`rest` for two flat arrays of equal length.
         Raises :class:`InvalidParameterError` if a value is not finite.
         """
-        travel, rim_travel, time = _in_blocks(self._rest_block, speed, rim_speed, 3)
+        travel, rim_travel, time = _in_blocks(self._rest_block, speed, rim_speed)
         return travel, rim_travel, time
 
     def _rest_block(self, speed: Array, rim_speed: Array) -> tuple[Array, Array, Array]:
@@ -159,7 +157,7 @@ class SlideTable:
         """Vectorised :meth:`launch` for two flat arrays of equal length.
         Raises :class:`InvalidParameterError` if a value is not finite.
         """
-        speed, rim_speed = _in_blocks(self._launch_block, travel, rim_travel, 2)
+        speed, rim_speed = _in_blocks(self._launch_block, travel, rim_travel)
         return speed, rim_speed
 
     def _launch_block(self, travel: Array, rim_travel: Array) -> tuple[Array, Array]:
@@ -256,15 +254,12 @@ class SlideTable:
 
 
 def _in_blocks(
-    function: Callable[[Array, Array], Sequence[Array]], first: Array, second: Array, results: int
+    function: Callable[[Array, Array], Sequence[Array]], first: Array, second: Array
 ) -> list[Array]:
     """Apply a function to blocks of two flat arrays that fit in the cache, and join its results."""
-    joined: list[Array] = [np.empty(first.size) for _ in range(results)]
-    for start in range(0, first.size, _CHUNK):
-        part = slice(start, start + _CHUNK)
-        for target, values in zip(joined, function(first[part], second[part]), strict=True):
-            target[part] = values
-    return joined
+    parts = [slice(start, start + _CHUNK) for start in range(0, max(first.size, 1), _CHUNK)]
+    results = zip(*(function(first[part], second[part]) for part in parts), strict=True)
+    return [np.concatenate(blocks) for blocks in results]
 
 
 def _graded(major: Array, minor: Array) -> Array:

@@ -15,17 +15,16 @@ import copy
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tapping_cell.mechanics.bodies import Body, Polygon
 from tapping_cell.mechanics.errors import InvalidParameterError, finite, positive
+from tapping_cell.mechanics.planar import Array
 from tapping_cell.mechanics.polygon_sliding import PolygonSlide
 from tapping_cell.mechanics.polygon_table import TabulatedPolygonSlide
 from tapping_cell.mechanics.round_sliding import RoundSlide
-from tapping_cell.mechanics.slide_results import Launch, Profile, Rest, SlideModel
+from tapping_cell.mechanics.slide_results import Launch, Profile, Rest
 from tapping_cell.mechanics.slide_table import slide_table
-
-Array = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.81
 
@@ -50,7 +49,7 @@ class Sliding:
     friction: float
     torque_factor: float = 1.0
     gravity: float = STANDARD_GRAVITY
-    _model: SlideModel = field(init=False, repr=False, compare=False)
+    _model: RoundSlide | PolygonSlide = field(init=False, repr=False, compare=False)
     _axisymmetric: RoundSlide = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -64,7 +63,7 @@ class Sliding:
             deceleration,
             self.body.support_radius,
         )
-        model: SlideModel = axisymmetric
+        model: RoundSlide | PolygonSlide = axisymmetric
         if isinstance(self.body, Polygon):
             model = PolygonSlide(self.body, deceleration, self.torque_factor, axisymmetric)
         object.__setattr__(self, "_axisymmetric", axisymmetric)
@@ -82,9 +81,7 @@ class Sliding:
         intended for planners, which evaluate hundreds of taps per decision. A round body is
         unaffected.
         """
-        rough = copy.copy(self)
-        object.__setattr__(rough, "_model", self._axisymmetric)
-        return rough
+        return self._with(self._axisymmetric)
 
     def tabulated(self) -> Sliding:
         """Return a copy that computes a polygon's slides from a table.
@@ -95,13 +92,16 @@ class Sliding:
         """
         if not isinstance(self.body, Polygon):
             return self
-        fast = copy.copy(self)
         deceleration = self.friction * self.gravity
-        model = TabulatedPolygonSlide(
-            self.body, deceleration, self.torque_factor, self._axisymmetric
+        return self._with(
+            TabulatedPolygonSlide(self.body, deceleration, self.torque_factor, self._axisymmetric)
         )
-        object.__setattr__(fast, "_model", model)
-        return fast
+
+    def _with(self, model: RoundSlide | PolygonSlide) -> Sliding:
+        """Return a copy that uses another model."""
+        changed = copy.copy(self)
+        object.__setattr__(changed, "_model", model)
+        return changed
 
     def rest(self, speed: ArrayLike, spin: ArrayLike, direction: ArrayLike = 0.0) -> Rest:
         """Compute where and when a slide ends that is launched with ``speed`` in m/s and ``spin``

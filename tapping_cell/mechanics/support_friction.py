@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tapping_cell.mechanics.planar import Array
 
 # The arithmetic-geometric mean converges quadratically. From a complementary modulus of 1e-12 it
 # takes eight steps. The first step is made before the loop, so the nine steps of the loop include

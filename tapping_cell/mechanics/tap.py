@@ -26,9 +26,8 @@ from tapping_cell.mechanics.errors import (
     not_negative,
 )
 from tapping_cell.mechanics.impact import Impact
+from tapping_cell.mechanics.planar import Array, cross, rotate, to_left, to_right, turn, unit
 from tapping_cell.mechanics.sliding import Sliding
-
-Array = NDArray[np.float64]
 
 # Relative tolerance for rounding errors of a displacement at a limit (of rotation or distance).
 _EDGE = 1e-9
@@ -158,40 +157,33 @@ class Tap:
         contact is where its line enters the object. Raises :class:`InvalidParameterError` for
         values that are not finite or a negative speed.
         """
-        result = self._impact(object_pose, strike_pose, striker_speed)
-        angle = np.broadcast_to(np.asarray(object_pose, dtype=float)[..., 2], result.missed.shape)
-        moved = self.sliding.displace(_turn(result.twist, -angle))
-        return result._replace(displacement=_turn(moved, angle))
-
-    def _impact(
-        self, object_pose: ArrayLike, strike_pose: ArrayLike, striker_speed: ArrayLike
-    ) -> TapResult:
-        """Compute approach and impact; the displacement is set to 0."""
         held = _poses("object pose", object_pose)
         aimed = _poses("strike pose", strike_pose)
         speed = finite("striker speed", striker_speed, "m/s")
         shape = np.broadcast_shapes(held.shape[:-1], aimed.shape[:-1], speed.shape)
         held = np.broadcast_to(held, (*shape, 3))
+        angle = held[..., 2]
         in_body = se2.compose(se2.inverse(held), np.broadcast_to(aimed, (*shape, 3)))
-        axis = _unit(in_body[..., 2])
+        axis = unit(in_body[..., 2])
         contact = first_contact(self.body, self.impact.striker.tip_radius, in_body[..., :2], axis)
         closing = (contact.normal * axis).sum(axis=-1)
         missed = contact.missed | (closing <= 0)
-        incidence = np.where(missed, 0.0, np.arctan2(_cross(contact.normal, axis), closing))
+        incidence = np.where(missed, 0.0, np.arctan2(cross(contact.normal, axis), closing))
         impact = self.impact.strike(speed, incidence, _in_frame(contact.normal, contact.point))
         velocity = _from_frame(contact.normal, impact.velocity)
         hit = np.where(missed, 0.0, 1.0)
-        twist = np.concatenate([velocity, impact.spin[..., None]], axis=-1) * hit[..., None]
+        launch = np.concatenate([velocity, impact.spin[..., None]], axis=-1) * hit[..., None]
+        twist = turn(launch, angle)
         return TapResult(
             missed=missed,
             travel=contact.travel,
             point=se2.transform_points(held, contact.point),
-            normal=_rotate(contact.normal, held[..., 2]),
+            normal=rotate(contact.normal, angle),
             incidence=incidence,
             normal_impulse=impact.normal_impulse * hit,
             tangential_impulse=impact.tangential_impulse * hit,
-            twist=_turn(twist, held[..., 2]),
-            displacement=np.zeros((*shape, 3)),
+            twist=twist,
+            displacement=turn(self.sliding.displace(turn(twist, -angle)), angle),
         )
 
     def plan(self, displacement: ArrayLike, object_pose: ArrayLike = _ORIGIN) -> TapPlan:
@@ -208,11 +200,11 @@ class Tap:
         held = _poses("object pose", object_pose)
         shape = np.broadcast_shapes(wanted.shape[:-1], held.shape[:-1])
         wanted, held = np.broadcast_to(wanted, (*shape, 3)), np.broadcast_to(held, (*shape, 3))
-        plan = self._plan_in_body(_turn(wanted, -held[..., 2]))
+        plan = self._plan_in_body(turn(wanted, -held[..., 2]))
         if np.isnan(plan.incidence).any():
             self._refuse_contact(wanted, np.isnan(plan.incidence))
         return plan._replace(
-            strike_pose=se2.compose(held, plan.strike_pose), twist=_turn(plan.twist, held[..., 2])
+            strike_pose=se2.compose(held, plan.strike_pose), twist=turn(plan.twist, held[..., 2])
         )
 
     def reachable(
@@ -225,7 +217,7 @@ class Tap:
             return inside
         held = _poses("object pose", object_pose)
         shape = np.broadcast_shapes(inside.shape, held.shape[:-1])
-        turned = np.broadcast_to(_turn(wanted, -held[..., 2]), (*shape, 3))
+        turned = np.broadcast_to(turn(wanted, -held[..., 2]), (*shape, 3))
         found = np.array(np.broadcast_to(inside, shape))
         _, line, slope = self._line_of_action(turned[found])
         local = _in_frame(line.normal, line.point)
@@ -242,13 +234,13 @@ class Tap:
         wanted = _poses("displacement", displacements)
         held = np.broadcast_to(_poses("object pose", object_pose), wanted.shape)
         found = np.array(self._inside(wanted))
-        plan = self._plan_in_body(_turn(wanted[found], -held[found, 2]))
+        plan = self._plan_in_body(turn(wanted[found], -held[found, 2]))
         known = ~np.isnan(plan.incidence)
         found[found] = known
         made = TapPlan(*(each[known] for each in plan))
         return found, made._replace(
             strike_pose=se2.compose(held[found], made.strike_pose),
-            twist=_turn(made.twist, held[found, 2]),
+            twist=turn(made.twist, held[found, 2]),
         )
 
     def jacobian(self, displacement: ArrayLike) -> Array:
@@ -268,12 +260,12 @@ class Tap:
         travel = np.arctan2(wanted[..., 1], wanted[..., 0])
         still = np.zeros_like(normal)[..., None]
         shifts = (
-            np.concatenate([_LENGTH_STEP * _unit(normal), still], axis=-1),
-            np.concatenate([_LENGTH_STEP * _unit(normal + math.pi / 2), still], axis=-1),
+            np.concatenate([_LENGTH_STEP * unit(normal), still], axis=-1),
+            np.concatenate([_LENGTH_STEP * unit(normal + math.pi / 2), still], axis=-1),
             np.array([0.0, 0.0, _ANGLE_STEP]),
         )
         columns = [
-            _turn(
+            turn(
                 self.outcome(_ORIGIN, pose + shift, plan.striker_speed)
                 - self.outcome(_ORIGIN, pose - shift, plan.striker_speed),
                 -travel,
@@ -294,8 +286,8 @@ class Tap:
         ends = np.stack([body.points, np.roll(body.points, -1, axis=0)])
         local = _in_frame(np.broadcast_to(inward, ends.shape), ends)
         angle = self.impact.largest_impulse_angle(local)
-        lines = np.stack([_unit(angle), _unit(-angle)])
-        return float(np.abs(_cross(local, lines)).max())
+        lines = np.stack([unit(angle), unit(-angle)])
+        return float(np.abs(cross(local, lines)).max())
 
     def _plan_in_body(self, wanted: Array) -> TapPlan:
         """Compute plans in the object's frame; the incidence is NaN if no contact is feasible."""
@@ -306,9 +298,9 @@ class Tap:
         incidence = self.impact.incidence_for(slope, local)
         incidence = np.where(line.missed, np.nan, incidence)
         known = np.where(np.isnan(incidence), 0.0, incidence)
-        unit = self.impact.strike(1.0, known, local)
-        impulse = np.hypot(unit.normal_impulse, unit.tangential_impulse)
-        axis = _rotate(normal, known)
+        slow = self.impact.strike(1.0, known, local)
+        impulse = np.hypot(slow.normal_impulse, slow.tangential_impulse)
+        axis = rotate(normal, known)
         ball = line.point - self.impact.striker.tip_radius * normal
         pose = np.concatenate([ball, np.arctan2(axis[..., 1], axis[..., 0])[..., None]], axis=-1)
         return TapPlan(
@@ -330,10 +322,10 @@ class Tap:
         lever = body.radius_of_gyration**2 * spin / np.where(speed > 0, speed, 1.0)
         # The line of action is treated as the path of a point, whose first contact with the body is
         # the contact point.
-        right = np.stack([along[..., 1], -along[..., 0]], axis=-1)
         far = 2 * body.bounding_radius
-        line = first_contact(body, 0.0, lever[..., None] * right - far * along, along)
-        slope = _cross(line.normal, along) / (line.normal * along).sum(axis=-1)
+        start = lever[..., None] * to_right(along) - far * along
+        line = first_contact(body, 0.0, start, along)
+        slope = cross(line.normal, along) / (line.normal * along).sum(axis=-1)
         return twist, line, slope
 
     def _inside(self, wanted: Array) -> NDArray[np.bool_]:
@@ -382,32 +374,11 @@ def _poses(name: str, values: ArrayLike) -> Array:
     return array
 
 
-def _unit(angle: Array) -> Array:
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
-
-
-def _rotate(vector: Array, angle: Array) -> Array:
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = vector[..., 0], vector[..., 1]
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-
-
-def _turn(planar: Array, angle: Array) -> Array:
-    """Rotate a twist or displacement (..., 3) by ``angle``. The result is also its components in
-    axes rotated by -angle."""
-    return np.concatenate([_rotate(planar[..., :2], angle), planar[..., 2:]], axis=-1)
-
-
 def _in_frame(normal: Array, vector: Array) -> Array:
     """Return the components along n and along t, which is n rotated by +90 degrees."""
-    return np.stack([(normal * vector).sum(axis=-1), _cross(normal, vector)], axis=-1)
+    return np.stack([(normal * vector).sum(axis=-1), cross(normal, vector)], axis=-1)
 
 
 def _from_frame(normal: Array, vector: Array) -> Array:
     n, t = vector[..., :1], vector[..., 1:]
-    tangent = np.stack([-normal[..., 1], normal[..., 0]], axis=-1)
-    return n * normal + t * tangent
+    return n * normal + t * to_left(normal)

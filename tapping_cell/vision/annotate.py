@@ -21,6 +21,7 @@ AMBER: Colour = (40, 180, 255)
 RED: Colour = (70, 70, 240)
 BLUE: Colour = (255, 170, 70)
 WHITE: Colour = (245, 245, 245)
+_TABLE = Pose(0.0, 0.0, 0.0)
 _FINE = 4
 """Fractional bits of OpenCV's drawing coordinates."""
 
@@ -49,13 +50,13 @@ def annotate(
         if references is not None:
             _references(picture, view, references, observation.references_used)
         for one in unknown:
-            _outline(picture, view, one, Pose(0.0, 0.0, 0.0), 0.0, RED, 2)
-        _axes(picture, view, Pose(0.0, 0.0, 0.0), 0.0, 0.06)
+            _outline(picture, view, one, _TABLE, 0.0, RED)
+        _axes(picture, view, _TABLE, 0.0, 0.06)
         if goal is not None:
-            _outline(picture, view, points, goal, height, BLUE, 2)
+            _outline(picture, view, points, goal, height, BLUE)
             _axes(picture, view, goal, height, 0.03, BLUE)
         if observation.pose is not None:
-            _outline(picture, view, points, observation.pose, height, _state(observation)[1], 2)
+            _outline(picture, view, points, observation.pose, height, _state(observation)[1])
             _axes(picture, view, observation.pose, height, 0.03)
     _caption(picture, observation, goal)
     return picture
@@ -77,11 +78,8 @@ def _references(
     scale = _scale(picture)
     for marker, corners in zip(references.markers, references.corners(), strict=True):
         colour = BLUE if marker.id in used else RED
-        seen = view.project(corners)
-        cv2.polylines(
-            picture, [_fixed(seen)], True, colour, max(1, round(2 * scale)), cv2.LINE_AA, _FINE
-        )
-        x, y = (int(c) for c in np.clip(seen.mean(axis=0), -4000, 8000))
+        _outline(picture, view, np.asarray(corners), _TABLE, 0.0, colour)
+        x, y = (int(c) for c in np.clip(view.project(corners).mean(axis=0), -4000, 8000))
         place = (x - round(9 * scale * len(str(marker.id))), y + round(10 * scale))
         # Outlined text is readable on black and on white modules.
         for ink, width in (((0, 0, 0), 6), (colour, 2)):
@@ -101,10 +99,9 @@ def _outline(
     pose: Pose,
     height: float,
     colour: Colour,
-    width: int,
 ) -> None:
     corners = _fixed(view.project(transform_points(pose, points), height))
-    width = max(1, round(width * _scale(picture)))
+    width = max(1, round(2 * _scale(picture)))
     cv2.polylines(picture, [corners], True, colour, width, cv2.LINE_AA, _FINE)
 
 
@@ -131,24 +128,17 @@ def _caption(picture: NDArray[np.uint8], observation: Observation, goal: Pose | 
     texts: list[tuple[str, Colour]] = []
     pose = observation.pose
     if pose is not None and observation.covariance is not None:
-        texts.append(_state(observation))
         sigma = np.sqrt(np.diag(observation.covariance))
-        texts.append(
-            (
-                f"x {pose.x * 1e3:+.2f}  y {pose.y * 1e3:+.2f} mm   "
-                f"theta {math.degrees(pose.theta):+.2f} deg   "
-                f"(sd {max(sigma[:2]) * 1e3:.3f} mm, {math.degrees(sigma[2]):.3f} deg)",
-                WHITE,
-            )
+        values = (
+            f"x {pose.x * 1e3:+.2f}  y {pose.y * 1e3:+.2f} mm   "
+            f"theta {math.degrees(pose.theta):+.2f} deg   "
+            f"(sd {max(sigma[:2]) * 1e3:.3f} mm, {math.degrees(sigma[2]):.3f} deg)"
         )
+        texts += [_state(observation), (values, WHITE)]
         if goal is not None:
-            texts.append(
-                (
-                    f"to the goal: {pose.distance_to(goal) * 1e3:.2f} mm, "
-                    f"{math.degrees(pose.rotation_to(goal)):+.2f} deg",
-                    BLUE,
-                )
-            )
+            distance, rotation = pose.distance_to(goal), pose.rotation_to(goal)
+            left = f"to the goal: {distance * 1e3:.2f} mm, {math.degrees(rotation):+.2f} deg"
+            texts.append((left, BLUE))
     if observation.sentence:
         texts.append((observation.sentence, AMBER if observation.visible else RED))
     scale = _scale(picture)

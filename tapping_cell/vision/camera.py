@@ -294,6 +294,11 @@ class CameraPose:
         return CameraPose(turn @ self.rotation, turn @ self.translation + s[3:])
 
 
+def at_height(points: Array, height: float = 0.0) -> Array:
+    """Return points (..., 2) of the plane at ``height`` (m) as points (..., 3)."""
+    return np.concatenate([points, np.full((*points.shape[:-1], 1), height)], axis=-1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """A camera and its pose over the table; converts between pixels and planes of the table."""
@@ -304,9 +309,7 @@ class View:
     def project(self, points: ArrayLike, height: float = 0.0) -> Array:
         """Project points (..., 2) of the plane at ``height`` (m), or points (..., 3), to pixels."""
         p = np.asarray(points, dtype=float)
-        if p.shape[-1] == 2:
-            p = np.concatenate([p, np.full((*p.shape[:-1], 1), height)], axis=-1)
-        return self.camera.project(self.pose.apply(p))
+        return self.camera.project(self.pose.apply(at_height(p, height) if p.shape[-1] == 2 else p))
 
     def on_plane(self, pixels: ArrayLike, height: float = 0.0) -> Array:
         """Return the points (..., 2), in m, at which the rays of pixels (..., 2) intersect the

@@ -26,8 +26,7 @@ def fuse(poses: ArrayLike, covariances: ArrayLike) -> tuple[Array, Array]:
 
 def fuse_information(p: Array, information: Array) -> tuple[Array, Array]:
     """Fuse poses (N, 3) as :func:`fuse` does, from the inverses (N, 3, 3) of their covariances."""
-    relative = p - p[0]
-    relative[:, 2] = wrap_angle(relative[:, 2])
+    relative = pose_difference(p, p[0])
     mean = _median(relative)
     pulls = np.matmul(information, relative[..., None])[..., 0]
     rows = information.reshape(-1, 9)
@@ -44,6 +43,13 @@ def fuse_information(p: Array, information: Array) -> tuple[Array, Array]:
     fused = p[0] + mean
     fused[2] = wrap_angle(fused[2])
     return fused, np.linalg.inv(total)
+
+
+def pose_difference(first: Array, second: Array) -> Array:
+    """Return the differences (..., 3) of poses (..., 3), with the angle wrapped."""
+    difference = first - second
+    difference[..., 2] = wrap_angle(difference[..., 2])
+    return difference
 
 
 def _median(rows: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.se2 import Pose, transform_points, wrap_angle
-from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.camera import Array, Image, View, at_height
 from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.markers.search import Detections
 from tapping_cell.vision.observation import Observation, Problem
@@ -94,31 +94,33 @@ class ObjectFollower(ABC):
         self.wants_search = True
         self.failure: Failure | None = None
         self.track = Track(rest)
+        # Stamp, pose and velocity of the last measurement.
         self._last: tuple[float, Array, Array] | None = None
         self._searching_since: float | None = None
         self._judged: tuple[int, Array, Array, Array] | None = None
 
-    # -- implemented by subclasses
+    # -- implemented by subclasses; an object without a marker needs only the abstract methods
 
     @abstractmethod
     def outline(self, pose: Array) -> Array:
         """Return points (N, 2) around the object's visible part at a pose (3,), in ``table``."""
 
-    @abstractmethod
     def detected(self, stamp: float) -> bool:
-        """Return whether the search of the frame with this stamp found the object."""
+        """Return whether the search of the frame with this stamp found the object's marker."""
+        return False
 
-    @abstractmethod
     def aim(self, stamp: float, view: View | None) -> Aim | None:
-        """Return the marker to measure in the next frame together with the reference markers.
+        """Return the object's marker to measure in the next frame together with the reference
+        markers.
 
         Measuring them together improves the estimate of the correlation between neighbouring
         pixels' noise.
         """
+        return None
 
-    @abstractmethod
     def complete(self, detections: Mapping[str, Detections]) -> bool:
-        """Return whether a search has found everything that this follower needs."""
+        """Return whether a search has found every marker that this follower needs."""
+        return True
 
     @abstractmethod
     def searched(self, image: Image, search: Search) -> None:
@@ -228,7 +230,7 @@ class ObjectFollower(ABC):
     def _through_newest(self, frame: Frame, pose: Array) -> Array:
         """Convert a pose measured in the working view to the newest view of the table."""
         points = transform_points(pose, CROSS)
-        seen = frame.working.pose.apply(np.column_stack([points, np.full(4, self.height)]))
+        seen = frame.working.pose.apply(at_height(points, self.height))
         newest = frame.newest.rays_on_plane(seen[:, :2] / seen[:, 2:], self.height)
         moved = pose + pose_changes(points, newest - points)
         moved[2] = wrap_angle(moved[2])

@@ -18,15 +18,13 @@ def marker_ids(seen: Sequence[ObjectMarker | ObjectOutline]) -> frozenset[int]:
 
     Raises MarkerError if two objects have the same marker.
     """
-    markers = [one for one in seen if isinstance(one, ObjectMarker)]
-    for number, marker in enumerate(markers):
-        for other in markers[:number]:
-            if (marker.dictionary, marker.id) == (other.dictionary, other.id):
-                raise MarkerError(
-                    f"two objects have marker {marker.id} of {marker.dictionary}; give each an id "
-                    "of its own"
-                )
-    return frozenset(marker.id for marker in markers)
+    markers = [(one.dictionary, one.id) for one in seen if isinstance(one, ObjectMarker)]
+    for count, (dictionary, number) in enumerate(markers):
+        if (dictionary, number) in markers[:count]:
+            raise MarkerError(
+                f"two objects have marker {number} of {dictionary}; give each an id of its own"
+            )
+    return frozenset(number for _, number in markers)
 
 
 class RoundRobin:

@@ -8,13 +8,13 @@ below the limit. The time until rest is detected therefore depends on the noise,
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tapping_cell.se2 import wrap_angle
 from tapping_cell.vision.camera import Array
-from tapping_cell.vision.fusion import fuse_information
+from tapping_cell.vision.fusion import fuse_information, pose_difference
 
 _BEGINNING, _LARGEST_BEGINNING = 0.25, 0.002
 """Error of the first pose after a rest.
@@ -68,40 +68,6 @@ class Motion:
     rest_since: float | None
 
 
-class _Resting:
-    """The last poses (3,) of an object at rest, with the inverses of their covariances (3, 3).
-
-    The arrays have twice the required size, so that the poses to fuse are always one contiguous
-    view.
-    """
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._begin = self._end = 0
-        self._poses = np.empty((2 * size, 3))
-        self._information = np.empty((2 * size, 3, 3))
-
-    def __len__(self) -> int:
-        return self._end - self._begin
-
-    def append(self, pose: Array, covariance: Array) -> None:
-        """Add a pose, and drop the oldest one if there are too many."""
-        if self._end == 2 * self._size:
-            kept = slice(self._end - self._size + 1, self._end)
-            self._poses[: self._size - 1] = self._poses[kept]
-            self._information[: self._size - 1] = self._information[kept]
-            self._begin, self._end = 0, self._size - 1
-        self._poses[self._end] = pose
-        self._information[self._end] = np.linalg.inv(covariance)
-        self._end += 1
-        self._begin = max(self._begin, self._end - self._size)
-
-    def last(self, count: int) -> tuple[Array, Array]:
-        """Return the newest ``count`` poses and inverse covariances, oldest first."""
-        chosen = slice(max(self._begin, self._end - count), self._end)
-        return self._poses[chosen], self._information[chosen]
-
-
 class Track:
     """Poses of the object since its last motion, by which rest and motion are detected."""
 
@@ -116,7 +82,9 @@ class Track:
 
     def _begin(self) -> None:
         self._recent: deque[tuple[float, Array, Array]] = deque(maxlen=self.settings.longest)
-        self._resting = _Resting(self.settings.memory)
+        # The last poses at rest, and the inverses of their covariances.
+        self._poses: Array = np.empty((0, 3))
+        self._information: Array = np.empty((0, 3, 3))
         self._rest_since: float | None = None
         self._outliers = 0
         self._fused: tuple[Array, Array] = (np.zeros(3), np.zeros((3, 3)))
@@ -129,15 +97,14 @@ class Track:
         if self.stays(pose, covariance):
             self._outliers = 0
             self._recent.append((stamp, pose, covariance))
-            self._resting.append(pose, covariance)
-            fused, spread = self._fuse()
-            return Motion(fused, spread, len(self._resting), np.zeros(3), self._rest_since)
+            return self._fuse([(pose, covariance)])
         if self._rest_since is not None:
             # A single frame that deviates from the rest pose is not fused. Only a second
             # consecutive deviating frame ends the rest.
             self._outliers += 1
             if self._outliers == 1:
-                velocity = self._step_velocity(stamp, pose)
+                last_stamp, last_pose, _ = self._recent[-1]
+                velocity = pose_difference(pose, last_pose) / (stamp - last_stamp)
                 return Motion(pose, covariance + self._beginning(pose), 1, velocity, None)
             self._begin()
         self._recent.append((stamp, pose, covariance))
@@ -145,11 +112,10 @@ class Track:
         if window:
             chosen = list(self._recent)[-window:]
             self._rest_since = chosen[0][0]
-            for _, chosen_pose, its_covariance in chosen:
-                self._resting.append(chosen_pose, its_covariance)
-            fused, spread = self._fuse()
-            return Motion(fused, spread, window, np.zeros(3), self._rest_since)
-        velocity, _ = self._velocity(min(3, len(self._recent)))
+            return self._fuse([measured for _, *measured in chosen])
+        velocity = np.zeros(3)
+        if len(self._recent) > 1:
+            velocity, _ = _slope(*self._stacked(3))
         return Motion(pose, covariance, 1, velocity, None)
 
     def heading(self, stamp: float, pose: Array, motion: Motion) -> Array:
@@ -162,17 +128,20 @@ class Track:
         before, self._passed = self._passed, (stamp, pose, np.zeros(3))
         if before is None or motion.rest_since is not None:
             return motion.velocity
-        step = pose - before[1]
-        step[2] = wrap_angle(step[2])
-        pace = step / (stamp - before[0])
+        pace = pose_difference(pose, before[1]) / (stamp - before[0])
         self._passed = (stamp, pose, pace)
         change = pace - before[2]
         steady = np.hypot(*change[:2]) < _STEADY * np.hypot(*pace[:2])
         return pace + change if steady else pace
 
-    def _fuse(self) -> tuple[Array, Array]:
-        self._fused = fuse_information(*self._resting.last(len(self._resting)))
-        return self._fused
+    def _fuse(self, measured: Sequence[Sequence[Array]]) -> Motion:
+        """Add poses and covariances of the object at rest, and fuse all that are kept."""
+        poses, covariances = zip(*measured, strict=True)
+        kept = self.settings.memory
+        self._poses = np.concatenate([self._poses, poses])[-kept:]
+        self._information = np.concatenate([self._information, np.linalg.inv(covariances)])[-kept:]
+        self._fused = fuse_information(self._poses, self._information)
+        return Motion(*self._fused, len(self._poses), np.zeros(3), self._rest_since)
 
     def stays(self, pose: Array, covariance: Array) -> bool:
         """Return whether this pose agrees with the rest pose."""
@@ -183,12 +152,11 @@ class Track:
             return False
         # A motion may be too slow to exceed the noise of one frame. To detect it, compare the mean
         # of the last few frames with the mean of all frames of the rest.
-        if len(self._resting) < 12:
+        if len(self._poses) < 12:
             return True
-        poses, information = self._resting.last(4)
         mean, error = fuse_information(
-            np.concatenate([poses, pose[None]]),
-            np.concatenate([information, np.linalg.inv(covariance)[None]]),
+            np.concatenate([self._poses[-4:], pose[None]]),
+            np.concatenate([self._information[-4:], np.linalg.inv(covariance)[None]]),
         )
         return _distance(mean, error, fused, spread) <= self.settings.leave
 
@@ -205,33 +173,18 @@ class Track:
                 return window
         return 0
 
-    def _velocity(self, window: int) -> tuple[Array, Array]:
-        """Velocity (3,) of the last frames by least squares, and its standard deviations."""
-        if window < 2:
-            return np.zeros(3), np.full(3, np.inf)
-        return _slope(*self._stacked(window))
-
     def _stacked(self, window: int) -> tuple[Array, Array, Array]:
         """Stamps (N,) of the last frames, their poses (N, 3) relative to the newest, variances (N,
         3)."""
         chosen = list(self._recent)[-window:]
         stamps = np.array([stamp for stamp, _, _ in chosen])
         poses = np.array([pose for _, pose, _ in chosen])
-        relative = poses - poses[-1]
-        relative[:, 2] = wrap_angle(relative[:, 2])
         variance = np.array([covariance.diagonal() for _, _, covariance in chosen])
-        return stamps - stamps[-1], relative, variance
-
-    def _step_velocity(self, stamp: float, pose: Array) -> Array:
-        last_stamp, last_pose, _ = self._recent[-1]
-        step = pose - last_pose
-        step[2] = wrap_angle(step[2])
-        return np.asarray(step / (stamp - last_stamp))
+        return stamps - stamps[-1], pose_difference(poses, poses[-1]), variance
 
     def _beginning(self, pose: Array) -> Array:
         """Covariance (3, 3) of a pose just after a rest, due to the unknown start of the motion."""
-        step = pose - self._fused[0]
-        step[2] = wrap_angle(step[2])
+        step = pose_difference(pose, self._fused[0])
         way = float(np.hypot(step[0], step[1]))
         step *= _BEGINNING * min(1.0, _LARGEST_BEGINNING / max(way, 1e-9))
         return np.asarray(np.outer(step, step), dtype=float)
@@ -246,6 +199,5 @@ def _slope(stamps: Array, poses: Array, variances: Array) -> tuple[Array, Array]
 
 def _distance(first: Array, first_cov: Array, second: Array, second_cov: Array) -> float:
     """Squared Mahalanobis distance of two poses with independent errors."""
-    error = first - second
-    error[2] = wrap_angle(error[2])
+    error = pose_difference(first, second)
     return float(error @ np.linalg.solve(first_cov + second_cov, error))

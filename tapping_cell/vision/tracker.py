@@ -83,7 +83,7 @@ class PoseTracker:
         self._object = _follower(seen, table, s)
         self._others = [_follower(one, table, s) for one in others]
         self._references = ReferenceMarkers(table, s.references_each)
-        self._gate = FrameValidator(camera, s.dark, s.bright)
+        self._validator = FrameValidator(camera, s.dark, s.bright)
         self._last_search = -math.inf
         self._last_thorough = -math.inf
         self._search_next = True
@@ -126,7 +126,7 @@ class PoseTracker:
         according to ``others_period``. ``every_frame``: measure the frame even if it is unchanged,
         because a longer observation was requested.
         """
-        refusal = self._gate.refuse(image, stamp)
+        refusal = self._validator.refuse(image, stamp)
         if refusal is not None:
             empty = nothing(stamp, self.table, *refusal)
             return empty, dict.fromkeys(others, empty)

@@ -9,8 +9,10 @@ within a pixel, and the effect of any symmetric blur cancels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +47,7 @@ _MIN_SHARE = 0.7
 """Minimum fraction of a side's rows that must agree with a straight line."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MarkerEdges:
+class MarkerEdges(NamedTuple):
     """Sides of M markers: side k runs from corner k to corner k + 1.
 
     ``points`` (M, 4, BINS, 2) are in pixels, ``weights`` (M, 4, BINS) are the numbers of rows that
@@ -91,7 +92,7 @@ def refine(image: Image, quads: Array, modules: int | NDArray[np.intp]) -> Marke
     better = again.good & (again.pull < found.pull[redo])
     order = np.arange(len(quads))
     order[redo[better]] = len(quads) + np.flatnonzero(better)
-    return _accepted(take(join(found, again), order))
+    return _accepted(take(join([found, again]), order))
 
 
 def narrowest(quads: Array) -> Array:
@@ -106,20 +107,16 @@ def narrowest(quads: Array) -> Array:
 
 
 def _accepted(edges: MarkerEdges) -> MarkerEdges:
-    return replace(edges, good=edges.good & (edges.pull < _MAX_PULL))
+    return edges._replace(good=edges.good & (edges.pull < _MAX_PULL))
 
 
 def _at_widths(image: Image, quads: Array, widths: NDArray[np.intp]) -> MarkerEdges:
     """Measure edges with windows of these half widths (M,), in pixels."""
     if widths.min() == widths.max():
         return _refine(image, quads, int(widths[0]))
-    kinds = np.unique(widths)
-    order = np.concatenate([np.flatnonzero(widths == kind) for kind in kinds])
-    whole = no_edges()
-    for kind in kinds:
-        part = _refine(image, quads[widths == kind], int(kind))
-        whole = part if not len(whole.good) else join(whole, part)
-    return take(whole, np.argsort(order))
+    order = np.argsort(widths, kind="stable")
+    parts = [_refine(image, quads[widths == kind], int(kind)) for kind in np.unique(widths)]
+    return take(join(parts), np.argsort(order))
 
 
 def _refine(image: Image, quads: Array, half_width: int) -> MarkerEdges:
@@ -426,42 +423,24 @@ def straight_corners(points: Array, weights: Array) -> Array:
 
 def take(edges: MarkerEdges, rows: NDArray[np.intp]) -> MarkerEdges:
     """Return the markers with the indices ``rows``, in this order."""
-    return MarkerEdges(
-        edges.points[rows],
-        edges.weights[rows],
-        edges.corners[rows],
-        edges.spread[rows],
-        edges.black[rows],
-        edges.white[rows],
-        edges.pull[rows],
-        edges.good[rows],
-    )
+    return MarkerEdges._make(part[rows] for part in edges)
 
 
-def join(first: MarkerEdges, second: MarkerEdges) -> MarkerEdges:
-    """Concatenate the markers of two sets."""
-    return MarkerEdges(
-        np.concatenate([first.points, second.points]),
-        np.concatenate([first.weights, second.weights]),
-        np.concatenate([first.corners, second.corners]),
-        np.concatenate([first.spread, second.spread]),
-        np.concatenate([first.black, second.black]),
-        np.concatenate([first.white, second.white]),
-        np.concatenate([first.pull, second.pull]),
-        np.concatenate([first.good, second.good]),
-    )
+def join(sets: Sequence[MarkerEdges]) -> MarkerEdges:
+    """Concatenate the markers of several sets."""
+    return MarkerEdges._make(map(np.concatenate, zip(*sets, strict=True)))
 
 
 def no_edges() -> MarkerEdges:
     """Create an empty set of markers."""
-    none = np.zeros(0)
+    sides, none = (0, 4, BINS), np.zeros(0)
     return MarkerEdges(
-        np.zeros((0, 4, 1, 2)),
-        np.zeros((0, 4, 1)),
+        np.zeros((*sides, 2)),
+        np.zeros(sides),
         np.zeros((0, 4, 2)),
-        none,
-        none,
-        none,
-        none,
-        none.astype(bool),
+        spread=none,
+        black=none,
+        white=none,
+        pull=none,
+        good=none.astype(bool),
     )

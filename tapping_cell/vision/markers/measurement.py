@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from tapping_cell.vision.camera import Array, Image
-from tapping_cell.vision.markers.edges import MarkerEdges, join, narrowest, no_edges, refine, take
+from tapping_cell.vision.markers.edges import MarkerEdges, join, narrowest, refine, take
 from tapping_cell.vision.markers.initial_corners import better_corners
 from tapping_cell.vision.markers.search import patterns_agree
 from tapping_cell.vision.markers.small_markers import as_edges, fit_pattern
@@ -33,26 +31,24 @@ def measure(
     """
     modules = np.array([pattern.shape[0] for pattern in patterns])
     small = narrowest(quads) < _SMALL * modules
-    order, right = np.arange(len(quads)), np.zeros(len(quads), dtype=bool)
-    whole = no_edges()
+    fits = {
+        row: _by_pattern(image, quads[row], patterns[row], searched)
+        for row in np.flatnonzero(small)
+    }
+    fitted = {row: edges for row, edges in fits.items() if edges is not None}
+    right = np.zeros(len(quads), dtype=bool)
+    right[list(fitted)] = True
+    parts = list(fitted.values())
     # Measure the edges of all these markers together: the large ones, and small ones whose pattern
     # fit failed.
-    rest = list(np.flatnonzero(~small))
-    for row in np.flatnonzero(small):
-        fitted = _by_pattern(image, quads[row], patterns[row], searched)
-        if fitted is None:
-            rest.append(row)
-            continue
-        order[row], right[row] = len(whole.good), True
-        whole = fitted if not len(whole.good) else join(whole, fitted)
-    if not rest:
-        return take(whole, order), right
-    some = np.array(rest, dtype=np.intp)
-    edges, agree = _by_edges(image, quads[some], [patterns[row] for row in rest], searched)
-    edges = replace(edges, spread=np.where(small[some], _SMALL_EDGES, 1.0) * edges.spread)
-    order[some], right[some] = len(whole.good) + np.arange(len(some)), agree
-    whole = edges if not len(whole.good) else join(whole, edges)
-    return take(whole, order), right
+    rest = [*np.flatnonzero(~small), *(row for row in fits if row not in fitted)]
+    if rest:
+        edges, right[rest] = _by_edges(
+            image, quads[rest], [patterns[row] for row in rest], searched
+        )
+        factor = np.where(small[rest], _SMALL_EDGES, 1.0)
+        parts.append(edges._replace(spread=factor * edges.spread))
+    return take(join(parts), np.argsort([*fitted, *rest])), right
 
 
 def _by_pattern(
@@ -80,4 +76,4 @@ def _by_edges(
     agree = patterns_agree(image, second, [patterns[row] for row in again])
     order[again[agree]] = len(quads) + np.flatnonzero(agree)
     right[again] = agree
-    return take(join(edges, second), order), right
+    return take(join([edges, second]), order), right

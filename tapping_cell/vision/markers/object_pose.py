@@ -22,6 +22,8 @@ class PoseFit:
     size: float
 
 
+NORMALS = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
+"""Outward normals (4, 2) of the sides of a marker; side k of the unit square is at distance 1/2."""
 _CLEAN, _SMEARED = 0.03, 0.25
 """Noise level of ``MarkerEdges.pull``, and error of motion-blurred edges in pixels.
 
@@ -55,11 +57,9 @@ def fit_marker(view: View, edges: MarkerEdges, row: int, marker: ObjectMarker) -
     weights = edges.weights[row]
     pose = _square_pose(seen[-4:])
     size = marker.size
-    # Side k of the unit square is at distance 1/2 along this normal.
-    normals = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
     # One step is sufficient: the corners are accurate to hundredths of a pixel, so the fit is
     # nearly linear.
-    normal = se2.transform_points([0.0, 0.0, pose[2]], normals)[:, None, :]
+    normal = se2.transform_points([0.0, 0.0, pose[2]], NORMALS)[:, None, :]
     arm = points - pose[:2]
     distance = (normal * arm).sum(axis=-1) - 0.5 * size
     rows = np.empty((*distance.shape, 4))

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 from scipy import fft
 
@@ -137,15 +138,15 @@ def align(
         step = answer[_POSE]
         pose = pose + step
         gain = fixed @ answer[:3]
-        size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / pixel
+        size = _displacement(step, marker) / pixel
         if not math.isfinite(size) or size > _LARGEST_STEP:
             return None
         residual = grey - columns @ answer
-        spread = 1.4826 * float(np.median(np.abs(residual)))
+        robust, spread = _robust_weights(residual)
         if weight is not None and size < _SMALLEST_STEP:
             break
         if iteration > 0 or size < 0.05:
-            weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
+            weight = robust
     else:
         return None
     moved = pose - start
@@ -177,8 +178,7 @@ def align_again(
     grey = image.reshape(-1)[linearisation.pixels].astype(float)
     product = grey @ columns
     residual = grey - columns @ np.linalg.solve(linearisation.normal, product)
-    spread = 1.4826 * float(np.median(np.abs(residual)))
-    weight = np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(np.abs(residual), 1e-6))
+    weight, spread = _robust_weights(residual)
     # Nearly all pixels have full weight. The normal matrix for full weights is known, so only the
     # weight that the other pixels lack is subtracted from it.
     less = np.flatnonzero(weight < 1.0)
@@ -190,14 +190,26 @@ def align_again(
     except np.linalg.LinAlgError:
         return None
     step = answer[_POSE]
-    size = max(math.hypot(step[0], step[1]), abs(step[2]) * 0.5 * marker.size) / linearisation.pixel
-    change = float(np.abs(answer[:3] - linearisation.light).max()) / abs(
-        float(linearisation.light[0])
-    )
+    size = _displacement(step, marker) / linearisation.pixel
+    light = linearisation.light
+    change = float(np.abs(answer[:3] - light).max()) / abs(float(light[0]))
     if not size < _SAME_PLACE or not change < _SAME_LIGHT:
         return None
     residual = grey - columns @ answer
     return _judged(linearisation, answer, residual, weight, information, spread)
+
+
+def _displacement(step: Array, marker: ObjectMarker) -> float:
+    """Displacement in m of the marker's sides by a step (x, y, theta)."""
+    return max(math.hypot(step[0], step[1]), abs(float(step[2])) * 0.5 * marker.size)
+
+
+def _robust_weights(residual: Array) -> tuple[Array, float]:
+    """Return Huber's weights (N,) of residuals (N,), and the robust standard deviation on which
+    they are based."""
+    off = np.abs(residual)
+    spread = 1.4826 * float(np.median(off))
+    return np.minimum(1.0, 3.0 * max(spread, 0.3) / np.maximum(off, 1e-6)), spread
 
 
 def _judged(
@@ -340,11 +352,7 @@ def window_rays(camera: CameraModel, x0: int, y0: int, x1: int, y1: int) -> Arra
     mid_x, mid_y = 0.5 * (x0 + x1 - 1), 0.5 * (y0 + y1 - 1)
     grid = np.stack(np.meshgrid(mid_x + half_x * nodes, mid_y + half_y * nodes), axis=-1)
     known = camera.rays(grid)
-    inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, degree))
-    at_x = (
-        np.polynomial.chebyshev.chebvander((np.arange(x0, x1) - mid_x) / half_x, degree) @ inverse
-    )
-    at_y = (
-        np.polynomial.chebyshev.chebvander((np.arange(y0, y1) - mid_y) / half_y, degree) @ inverse
-    )
+    inverse = np.linalg.inv(chebvander(nodes, degree))
+    at_x = chebvander((np.arange(x0, x1) - mid_x) / half_x, degree) @ inverse
+    at_y = chebvander((np.arange(y0, y1) - mid_y) / half_y, degree) @ inverse
     return np.stack([at_y @ known[..., i] @ at_x.T for i in (0, 1)], axis=-1)

@@ -19,9 +19,8 @@ from tapping_cell import se2
 from tapping_cell.vision.camera import Array, View
 from tapping_cell.vision.markers.detection import ObjectMarker
 from tapping_cell.vision.markers.edges import MarkerEdges
-from tapping_cell.vision.markers.object_pose import PoseFit
+from tapping_cell.vision.markers.object_pose import NORMALS, PoseFit
 
-_NORMALS = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
 _SIGN = np.array([1.0, -1.0, 1.0, -1.0])
 _SHARE, _PIXELS, _SMEARED, _CONFIDENCE = 0.0006, 0.06, 0.3, 5.0
 """Limit below which stretch and strain are not significant.
@@ -69,8 +68,8 @@ def shape_deviation(
     weights = edges.weights[row]
     total = np.maximum(weights.sum(axis=1), 1e-9)
     arm = se2.transform_points(se2.inverse(fit.pose), seen)
-    out = (arm * _NORMALS[:, None]).sum(axis=-1)
-    along = _NORMALS[:, None, 1] * arm[..., 0] - _NORMALS[:, None, 0] * arm[..., 1]
+    out = (arm * NORMALS[:, None]).sum(axis=-1)
+    along = NORMALS[:, None, 1] * arm[..., 0] - NORMALS[:, None, 0] * arm[..., 1]
     along = along - ((weights * along).sum(axis=1) / total)[:, None]
     sides = (weights * out).sum(axis=1) / total
     turns = (weights * along * out).sum(axis=1) / np.maximum(
@@ -87,14 +86,8 @@ def shape_deviation(
         / marker.size
     )
     allowance = _SHARE + uncertainty
-    return ShapeDeviation(
-        stretch,
-        strain,
-        allowance,
-        _covariance(
-            view, marker, fit.pose, _beyond(stretch, allowance), _beyond(strain, allowance)
-        ),
-    )
+    beyond = _beyond(stretch, allowance), _beyond(strain, allowance)
+    return ShapeDeviation(stretch, strain, allowance, _covariance(view, marker, fit.pose, *beyond))
 
 
 class ShapeWarnings:
@@ -113,11 +106,9 @@ class ShapeWarnings:
             self._reported = None
             return ""
         reported = self._reported
-        if (
-            reported is None
-            or max(abs(shape.stretch - reported[0]), abs(shape.strain - reported[1])) > 0.002
-        ):
-            self._reported = reported = (shape.stretch, shape.strain)
+        now = shape.stretch, shape.strain
+        if reported is None or max(abs(a - b) for a, b in zip(now, reported, strict=True)) > 0.002:
+            self._reported = reported = now
         lifted = (camera_height - self._marker.height) * reported[0] * 1e3
         amount = f" (by {lifted:.0f} mm if this is the only cause)" if lifted >= 1.0 else ""
         return (

@@ -57,16 +57,14 @@ _UNIT = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 class PatternFit:
     """Result of a pattern fit.
 
-    It holds corners (4, 2) in pixels, their covariance (8, 8) in pixels^2, grey levels of black and
-    white, the blur (sigma in pixels), and the unexplained residual relative to the contrast.
+    It holds corners (4, 2) in pixels, their covariance (8, 8) in pixels^2, and grey levels of black
+    and white.
     """
 
     corners: Array
     covariance: Array
     black: float
     white: float
-    blur: float
-    unexplained: float
 
 
 def fit_pattern(image: Image, quad: Array, pattern: NDArray[np.bool_]) -> PatternFit | None:
@@ -140,9 +138,7 @@ def _fit(pixels: Array, grey: Array, quad: Array, pattern: NDArray[np.bool_]) ->
     if _side_deviation(corners, covariance) > _VAGUE * side / modules:
         return None
     black_level = float(answer[9])
-    return PatternFit(
-        corners, covariance, black_level, black_level + contrast, blur, noise / contrast
-    )
+    return PatternFit(corners, covariance, black_level, black_level + contrast)
 
 
 def _pixels(image: Image, quad: Array, modules: int) -> tuple[Array, Array] | None:
@@ -256,16 +252,11 @@ def _whole(places: Array, residual: Array, modules: int) -> bool:
     off = (np.abs(mean) > _MODULE_OFF)[1:-1, 1:-1]
     if off.mean() > _MODULES_WRONG or not inside.any():
         return False
-    for band, counts in (
-        (mean[0], number[0]),
-        (mean[-1], number[-1]),
-        (mean[:, 0], number[:, 0]),
-        (mean[:, -1], number[:, -1]),
-    ):
-        total = float(counts.sum())
-        if total > 0 and abs(float((band * counts).sum()) / total) > _MODULE_OFF:
-            return False
-    return True
+    bands = (
+        (float((mean[band] * number[band]).sum()), float(number[band].sum()))
+        for band in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
+    )
+    return not any(total > 0 and abs(sum_ / total) > _MODULE_OFF for sum_, total in bands)
 
 
 def _alike(pixels: Array, residual: Array) -> float:

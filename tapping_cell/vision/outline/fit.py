@@ -11,7 +11,7 @@ complement). A stationary object is measured with the last linearisation, levels
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,7 +175,7 @@ def fit_outline(
             if rim is None or (dot is not None and around is None):
                 return None
             band = Band.of(rim, sectors_of(outline, rim, gathered))
-            state.start_anew(len(band.counts))
+            state.start_anew(band)
             greys = band.grey(image), None if around is None else around.grey(image)
         before = replace(state)
         design = state.design(scene, band, around)
@@ -197,27 +197,22 @@ def fit_again(image: Image, linearisation: Linearisation, expected: Array) -> Ou
     This takes a fifth of the time of :func:`fit_outline`. None means only that the object or the
     illumination changed, not that the object is absent.
     """
-    if _way(expected - linearisation.state.pose, linearisation.scene) > 2.0 * _SAME_PLACE:
+    scene, band, around = linearisation.scene, linearisation.band, linearisation.around
+    if _way(expected - linearisation.state.pose, scene) > 2.0 * _SAME_PLACE:
         return None
     state = replace(linearisation.state)
-    greys = (
-        linearisation.band.grey(image),
-        None if linearisation.around is None else linearisation.around.grey(image),
-    )
+    greys = band.grey(image), None if around is None else around.grey(image)
     step: Array = np.full(GLOBALS, np.inf)
     for _ in range(_ROUNDS_AGAIN):
-        last, found = (
-            step,
-            state.solve(linearisation.scene, linearisation.design, *greys, linearisation.band),
-        )
+        found = state.solve(scene, linearisation.design, *greys, band)
         if found is None:
             return None
-        step = found
-        if _way(step - last, linearisation.scene) < _STEADY:
+        last, step = step, found
+        if _way(step - last, scene) < _STEADY:
             break
-    if _way(step, linearisation.scene) > _SAME_PLACE:
+    if _way(step, scene) > _SAME_PLACE:
         return None
-    state.take(step, linearisation.scene)
+    state.take(step, scene)
     fit = state.answer(linearisation)
     if linearisation.contrast and abs(fit.contrast / linearisation.contrast - 1.0) > _SAME_LIGHT:
         return None
@@ -254,10 +249,12 @@ class _State:
     rounds: int = 0
     levels: Array | None = None
     dot_levels: Array | None = None
-    weight: Array | None = None
+    weight: Array = field(default_factory=lambda: np.ones(0))
     dot_weight: Array | None = None
-    good: NDArray[np.bool_] | None = None
-    taken: NDArray[np.bool_] | None = None  # None if and only if ``good`` is None
+    good: NDArray[np.bool_] = field(default_factory=lambda: np.ones(0, dtype=bool))
+    """Sectors whose residuals are small."""
+    taken: NDArray[np.bool_] = field(default_factory=lambda: np.ones(0, dtype=bool))
+    """Sectors that agree with the position of the whole rim."""
     scatter: float = 1.0
     information: Array | None = None
 
@@ -266,23 +263,21 @@ class _State:
         """True if weights and levels have been updated for a few iterations."""
         return self.rounds >= 4
 
-    def start_anew(self, sectors: int) -> None:
+    def start_anew(self, band: Band) -> None:
         """Reset the weights, because the pixels changed. The levels are kept unless the number of
         sectors changed too."""
-        if self.levels is None or len(self.levels) != sectors:
+        if self.levels is None or len(self.levels) != len(band.counts):
             self.levels = self.dot_levels = None
-        self.weight = self.dot_weight = self.good = self.taken = None
+        self.weight, self.dot_weight = band.real.astype(float), None
+        self.good = self.taken = np.ones(len(band.counts), dtype=bool)
         self.rounds = 0 if self.levels is None else 1
-
-    def shape(self, scene: _Scene) -> Shape:
-        """Return the unknowns in the form that the model takes."""
-        return Shape(
-            self.pose, self.blur, self.size, self.smear, self.dot_size, scene.step, scene.pixel
-        )
 
     def design(self, scene: _Scene, band: Band, around: Pixels | None) -> _Design:
         """Linearise the model at the current state."""
-        shape, dot = self.shape(scene), scene.outline.dot
+        shape = Shape(
+            self.pose, self.blur, self.size, self.smear, self.dot_size, scene.step, scene.pixel
+        )
+        dot = scene.outline.dot
         return _Design(
             rim_model(scene.outline, shape, band, self.levels, scene.width),
             None
@@ -298,18 +293,19 @@ class _State:
         Updates levels, weights and noise, but does not apply the step. Returns None if the step is
         undetermined.
         """
-        if self.weight is None:
-            self.weight = band.real.astype(float)
         sectors = len(band.counts)
         variance = self.noise**2
         prior = self._prior(scene) * variance
         total = np.diag(prior)
-        pull = prior * self._distance_to_usual()
+        # How far each parameter is from its usual value.
+        away = [0.0, 0.0, 0.0, 1.0 - self.size, 0.0, -self.smear, 1.0 - self.dot_size]
+        pull = prior * np.array(away)
         both = np.concatenate([design.rim, grey[None]])
         normal = np.matmul((both * self.weight).transpose(1, 0, 2), both.transpose(1, 2, 0))
-        own = normal[:, :LEVELS, :LEVELS] + self._level_prior(sectors) * variance
+        precision, usual = self._level_prior(sectors)
+        own = normal[:, :LEVELS, :LEVELS] + precision * variance
         mixed = normal[:, :LEVELS, LEVELS:].copy()
-        mixed[..., -1] += self._level_pull(sectors) * variance
+        mixed[..., -1] += usual * variance
         answer = np.linalg.solve(own, mixed)
         # Normal equations of each sector after elimination of the levels. Rows and columns: the
         # GLOBALS parameters that all sectors share (model.py), the displacement of this sector's
@@ -317,9 +313,7 @@ class _State:
         left = normal[:, LEVELS:, LEVELS:] - np.matmul(mixed.transpose(0, 2, 1), answer)
         # The levels of an excluded sector are still updated, so that the sector can be included
         # again.
-        gate: Array = np.ones(sectors)
-        if self.good is not None and self.taken is not None:
-            gate = (self.good & self.taken).astype(float)
+        gate = (self.good & self.taken).astype(float)
         summed = (gate @ left.reshape(sectors, -1)).reshape(left.shape[1:])
         total = total + summed[:GLOBALS, :GLOBALS]
         pull = pull + summed[:GLOBALS, -1]
@@ -355,11 +349,10 @@ class _State:
     def answer(self, linearisation: Linearisation) -> OutlineFit:
         """Return the result after convergence."""
         scene, dot = linearisation.scene, linearisation.scene.outline.dot
-        assert self.information is not None and self.levels is not None and self.good is not None
+        assert self.information is not None and self.levels is not None
         sign = 1.0 if scene.outline.brighter else -1.0
         contrast = sign * (self.levels[:, 0] - self.levels[:, 2])
         usual = float(np.median(contrast[self.good])) if self.good.any() else 0.0
-        assert self.taken is not None
         agrees = (
             self.good & self.taken & (contrast > 0.35 * usual) & (contrast > 0.5 * MIN_CONTRAST)
         )
@@ -402,7 +395,6 @@ class _State:
         power = np.maximum(left[:, GLOBALS, GLOBALS], 1e-9)
         shift = (left[:, GLOBALS, -1] - left[:, GLOBALS, :GLOBALS] @ step) / power
         sigma = self.noise / np.sqrt(power)
-        assert self.good is not None
         self.taken = np.ones(len(power), dtype=bool)
         clear = self.good & (sigma < 0.5)
         if not scene.measures or self.rounds == 0 or not clear.any():
@@ -450,23 +442,17 @@ class _State:
             [place, place, 1.0, scene.size_spread**-2, blur, 1e4 if moving else 1e12, 100.0]
         )
 
-    def _distance_to_usual(self) -> Array:
-        return np.array([0.0, 0.0, 0.0, 1.0 - self.size, 0.0, -self.smear, 1.0 - self.dot_size])
+    def _level_prior(self, sectors: int) -> tuple[Array, Array]:
+        """Return the precisions (S, LEVELS, LEVELS) of the priors of the levels, and the usual
+        levels multiplied by their precisions, (S, LEVELS).
 
-    def _level_prior(self, sectors: int) -> Array:
-        """Return the precisions (S, LEVELS, LEVELS) of the priors of the levels. They are very low
-        for top and surroundings."""
+        The precisions are very low for top and surroundings. The usual brightness of the wall is
+        half that of the top.
+        """
         top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
-        prior = np.zeros((sectors, LEVELS, LEVELS))
-        prior[:, 0, 0] = prior[:, 2, 2] = 1e-6
-        prior[:, 1, 1] = 1.0 / (0.5 * top + 10.0) ** 2
-        prior[:, 3, 3] = _SLOPE_SPREAD**-2
-        return prior
-
-    def _level_pull(self, sectors: int) -> Array:
-        """Return the usual levels multiplied by their precisions, (S, LEVELS). The usual brightness
-        of the wall is half that of the top."""
-        top = np.full(sectors, 60.0) if self.levels is None else np.abs(self.levels[:, 0])
-        pull = np.zeros((sectors, LEVELS))
-        pull[:, 1] = 0.5 * top / (0.5 * top + 10.0) ** 2
-        return pull
+        precision, usual = np.zeros((sectors, LEVELS, LEVELS)), np.zeros((sectors, LEVELS))
+        precision[:, 0, 0] = precision[:, 2, 2] = 1e-6
+        precision[:, 1, 1] = 1.0 / (0.5 * top + 10.0) ** 2
+        precision[:, 3, 3] = _SLOPE_SPREAD**-2
+        usual[:, 1] = 0.5 * top / (0.5 * top + 10.0) ** 2
+        return precision, usual

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from tapping_cell.se2 import transform_points, wrap_angle
 from tapping_cell.vision.camera import Array, Image, View
+from tapping_cell.vision.observation import Problem
 from tapping_cell.vision.outline.fit import (
     COARSE,
     MIN_CONTRAST,
@@ -29,7 +31,13 @@ from tapping_cell.vision.outline.fit import (
     fit_outline,
 )
 from tapping_cell.vision.outline.patches import patches
-from tapping_cell.vision.outline.shape import ANGLES, Dot, ObjectOutline, turn_differences
+from tapping_cell.vision.outline.shape import (
+    ANGLES,
+    Dot,
+    ObjectOutline,
+    centroid,
+    turn_differences,
+)
 
 _MIN_SEEN = {"disk": 0.55, "polygon": 0.7}
 """Minimum visible fraction of the rim. The limit is higher for a polygon than for a disk: an arc of
@@ -68,10 +76,10 @@ with that of the surroundings (beyond the wall). At each of these positions, pix
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A region of about the right size that is not the object; ``reason`` is one of the constants
-    below."""
+    """A region of about the right size that is not the object: the problem, and a sentence that
+    explains it."""
 
-    reason: str
+    problem: Problem
     sentence: str
 
 
@@ -88,9 +96,6 @@ class _Place:
     middle: Array
     pose: Array
     size: float
-
-
-OTHER_SHAPE, OTHER_SIZE, NO_DOT, TWO_DOTS = "shape", "size", "no dot", "two dots"
 
 
 def least_seen(outline: ObjectOutline) -> float:
@@ -160,7 +165,7 @@ def fit_closely(
         return turned
     whole = fit_surely(image, view, outline, turned, blur=blur)
     if whole is None:
-        return Refused(NO_DOT, "its dot is not seen at the expected position")
+        return Refused(Problem.DOT_HIDDEN, "its dot is not seen at the expected position")
     return accept(whole, outline)
 
 
@@ -180,22 +185,14 @@ def fit_surely(
     is displaced and too small. This wrong fit is nearly as good as the correct fit. However, a fit
     whose size is fixed to that of the file finds the correct pose.
     """
-    fit = fit_outline(image, view, outline, start, blur=blur, step=step, with_dot=with_dot)
+    fit_at = partial(fit_outline, image, view, outline, blur=blur, step=step, with_dot=with_dot)
+    fit = fit_at(start)
     if fit is None or outline.vertices is None or abs(fit.size - 1.0) < _DOUBTFUL:
         return fit
-    fixed = fit_outline(
-        image,
-        view,
-        outline,
-        fit.pose,
-        blur=blur,
-        step=step,
-        with_dot=with_dot,
-        size_spread=_CERTAIN,
-    )
+    fixed = fit_at(fit.pose, size_spread=_CERTAIN)
     if fixed is None:
         return fit
-    again = fit_outline(image, view, outline, fixed.pose, blur=blur, step=step, with_dot=with_dot)
+    again = fit_at(fixed.pose)
     if again is None or abs(again.size - 1.0) > abs(fit.size - 1.0):
         return fit
     return again if again.seen > fit.seen - 0.1 else fit
@@ -208,7 +205,7 @@ def _unlike(outline: ObjectOutline, rough: OutlineFit | None, rim: OutlineFit | 
         return wrong_size(rough)
     seen = 0.0 if rim is None else rim.seen
     return Refused(
-        OTHER_SHAPE,
+        Problem.WRONG_OBJECT,
         f"only {seen * 100:.0f} % of its rim is seen where its outline predicts it (at least "
         f"{least * 100:.0f} % is needed)",
     )
@@ -221,25 +218,25 @@ def accept(fit: OutlineFit, outline: ObjectOutline) -> OutlineFit | Refused:
     least = least_seen(outline)
     if fit.seen < least or fit.contrast < MIN_CONTRAST:
         return Refused(
-            OTHER_SHAPE,
+            Problem.WRONG_OBJECT,
             f"{fit.seen * 100:.0f} % of its rim is seen with a contrast of {fit.contrast:.0f} "
             f"grey levels (at least {least * 100:.0f} % and {MIN_CONTRAST:.0f} are needed)",
         )
     if fit.least_side < _MIN_SIDE:
         return Refused(
-            OTHER_SHAPE,
+            Problem.WRONG_OBJECT,
             f"only {fit.least_side * 100:.0f} % of one of its sides is seen (at least "
             f"{_MIN_SIDE * 100:.0f} % of each side is needed)",
         )
     if outline.dot is not None and fit.dot_contrast < MIN_CONTRAST:
-        return Refused(NO_DOT, "its dot is not seen at the expected position")
+        return Refused(Problem.DOT_HIDDEN, "its dot is not seen at the expected position")
     return fit
 
 
 def wrong_size(fit: OutlineFit) -> Refused:
     """Reject a region that is too large or too small."""
     return Refused(
-        OTHER_SIZE,
+        Problem.MISSHAPEN_OBJECT,
         f"its apparent size differs by {(fit.size - 1.0) * 100:+.1f} % from the size in its file "
         f"(limit {LARGEST_STRETCH * 100:.0f} %): it may be lifted or tilted, or be a different "
         "object, or its height in the file may be wrong",
@@ -267,35 +264,12 @@ def rough_places(
         fill = cv2.MORPH_OPEN if outline.dot.brighter else cv2.MORPH_CLOSE
         cover = np.ones((across_dot, across_dot), dtype=np.uint8)
         small = np.asarray(cv2.morphologyEx(small, fill, cover), dtype=np.uint8)
-    kernel = np.ones((int(2.6 * outline.reach / pixel / shrink) | 1,) * 2, dtype=np.uint8)
-    operation = cv2.MORPH_OPEN if outline.brighter else cv2.MORPH_CLOSE
-    around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
-    shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
-    places: list[_Place] = []
-    # The area, and the minimum number of points of a contour, in the downscaled image. Of all
-    # shapes with the same area, a disk has the shortest rim. The number of points can be smaller
-    # than the length in pixels by a factor of up to sqrt(2), because a diagonal step adds only one
-    # point.
     area = outline.area / (float(scale.prod()) * pixel**2)
-    shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
-    for threshold in _SHADES:
-        mask = (shade > threshold).astype(np.uint8)
-        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        for contour in contours:
-            if len(contour) < shortest:
-                continue
-            # Contours pass through the centres of the outermost pixels, so half a pixel is missing
-            # along the whole contour.
-            share = (cv2.contourArea(contour) + 0.5 * len(contour)) / area
-            if not _AREAS[0] < share < _AREAS[1]:
-                continue
-            hull = cv2.convexHull(contour)
-            if cv2.contourArea(hull) > _LARGEST_HULL_RATIO * max(cv2.contourArea(contour), 1.0):
-                continue
-            places.extend(_places(view, outline, np.asarray(hull, dtype=np.int32), scale))
+    wide = int(2.6 * outline.reach / pixel / shrink) | 1
+    blobs = _blobs(small, outline.brighter, area, wide)
+    places = [place for hull in blobs for place in _places(view, outline, hull, scale)]
     if not places:
-        reach = outline.reach / pixel / shrink
-        for hull in patches(small, area, reach):
+        for hull in patches(small, area, outline.reach / pixel / shrink):
             share = (cv2.contourArea(hull) + 0.5 * cv2.arcLength(hull, True)) / area
             if _AREAS[0] < share < _AREAS[1]:
                 places.extend(_places(view, outline, hull, scale))
@@ -307,6 +281,34 @@ def rough_places(
         if all(np.hypot(*(place.middle - other)) > 0.4 * outline.reach for other in taken):
             taken.append(place.middle)
             yield place.pose, place.size
+
+
+def _blobs(small: Image, brighter: bool, area: float, wide: int) -> Iterator[NDArray[np.int32]]:
+    """Yield the convex hulls (N, 1, 2) of nearly convex blobs that are brighter or darker than
+    their surroundings. Their area is about ``area``, and they are less than ``wide`` pixels wide.
+    """
+    operation = cv2.MORPH_OPEN if brighter else cv2.MORPH_CLOSE
+    kernel = np.ones((wide, wide), dtype=np.uint8)
+    around = np.asarray(cv2.morphologyEx(small, operation, kernel), dtype=np.float32)
+    shade = np.abs(small.astype(np.float32) - around) / np.maximum(around, 8.0)
+    # The minimum number of points of a contour. Of all shapes with the same area, a disk has the
+    # shortest rim. The number of points can be smaller than the length in pixels by a factor of up
+    # to sqrt(2), because a diagonal step adds only one point.
+    shortest = math.sqrt(2.0 * math.pi * _AREAS[0] * area)
+    for threshold in _SHADES:
+        mask = (shade > threshold).astype(np.uint8)
+        contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        for contour in contours:
+            if len(contour) < shortest:
+                continue
+            # Contours pass through the centres of the outermost pixels, so half a pixel is missing
+            # along the whole contour.
+            inner = cv2.contourArea(contour)
+            if not _AREAS[0] < (inner + 0.5 * len(contour)) / area < _AREAS[1]:
+                continue
+            hull = np.asarray(cv2.convexHull(contour), dtype=np.int32)
+            if cv2.contourArea(hull) <= _LARGEST_HULL_RATIO * max(inner, 1.0):
+                yield hull
 
 
 def _places(
@@ -339,7 +341,7 @@ def _paint_over(small: Image, view: View, scale: Array, known: Array) -> None:
 def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]:
     """Match a rim (N, 2), projected to the plane of the top, with the outline of the top alone, and
     with the outline of top and wall together. Yield a candidate for each of the two."""
-    middle, radii = _middle(rim), _radii(rim)
+    middle, radii = centroid(rim), _radii(rim)
     model = outline.radii()
     size = float(radii.mean() / model.mean())
     # Walls and thresholds enlarge the rim uniformly, so only the shape is compared.
@@ -358,13 +360,13 @@ def _matched(view: View, outline: ObjectOutline, rim: Array) -> Iterator[_Place]
             near = np.arange(-_NEAR, _NEAR + 1)
             step = float(near[differences[near].argmin()])
             pose = _turned(outline, pose, np.array([2.0 * math.pi * step / len(model)]))[0]
-        pose[:2] += middle - _middle(whole)
+        pose[:2] += middle - centroid(whole)
     yield _Place(float(differences.min() / model.mean()), middle, pose, size)
 
 
 def _radii(rim: Array) -> Array:
     """Distances of a rim (N, 2) from its centre, at the angles of :meth:`ObjectOutline.radii`."""
-    arm = rim - _middle(rim)
+    arm = rim - centroid(rim)
     angle = np.arctan2(arm[:, 1], arm[:, 0])
     order = np.argsort(angle)
     length = np.hypot(*arm.T)[order]
@@ -422,14 +424,14 @@ def turn_by_dot(
     best = int(contrast.argmax())
     if contrast[best] < MIN_CONTRAST:
         return Refused(
-            NO_DOT,
+            Problem.DOT_HIDDEN,
             f"its dot is not seen (the strongest contrast is {contrast[best]:.0f} grey levels; at "
             f"least {MIN_CONTRAST:.0f} are needed)",
         )
     away = np.hypot(*(places[:, 0] - places[best, 0]).T) > 2.0 * dot.radius
     if away.any() and contrast[away].max() > 0.6 * contrast[best]:
         return Refused(
-            TWO_DOTS, "two dots are seen instead of one, so the object's angle is unknown"
+            Problem.DOT_HIDDEN, "two dots are seen instead of one, so the object's angle is unknown"
         )
     return np.asarray(poses[best])
 
@@ -456,10 +458,3 @@ def _walked(polygon: Array, each: int = 8) -> Array:
     after = np.roll(polygon, -1, axis=0)
     share = np.arange(each) / each
     return (polygon[:, None] + share[:, None] * (after - polygon)[:, None]).reshape(-1, 2)
-
-
-def _middle(polygon: Array) -> Array:
-    """Centroid (2,) of a polygon (N, 2)."""
-    after = np.roll(polygon, -1, axis=0)
-    cross = polygon[:, 0] * after[:, 1] - polygon[:, 1] * after[:, 0]
-    return np.asarray(((polygon + after) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))

@@ -32,14 +32,13 @@ class OutlineError(ValueError):
 def signed_area(corners: Array) -> float:
     """Area of the polygon with these corners (N, 2), in m^2 for corners in m; negative if they are
     listed clockwise."""
-    following = np.roll(corners, -1, axis=0)
-    return 0.5 * float((corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]).sum())
+    return 0.5 * float(_cross(corners, np.roll(corners, -1, axis=0)).sum())
 
 
 def centroid(corners: Array) -> Array:
     """Return the centroid (2,) of the polygon with corners (N, 2)."""
     following = np.roll(corners, -1, axis=0)
-    cross = corners[:, 0] * following[:, 1] - corners[:, 1] * following[:, 0]
+    cross = _cross(corners, following)
     return np.asarray(((corners + following) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum()))
 
 
@@ -233,12 +232,20 @@ def turn_differences(radii: Array, model: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(square - 2.0 * product, 0.0)))
 
 
+def turns_left(corners: Array) -> bool:
+    """Return whether a polygon with corners (N, 2) turns to the left at each of them."""
+    along = np.roll(corners, -1, axis=0) - corners
+    return bool(np.all(_cross(along, np.roll(along, -1, axis=0)) > 0.0))
+
+
+def _cross(first: Array, second: Array) -> Array:
+    return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+
+
 def _check_convex(vertices: Array) -> None:
     if len(vertices) < 3:
         raise OutlineError(f"a polygon needs 3 corners or more; {len(vertices)} given")
-    along = np.roll(vertices, -1, axis=0) - vertices
-    after = np.roll(along, -1, axis=0)
-    if np.any(along[:, 0] * after[:, 1] - along[:, 1] * after[:, 0] <= 0.0):
+    if not turns_left(vertices):
         raise OutlineError(
             "the polygon must be convex, its corners must be in counter-clockwise order, and no "
             "three successive corners may lie on a line"

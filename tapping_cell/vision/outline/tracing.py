@@ -27,7 +27,7 @@ from tapping_cell.vision.markers.detection import (
     marker_pattern,
 )
 from tapping_cell.vision.markers.measurement import measure
-from tapping_cell.vision.outline.shape import centroid, signed_area
+from tapping_cell.vision.outline.shape import centroid, signed_area, turns_left
 from tapping_cell.vision.tracker import PoseTracker
 
 Mask = NDArray[np.uint8]
@@ -431,11 +431,7 @@ def _corners(rim: Array, radius: float) -> Array | None:
         right = [normals[k] @ middles[k] for k in (number - 1, number)]
         corners.append(np.linalg.solve(n, right))
     made = np.array(corners)
-    following = np.roll(made, -1, axis=0)
-    sides = following - made
-    turns = sides[:, 0] * np.roll(sides, -1, axis=0)[:, 1]
-    turns -= sides[:, 1] * np.roll(sides, -1, axis=0)[:, 0]
-    return made if bool(np.all(turns > 0.0)) else None
+    return made if turns_left(made) else None
 
 
 def _distances(points: Array, corners: Array) -> Array:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tapping_cell.vision.camera import Array, CameraModel, CameraPose
+from tapping_cell.vision.camera import Array, CameraModel, CameraPose, at_height
 from tapping_cell.vision.markers.edges import MarkerEdges, straight_corners
 
 _BENT = 0.03
@@ -75,8 +75,7 @@ def initial_pose(camera: CameraModel, points: ArrayLike, corners: ArrayLike) -> 
     The pose is computed by IPPE (Collins and Bartoli, as implemented in OpenCV) and refined by
     least squares.
     """
-    p = np.asarray(points, dtype=float).reshape(-1, 2)
-    flat = np.column_stack([p, np.zeros(len(p))])
+    flat = at_height(np.asarray(points, dtype=float).reshape(-1, 2))
     rays = camera.rays(np.asarray(corners, dtype=float).reshape(-1, 2))
     eye = np.eye(3)
     number, turns, shifts, _ = cv2.solvePnPGeneric(
@@ -148,7 +147,7 @@ def fit_table(
     None if fewer than ``settings.least_references`` remain.
     """
     count = points.shape[0]
-    flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1).reshape(-1, 3)
+    flat = at_height(points).reshape(-1, 3)
     used = np.ones(count, dtype=bool) if used is None else used.copy()
     covariance: Array = np.zeros((6, 6))
     white = whitening(rays, noise)
@@ -225,8 +224,8 @@ def consensus(
     Returns None unless the inliers are a majority and at least three.
     """
     count = len(points)
-    flat = np.concatenate([points, np.zeros((count, 4, 1))], axis=-1)
-    pixels = camera.project(np.concatenate([rays, np.ones((count, 4, 1))], axis=-1))
+    flat = at_height(points)
+    pixels = camera.project(at_height(rays, 1.0))
     best, agreed = None, np.zeros(count, dtype=bool)
     for pair in islice(combinations(range(count), 2), _MAX_PAIRS):
         pose = initial_pose(camera, points[list(pair)], pixels[list(pair)])

@@ -87,13 +87,9 @@ class ReferenceMarkers:
         quads come from a search, whose corners may be some pixels off.
         """
         rows = np.array(list(quads), dtype=np.intp)
-        corners = list(quads.values())
-        patterns = [self._patterns[row] for row in rows]
-        aims = [number for number, aim in enumerate(others) if aim is not None]
-        for aim in others:
-            if aim is not None:
-                corners.append(aim[0])
-                patterns.append(aim[1])
+        aims = {number: aim for number, aim in enumerate(others) if aim is not None}
+        corners = [*quads.values(), *(quad for quad, _ in aims.values())]
+        patterns = [*(self._patterns[row] for row in quads), *(aim[1] for aim in aims.values())]
         theirs: list[MarkerEdges | None] = [None] * len(others)
         if not corners:
             return no_edges(), rows, theirs

@@ -15,25 +15,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from tapping_cell.vision.camera import Array, CameraModel, View
 
 _FOCAL, _ASPECT = 0.85, 0.35
-_LENS: tuple[tuple[str | int, float], ...] = (
-    ("cx", 0.7),
-    ("cy", 0.7),
-    (0, 0.0015),
-    (1, 0.004),
-    (2, 0.00012),
-    (3, 0.00012),
-)
+_LENS = 0.7, 0.7, 0.0015, 0.004, 0.00012, 0.00012
 """Typical standard deviations of the lens parameters, as reported by OpenCV's calibration for some
 twenty images of a board. A common amplitude of all lens errors is estimated from the references.
 
-In ``_LENS``, an index denotes a distortion coefficient. Deviations of cx and cy are in pixels, and
-so are those of the focal lengths: ``_FOCAL`` is for their common error, and ``_ASPECT`` for half
-the difference of their errors. If a calibration states deviations (``CameraModel.deviations``),
-these are used instead.
+``_LENS`` contains those of cx, cy, k1, k2, p1 and p2. Deviations of cx and cy are in pixels, and so
+are those of the focal lengths: ``_FOCAL`` is for their common error, and ``_ASPECT`` for half the
+difference of their errors. If a calibration states deviations (``CameraModel.deviations``), these
+are used instead.
 """
 _STATED_ASPECT = 0.25
 """Standard deviation of half the difference of the two focal lengths' errors, as a fraction of the
@@ -66,26 +60,22 @@ likely as an exact lens and print."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Members:
-    """K combinations of amplitudes: their weights (K,), the squared amplitudes ``power`` (K,) of
-    the lens error, and matrices that do not depend on the pose to be corrected."""
-
-    weight: Array
-    power: Array
-    inverse: Array
-    dragged: Array
-    steps: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class SystematicError:
-    """The error model conditioned on the references; see :func:`condition`."""
+    """The error model conditioned on the references; see :func:`condition`.
+
+    It consists of K combinations of amplitudes: their weights (K,), the squared amplitudes
+    ``power`` (K,) of the lens error, and matrices that do not depend on the pose to be corrected.
+    """
 
     lens: Array
     gain: Array
     basis: Array
     data: Array
-    members: _Members
+    weight: Array
+    power: Array
+    inverse: Array
+    dragged: Array
+    steps: Array
 
     def at(self, response: Array, lens: Array) -> tuple[Array, Array]:
         """Expected error (3,) of a pose measured at a place, and covariance (3, 3) of the remaining
@@ -95,18 +85,17 @@ class SystematicError:
         ``lens`` (3, 8) that with respect to the lens parameters (:func:`lens_shifts`). The
         covariance includes the noise of the reference markers, but not of the object's marker.
         """
-        m = self.members
         own, cross = lens @ lens.T, lens @ self.lens.T
         pulled = cross @ self.gain.T @ response.T
-        power = m.power[:, None, None]
-        to_data = power * (cross @ self.basis) - response @ m.dragged
-        prior = power * (own - pulled - pulled.T) + response @ m.steps @ response.T
-        answer = to_data @ m.inverse
+        power = self.power[:, None, None]
+        to_data = power * (cross @ self.basis) - response @ self.dragged
+        prior = power * (own - pulled - pulled.T) + response @ self.steps @ response.T
+        answer = to_data @ self.inverse
         error = answer @ self.data
         left = prior - answer @ to_data.transpose(0, 2, 1)
-        mean = m.weight @ error
+        mean = self.weight @ error
         apart = error - mean
-        return mean, np.tensordot(m.weight, left, 1) + (m.weight * apart.T) @ apart
+        return mean, np.tensordot(self.weight, left, 1) + (self.weight * apart.T) @ apart
 
 
 def condition(
@@ -148,14 +137,17 @@ def condition(
     total_weight = np.cumsum(weight[order]) / weight.sum()
     kept = order[: int(np.searchsorted(total_weight, 1.0 - _LEFT_OUT)) + 1]
     moved = gain @ np.tensordot(amounts[kept], parts, 1)
-    members = _Members(
-        weight[kept] / weight[kept].sum(),
-        s[kept],
-        np.linalg.inv(total[kept]),
-        moved @ basis,
-        moved @ gain.T,
+    return SystematicError(
+        lens,
+        gain,
+        basis,
+        data,
+        weight=weight[kept] / weight[kept].sum(),
+        power=s[kept],
+        inverse=np.linalg.inv(total[kept]),
+        dragged=moved @ basis,
+        steps=moved @ gain.T,
     )
-    return SystematicError(lens, gain, basis, data, members)
 
 
 def _prior(field: Array, print_: Array, stated: bool) -> Array:
@@ -195,14 +187,9 @@ def _poses_of(points: Array) -> Array:
     """Return the matrix (3 M, 8 M) that maps displacements of all corners to the mean displacement
     in x and in y and the rotation of every marker. The rotation is multiplied by the distance r of
     :func:`_turned`."""
-    count = points.shape[0]
-    turned = _turned(points).reshape(count, 8)
-    rows = np.zeros((count, 3, count, 8))
-    for k in range(count):
-        rows[k, 0, k, 0::2] = 0.25
-        rows[k, 1, k, 1::2] = 0.25
-        rows[k, 2, k] = 0.25 * turned[k]
-    return rows.reshape(3 * count, 8 * count)
+    x, y = np.tile([1.0, 0.0], 4), np.tile([0.0, 1.0], 4)
+    turned = _turned(points).reshape(-1, 8)
+    return np.asarray(block_diag(*(0.25 * np.stack([x, y, turn]) for turn in turned)))
 
 
 def _turned(points: Array) -> Array:
@@ -232,20 +219,18 @@ def lens_shifts(view: View, points: Array, height: float) -> tuple[Array, Array]
 def _other_lenses(camera: CameraModel) -> list[CameraModel]:
     """Return eight cameras. In each of them, another lens parameter is changed by its standard
     deviation (stated by the calibration, otherwise typical)."""
-    focal, aspect, rest = _FOCAL, _ASPECT, [usual for _, usual in _LENS]
+    focal, aspect, rest = _FOCAL, _ASPECT, list(_LENS)
     if camera.deviations:
         focal = float(np.sqrt(np.mean(np.square(camera.deviations[:2]))))
         aspect, rest = _STATED_ASPECT * focal, list(camera.deviations[2:])
     others = [
         replace(camera, fx=camera.fx + focal, fy=camera.fy + focal),
         replace(camera, fx=camera.fx + aspect, fy=camera.fy - aspect),
+        replace(camera, cx=camera.cx + rest[0]),
+        replace(camera, cy=camera.cy + rest[1]),
     ]
-    for (parameter, _), deviation in zip(_LENS, rest, strict=True):
-        if isinstance(parameter, str):
-            changed = getattr(camera, parameter) + deviation
-            others.append(replace(camera, **{parameter: changed}))
-        else:
-            coefficients = camera.coefficients.tolist()
-            coefficients[parameter] += deviation
-            others.append(replace(camera, distortion=tuple(coefficients)))
+    for index, deviation in enumerate(rest[2:]):
+        coefficients = camera.coefficients.tolist()
+        coefficients[index] += deviation
+        others.append(replace(camera, distortion=tuple(coefficients)))
     return others

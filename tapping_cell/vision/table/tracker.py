@@ -14,9 +14,10 @@ import enum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 
 from tapping_cell.se2 import transform_points
-from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View
+from tapping_cell.vision.camera import Array, CameraModel, CameraPose, View, at_height
 from tapping_cell.vision.markers.detection import ReferenceMap
 from tapping_cell.vision.markers.edges import MarkerEdges
 from tapping_cell.vision.table.fit import (
@@ -230,7 +231,7 @@ class TableTracker:
 
     def _shift(self, before: CameraPose, after: CameraPose) -> float:
         """Maximum displacement, in m, of the references' corners in the camera's frame."""
-        flat = np.concatenate([self.points, np.zeros((*self.points.shape[:2], 1))], axis=-1)
+        flat = at_height(self.points)
         return float(np.linalg.norm(after.apply(flat) - before.apply(flat), axis=-1).max())
 
     def _condition(
@@ -244,15 +245,9 @@ class TableTracker:
         # direction of the ray. It differs between corners if the view is oblique.
         ahead = seen.reshape(-1, 1, 2) + 1e-6 * np.eye(2)
         lengths = (view.rays_on_plane(ahead) - points[fit.used].reshape(-1, 1, 2)) / 1e-6
-        block: Array = np.zeros((4 * count, 2, 4 * count, 2))
-        each = np.arange(4 * count)
-        block[each, :, each, :] = lengths.transpose(0, 2, 1)
-        block = block.reshape(8 * count, 8 * count)
-        still: Array = np.zeros((8 * count, 8 * count))
+        block = block_diag(*lengths.transpose(0, 2, 1))
         white = whitening(rays[fit.used], noise[fit.used])
-        for k in range(count):
-            part = slice(8 * k, 8 * k + 8)
-            still[part, part] = np.linalg.inv(white[k].T @ white[k])
+        still = block_diag(*(np.linalg.inv(matrix.T @ matrix) for matrix in white))
         return condition(
             points[fit.used],
             (block @ fit.residuals.reshape(-1)).reshape(-1, 4, 2),
@@ -323,7 +318,7 @@ def pose_jacobian(view: View, object_pose: ArrayLike, height: float) -> Array:
     rotation (rad) and translation (m).
     """
     points = transform_points(object_pose, CROSS)
-    seen = view.pose.apply(np.column_stack([points, np.full(len(points), height)]))
+    seen = view.pose.apply(at_height(points, height))
     rays = seen[:, :2] / seen[:, 2:]
     shifts = []
     for step in 1e-6 * np.eye(6):
