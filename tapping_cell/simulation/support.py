@@ -90,7 +90,7 @@ def _face(body: Disk | Ring | Polygon) -> tuple[Array, Array]:
         # rows.
         turn = np.arange(_RINGS) * (math.pi * (3 - math.sqrt(5)))
         angles = (np.arange(_SPOKES) + 0.5) * (2 * math.pi / _SPOKES) + turn[:, None]
-        points = (radius[:, None, None] * unit_vectors(angles)).reshape(-1, 2)
+        points: Array = (radius[:, None, None] * unit_vectors(angles)).reshape(-1, 2)
     else:
         points = _grid_inside(body, _GRID)
     return points, np.ones(len(points))

@@ -199,7 +199,7 @@ def arrange(
         table=(table.length, table.width),
     )
     trial.history.append({name: Pose(*pose.tolist()) for name, pose in true.items()})
-    gain_of = {body.name: gain[None, :] for body, gain in zip(bodies, gains, strict=True)}
+    gain_of = {body.name: gains[number, None] for number, body in enumerate(bodies)}
     by_name = {body.name: body for body in bodies}
     seen = {name: _observe(by_name[name], true[name], rng) for name in true}
     observations = dict.fromkeys(true, 1)
