@@ -426,13 +426,15 @@ class RunRecorder(CellNode[Parameters]):
             name = self._name or run_name(began, self.get_namespace(), plan.goal)
         this_run = {"began": began, "refused": refused, "arrangement": self._arranging}
         text = serialize_message(String(data=json.dumps(self._notes | this_run)))
+        folder = Path(self._folder).expanduser().absolute()
+        several = self._arranging
+        # Messages that are taken from the buffer while no folder is open are lost, so the worker
+        # opens the folder before the buffer contains messages to write.
+        self._submit(lambda: self._open(folder, name, several))
         self._buffer.begin(self._now(), self._notes_topic, text)
         self._plan = plan
         self._ends_at = None
         self._planner_received = time.monotonic()
-        folder = Path(self._folder).expanduser().absolute()
-        several = self._arranging
-        self._submit(lambda: self._open(folder, name, several))
 
     def _tick(self) -> None:
         self._receive((*STATES, *STREAMS, PICTURES))
