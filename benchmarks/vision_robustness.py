@@ -289,8 +289,8 @@ def measure(count: int) -> dict[str, Any]:
 
 
 def reports_of_cases(cases: dict[str, Case], count: int) -> Iterator[dict[str, Any]]:
-    """Run these cases in random order with changing cameras for at least ``count`` frames. Yield
-    the report after each camera."""
+    """Run these cases in random order for at least ``count`` frames. Each pass through the cases
+    uses another camera. After each pass, yield the report on all frames so far."""
     cv2.setNumThreads(1)
     cell = Cell.load()
     tallies = {name: Tally() for name in cases}

@@ -450,5 +450,8 @@ def _notes(record: ArmRecord, fit: _Fit, held: Sequence[str]) -> list[str]:
             "zero offset from the base pose better"
         )
     if fit.used.sum() < 15:
-        warnings.append(f"{fit.used.sum()} poses are few: 20 over the whole table are better")
+        warnings.append(
+            f"the fit used only {fit.used.sum()} poses; 20 poses, spread over the whole table, are "
+            "better"
+        )
     return warnings

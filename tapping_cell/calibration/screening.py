@@ -269,7 +269,8 @@ def _from_track(
     )
     if isinstance(slide, Rejection):
         return slide
-    # Where displacement or rotation are not recorded, those between the ends of the track are used.
+    # If the displacement or the rotation was not recorded, it is taken from the two ends of the
+    # track.
     displacement, rotation = (
         _or(trial.displacement, slide.displacement),
         _or(trial.rotation, slide.turned),

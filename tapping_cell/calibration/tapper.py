@@ -442,7 +442,9 @@ def _notes(
             f"%, but all taps together by {100 * curve.noise:.1f} %: do not use this energy"
         )
     if used < 20:
-        warnings.append(f"{used} taps are few: 30 over the range are better")
+        warnings.append(
+            f"the fit used only {used} taps; 30 taps, spread over the range of energies, are better"
+        )
     if ratio < 4.0:
         warnings.append(
             "the largest energy is less than 4 times the smallest: the curve covers this range only"

@@ -320,7 +320,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help="folder for a table and plots (only with --all or --sweep)",
+        help="folder for a table and plots (with --all or --sweep), or for figures of up to six "
+        "scenes (with --arrange)",
     )
 
 
@@ -349,7 +350,9 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.all:
             return _compare(arguments)
         if arguments.report is not None:
-            raise PlanningError("--report is for several evaluations: give --all or --sweep")
+            raise PlanningError(
+                "--report is for several evaluations: give --all, --sweep or --arrange"
+            )
         evaluation = make_evaluation(arguments, arguments.planner)
         figures = measure(arguments, evaluation)
     except (PlanningError, ConfigurationError, MechanicsError) as error:

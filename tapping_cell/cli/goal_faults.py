@@ -155,9 +155,10 @@ def _as_json(summary: Summary, seed: int, wall: float) -> dict[str, object]:
 def _print(summary: Summary, wall: float, mix: Mix) -> None:
     speed = summary.cell_seconds / max(wall, 1e-9)
     print(
-        f"{summary.goals} goals, {summary.taps} taps and {summary.program_taps} taps commanded by"
-        f" other programs without the planner; {summary.cell_seconds / 3600:.1f} h of"
-        f" cell time simulated in {wall:.0f} s ({speed:.0f} times real time)"
+        f"{summary.goals} goals with {summary.taps} taps, and {summary.program_taps} further taps"
+        " that another program commanded instead of the planner;"
+        f" {summary.cell_seconds / 3600:.1f} h of cell time simulated in {wall:.0f} s"
+        f" ({speed:.0f} times real time)"
     )
     print("faults:")
     for kind, count in summary.by_fault.most_common():

@@ -254,7 +254,7 @@ def _value(hint: Any, value: Any, limits: Limits, source: str, key: str) -> Any:
         if limits.choices and value not in limits.choices:
             raise _wrong(source, key, value, limits.range_text(), limits)
         return value
-    raise TypeError(f"{key}: the schema cannot hold a {hint}")
+    raise TypeError(f"{key}: the schema does not support the type {hint}")
 
 
 def _tuple(

@@ -199,8 +199,8 @@ def move_durations(
     duration is NaN where one of them is NaN."""
     distances = np.abs(np.asarray(goal, dtype=float) - np.asarray(start, dtype=float))
     at_speed = np.max(distances / (np.array(geometry.max_speed) * speed), axis=-1)
-    # Reciprocal of the acceleration along the line. Lengths are measured as fractions of the line,
-    # so the unit is s^2.
+    # Reciprocal of the acceleration along the move. Lengths are fractions of the whole move,
+    # without a unit, so the unit of the reciprocal is s^2.
     pull = np.max(distances / np.array(geometry.max_acceleration), axis=-1)
     ramp = pull / np.where(at_speed > 0, at_speed, 1.0)
     return np.where(ramp <= at_speed, at_speed + ramp, 2 * np.sqrt(pull))

@@ -105,8 +105,8 @@ class Ros2ControlDialect:
             ),
         ]
         remarks = [
-            f"{name} can also send trajectories to {self._link.name}: nothing else may do so "
-            "while the cell works"
+            f"{name} also publishes on the topic of the controller {self._link.name}: only the cell"
+            f" may send trajectories to it while the cell runs; end {name}"
             for name in self._link.other_commanders
         ]
         if samples and samples[-1].velocities is None:

@@ -32,7 +32,8 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class MotionEnd:
-    """End of a motion, which was completed or abandoned between two moves."""
+    """Result of a motion. ``complete`` is False if the motion was abandoned or the tap had expired;
+    ``reading`` is the read-back afterwards."""
 
     complete: bool
     reading: Reading

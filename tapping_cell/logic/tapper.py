@@ -147,8 +147,8 @@ OUTCOMES = {
 }
 LATCHED = (
     ErrorCode.TAPPER_STOPPED,
-    "the tapper's stop is latched; make the cell safe, press the clear button at the cell, then"
-    " clear the stop",
+    "the tapper's stop is latched; make the cell safe, press the clear button at the tapper, then"
+    " clear the stop within 10 s (Clear on the page, or python -m tapping_cell clear)",
 )
 
 
@@ -202,8 +202,8 @@ class TapperLogic(DeviceLogic[State, Event]):
 
     stop_error = (
         ErrorCode.TAPPER_STOPPED,
-        "the tapper was stopped; make the cell safe, press the clear button at the cell, then call"
-        " clear_fault",
+        "the tapper was stopped; make the cell safe, press the clear button at the tapper, then"
+        " clear the stop within 10 s (Clear on the page, or python -m tapping_cell clear)",
     )
 
     def __init__(self, options: TapperOptions) -> None:
@@ -255,7 +255,7 @@ class TapperLogic(DeviceLogic[State, Event]):
         """Make the last check before FIRE: return why firing is forbidden, or None if it is
         allowed.
 
-        ``release_by``: latest end of the release pulse, s on the steady clock.
+        ``release_by``: latest end of the release pulse, in s of the steady clock.
         """
         reason = self.check_charging(now)
         if reason is not None:

@@ -53,9 +53,9 @@ class ExactPlanner:
 
 @dataclass(frozen=True, slots=True)
 class ConservativePlanner(ExactPlanner):
-    """Makes a larger first tap than an exact plan, to a subgoal further inside the region from
-    which one tap reaches the goal (section 4.2 of the paper). The second tap then reaches the goal
-    despite the error of the first tap's rotation (the error line)."""
+    """Makes the first tap larger than the exact planner does. Its subgoal lies further inside the
+    region from which a second tap reaches the goal (section 4.2 of the paper). The second tap then
+    reaches the goal despite the error of the first tap's rotation (the error line)."""
 
     name: str = "conservative"
 

@@ -39,7 +39,8 @@ def _any_tapper(rng: np.random.Generator, trial: FaultTarget) -> str:
 
 
 def _foreign_command(rng: np.random.Generator, trial: FaultTarget) -> Made:
-    """Another program commands another tapper, with the same or the next tap id."""
+    """Another program commands a tap of a random tapper, with the id of the last tap or the next
+    id."""
     name, ahead = _any_tapper(rng, trial), int(rng.integers(0, 2))
     valid = float(rng.uniform(1.0, 10.0))
 

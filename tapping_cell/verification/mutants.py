@@ -370,7 +370,7 @@ MUTANTS: tuple[Mutant, ...] = (
         kinds=("foreign withdrawal", "received by one", "cancel"),
     ),
     Mutant(
-        "believes any publisher that the striker is discharged",
+        "believes every publisher's report that the striker is discharged",
         "tapping_cell.logic.arm",
         "        if ours and not released and message.state in CHARGED:\n",
         "        if ours and message.state not in CHARGED:\n"

@@ -65,7 +65,7 @@ class _Window:
 
 
 class SceneChange:
-    """Compares frames with the last measured frame inside fixed windows."""
+    """Compares each frame, inside fixed windows, with the last measured frame."""
 
     def __init__(self) -> None:
         self._windows: list[_Window] = []

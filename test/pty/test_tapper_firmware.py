@@ -235,7 +235,8 @@ def compare(boards: BoardPair, event: tuple[object, ...]) -> None:
 
 
 def strip_version(text: str) -> list[str]:
-    """Return replies without checksum, and without the version of a WELCOME."""
+    """Return the replies without their checksums, and each WELCOME reply also without its
+    version."""
     bodies = [line.split("*")[0] for line in text.splitlines()]
     return [body.rsplit(",", 1)[0] if "WELCOME" in body else body for body in bodies]
 

@@ -47,7 +47,8 @@ class OutputDevice:
     """Times and levels, in order."""
 
     def set_at(self, time: float, level: bool) -> None:
-        """Set a level at ``time``, but not before an earlier request's level."""
+        """Set the output to ``level`` at ``time``, or at the time of the previous level if that is
+        later."""
         last = self.edges[-1][0] if self.edges else -math.inf
         self.edges.append((max(time, last), level))
 

@@ -38,8 +38,9 @@ class Parameters(CellParameters):
     )
     state_rate: float = quantity("rate of tapper_state", "Hz", 1.0, 200.0, default=20.0)
     set_up: bool = text(
-        "set-up mode: charge and fire only while an enabling device is held; unless the enabling "
-        "switch at the board is held, the board refuses taps above its set-up energy",
+        "set-up mode: charge and fire only while an enabling device (the key on the page or the "
+        "switch at the board) is held; taps above the board's set-up energy only while the switch "
+        "at the board is held",
         default=False,
     )
     arm_freshness: float = quantity(

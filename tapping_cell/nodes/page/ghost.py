@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ghost:
-    """Mapping between image and table.
+    """Goal preview of an object: maps between image and table, and draws the outline at the goal.
 
     ``outline`` (N, 2) in the object's frame and ``height`` of its top are in m. ``refusal`` returns
     the planner's message for a goal that it would refuse, or an empty text.

@@ -139,7 +139,8 @@ def test_the_tapper_fires_once_when_the_arm_is_in_position(cell: Cell) -> None:
     cell.keep_publishing(0.5, tap_id=100)
     assert cell.shots() == [100]
     # The node refuses the repeated command without requesting charging, which the board would
-    # refuse as well. The outcome of the first command stays.
+    # refuse as well. The outcome of the first command is still
+    # reported.
     assert cell.outcome(100) == TapperState.FIRED
     assert {s.state for s in cell.states[-5:]} == {TapperState.SAFE}
 
