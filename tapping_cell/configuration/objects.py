@@ -67,7 +67,10 @@ class ShapeSection:
 class MarkerSection:
     """The marker on the object's top."""
 
-    dictionary: str = text("OpenCV name of the marker dictionary, such as APRILTAG_36h11")
+    dictionary: str = text(
+        "OpenCV name of the marker dictionary, with or without the prefix DICT_, such as "
+        "APRILTAG_36h11"
+    )
     id: int = quantity("number of the marker in its dictionary", "", 0, 1_000_000)
     size: float = quantity("side of the marker's black square", "m", 0.005, 0.5)
     offset: tuple[float, float, float] = quantity(

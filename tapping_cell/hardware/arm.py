@@ -306,8 +306,8 @@ class ArmDriver:
                 self.close()
             noted = self._noted(fault)
             if must_unlock and noted.reason in LINE_LOST:
-                # The loss of the connection is not latched, because the next connect restores it.
-                # An earlier fault stays latched.
+                # The loss of the connection is not latched, because the next connect restores the
+                # connection. An earlier fault stays latched.
                 self._fault = first
             elif must_unlock:
                 # A fault that could not be cleared stays latched.

@@ -119,7 +119,10 @@ class ArmDialect(Protocol):
         """
 
     def set_position(self, axes: Axes, deadline: float) -> None:
-        """Declare the current position of the axes."""
+        """Make the controller take ``axes`` as its current position, without a move.
+
+        Raises HOMING_FAILED if the dialect does not support this.
+        """
 
     def clear(self, deadline: float) -> None:
         """After a stop or an alarm, return the controller to a state that accepts moves."""

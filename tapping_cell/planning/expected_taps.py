@@ -6,9 +6,11 @@ frame of the tap, is ::
 
     (r cos phi - s (1 + a), -r sin phi + s c)
 
-with the scatter a of the distance and c of the direction. Nodes of equal probability represent the
-distribution of the residual's length on the plan's grid of distances. The rotation is independent
-of this length, as in ``value_iteration``.
+with the relative error a of the distance and the error c of the direction. Each of the two errors
+is represented by values of equal probability, its nodes. Each pair of nodes gives a length of the
+residual. The weight of this length is divided between the two neighbouring points of the plan's
+grid of distances by linear interpolation. The rotation is independent of this length, as in
+``value_iteration``.
 """
 
 from __future__ import annotations

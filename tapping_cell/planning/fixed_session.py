@@ -121,7 +121,8 @@ class FixedTapperSession(GoalSession):
 
     @property
     def ready(self) -> bool:
-        """True if the goal is solved, at least on the coarse grid."""
+        """True if a decision can be made: the goal is refused, or a solution for it exists, at
+        least on the coarse grid."""
         return self._solved is None or self._solved.solution is not None
 
     def observe(

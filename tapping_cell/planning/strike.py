@@ -188,8 +188,8 @@ class StrikeSpace:
         return transform_points(poses[..., None, :], points)
 
     def tool_is_clear(self, tip_poses: ArrayLike) -> BoolArray:
-        """Return whether the tip and the bar at tip poses (..., 3) avoid the keep-outs and stay
-        within the allowed overhang of the table."""
+        """Return whether, at tip poses (..., 3), the tip and the bar avoid the keep-outs and extend
+        beyond the edges of the table by no more than the allowed overhang."""
         poses = np.asarray(tip_poses, dtype=float)
         bar = self.workspace.striker_clearance(self.tool_points(poses)) >= self.settings.tool_radius
         tip = self.workspace.striker_clearance(poses[..., :2]) >= self.tip_radius
