@@ -587,8 +587,9 @@ class ArmDriver:
     def _noted(self, fault: HardwareFault) -> HardwareFault:
         """Record a fault in the driver's state and return the fault to raise.
 
-        If a fault is latched, it is returned instead of a later one, because later faults are often
-        its consequence: an alarm can be followed by a restart, and a stop causes an alarm.
+        If a fault is latched, the latched fault is returned instead of a later one, because later
+        faults are often consequences of the first: an alarm can be followed by a restart, and a
+        stop causes an alarm.
         """
         if self._stopped.is_set() and fault.reason in OF_A_STOP:
             # The alarm or reset that a stop causes in the controller is not a separate fault.

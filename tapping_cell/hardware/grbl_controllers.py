@@ -72,7 +72,7 @@ class Identity:
     letters: str
     """Axis letters in the order of the status reports; empty if the firmware does not list them."""
     forces_origin: bool
-    """True if the firmware build sets the machine position to zero where homing ends."""
+    """True if the firmware build sets the machine position to zero at the end of homing."""
 
 
 def identify(messages: Iterable[grbl.Message]) -> Identity | None:

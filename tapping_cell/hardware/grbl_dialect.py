@@ -462,7 +462,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
         return banner
 
     def _retried(self, line: bytes, deadline: float) -> list[grbl.Frame]:
-        """Send a query with up to three attempts, each with the reply timeout."""
+        """Send a query up to three times, and wait for each answer for at most the reply
+        timeout."""
         for attempt in range(3):
             try:
                 return self._command(line, min(deadline, self._transport.now() + REPLY_TIMEOUT))

@@ -51,9 +51,9 @@ def straight_points(
     """Return the points of straight moves that begin and end at rest; the start is not included.
 
     The arm does not stop between two moves in the same direction. It passes the point between them
-    at the lower speed of the two moves, or more slowly if a move is too short to reach this speed
-    or to brake from it. ``moves``: targets in rad and m; the feed along the line is in the same
-    unit per minute.
+    at the lower of the speeds of the two moves, or more slowly if a move is too short to reach this
+    speed or to brake from it. ``moves``: targets in rad and m; the feed along the line is in the
+    same unit per minute.
     ``max_acceleration``: limit of each joint, in rad/s^2 or m/s^2. Moves of zero length are left
     out.
     """

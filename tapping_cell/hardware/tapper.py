@@ -670,7 +670,8 @@ class TapperDriver(RecordingTapper):
         """Return the number of frames so far that the tapper sent and the line damaged.
 
         In a session, all unreadable bytes come from the tapper, even if neither the beginning nor
-        the end of a frame can be recognized. Before, another device may have sent them.
+        the end of a frame can be recognized. Before a session, another device may have sent these
+        bytes.
         """
         return self.counters.bad_frames if self.connected else self.counters.damaged_frames
 

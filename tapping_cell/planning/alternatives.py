@@ -24,9 +24,9 @@ TURNS = (1.0, 0.5, 0.0, -0.5, -1.0)
 CHUNK = 160
 
 LEAST = 80
-"""Minimum number of safe candidates in the first chunk, unless fewer are left. All candidates of a
-chunk are checked together. The minimum is doubled for each further chunk, because checking a chunk
-takes almost the same time whatever its size."""
+"""Minimum number of safe candidates in the first chunk; if fewer candidates are left, all of them.
+All candidates of a chunk are checked together. The minimum is doubled for each further chunk,
+because checking a chunk takes almost the same time whatever its size."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function that returns which displacements (n, 3) of objects at poses (n, 3) are possible,
@@ -104,8 +104,8 @@ class Candidates(NamedTuple):
     """Candidates that can replace the tap chosen by the method; m is their number for each pose.
 
     commanded: displacements, (..., m, 3). after: poses after the taps, (..., m, 3). cost: lower
-    bound of the number of taps after each candidate, (..., m); infinite if no path leads from there
-    to the goal.
+    bound of the number of taps after each candidate, (..., m); infinite if no path leads from the
+    pose after the candidate to the goal.
     """
 
     commanded: Array

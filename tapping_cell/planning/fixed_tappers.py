@@ -33,8 +33,8 @@ STROKE_MARGIN = 0.003
 """Minimum stroke that must remain when the tip touches the object, m."""
 
 BESIDES_FLIGHT_S = 0.40
-"""Mean time of a tap, s, that is not the striker's flight to the object: the messages to the board,
-the slide, the images of the object at rest and the decision."""
+"""Mean duration, s, of the parts of a tap other than the striker's flight to the object: the
+messages to the board, the slide, the images of the object at rest and the decision."""
 
 MEAN_TAP_S = 0.65
 """Mean time of a tap, s: the unit of W (see ``fixed_policy``) if the objective is time."""

@@ -34,7 +34,8 @@ class Planner(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the method that is in use now: a fallback while a plan is being solved."""
+        """Name of the method in use; while a plan is being solved, the name of the fallback
+        method."""
         ...
 
     @property

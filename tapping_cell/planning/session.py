@@ -40,7 +40,8 @@ ELSEWHERE = math.radians(20.0)
 """Minimum change of the tap's direction after a miss, because the same tap would miss again."""
 
 WORTH_OBSERVING = 0.02
-"""Minimum probability of being within the tolerance for requesting a longer observation."""
+"""A longer observation is requested only if the probability that the object is within the tolerance
+is at least this value."""
 
 PROBE_SIZE = 1.5
 """Length of a probe tap, as a multiple of the smallest tap's length."""
@@ -55,10 +56,10 @@ first. For an object that matches its file, the ratio is 1.2 after one tap."""
 
 JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
 """Criteria (number of taps, probability) for refusing an object that does not rotate. After this
-number of taps that are not outliers, the object is refused if its rotation gain is below the least
-gain with this probability. The second criterion is weaker, because further taps hardly improve the
-estimate of a gain slightly below the least gain. Without it, a run with such an object would end
-only at the maximum number of taps."""
+number of taps that are not outliers, the object is refused if its rotation gain is, with this
+probability, below the least gain. The second criterion is weaker, because further taps hardly
+improve the estimate of a gain slightly below the least gain. Without it, a run with such an object
+would end only at the maximum number of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
@@ -160,8 +161,8 @@ class GoalSession(ABC):
 
     @property
     def ready(self) -> bool:
-        """True if a decision can be made. A session that requires a solution is ready once it is
-        available."""
+        """True if a decision can be made. A session that requires a solution is ready once the
+        solution is available."""
         return True
 
     @abstractmethod
@@ -747,8 +748,8 @@ class PositioningSession(GoalSession):
         )
 
     def _leads_back(self, pose: Array, commanded: Array) -> bool:
-        """Return whether a displacement (3,) ends at a place that took more taps than estimated
-        before."""
+        """Return whether a displacement (3,) ends near a visited pose from which at least one tap
+        more is needed than the method estimates."""
         after = (pose + self.gains.predict(commanded, pose[2]))[None, :]
         left = self.residual(after[0])
         distance, turn, _ = self.gains.to_plan(left)

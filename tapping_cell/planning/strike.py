@@ -45,7 +45,7 @@ class StrikeSettings:
 
     standoff: distance from the tip at rest to the contact, along the line of travel.
     tool_radius, tool_start, tool_length: half width of the bar behind the tip, and the distances
-        from the centre of the tip to its start and its end.
+        from the centre of the tip to the start and the end of the bar.
     clearance: minimum gap between the tool at rest and the object.
     slowest, fastest: speed limits of the striker.
     footprint: size of the uncertainty bound, in standard deviations, for which a slide must stay

@@ -75,8 +75,9 @@ class Scene:
     bodies: all objects. poses: stationary pose of each object. finished: names of the objects at
     their goals. excluded: moves as (name, purpose) that are not to be chosen now, because no tap
     was possible in this state or many taps did not finish them. buffers: targets of the earlier
-    moves out of the way, by name of the object. later: names of the objects that go to their goals
-    only after others, because of the requested order or because they made way for them.
+    moves out of the way, by name of the object. later: names of the objects that must wait for
+    other objects before they go to their own goals: either the requested order demands this, or
+    they made way for those objects.
     """
 
     bodies: Sequence[Body]

@@ -4,11 +4,10 @@ A move to a goal is possible if the goal is free, a path through tappable places
 the other objects, and every other unfinished goal can still be reached afterwards
 (``stuck_goals``). The cheapest possible move is chosen. Its cost is the number of extra taps for
 the detour around other objects, plus a small cost of the path's length, minus a bonus for each goal
-that it frees. If no such move is
-possible (occupied goals, swaps, cycles, blocked paths), an object in the way is moved to a buffer
-place: a reachable place, clear of every unfinished goal and close to the object's own path. Each
-such move opens a goal or a path, so the sequence ends. If there is no buffer place, the planner
-refuses.
+that the move frees. If no such move is possible (occupied goals, swaps, cycles, blocked paths), an
+object in the way is moved to a buffer place: a reachable place that is clear of every unfinished
+goal and close to the object's own path. Each such move opens a goal or a path, so the sequence
+ends. If there is no buffer place, the planner refuses.
 """
 
 from __future__ import annotations
@@ -50,9 +49,9 @@ CLOSEST = 3
 possible."""
 
 AGAIN = 1.0
-"""Extra cost, in taps, of moving an object out of the way, for each time that it has already been
-moved out of the way, because those moves did not help enough. Close to an earlier buffer place the
-extra cost is doubled."""
+"""Extra cost, in taps, of moving an object out of the way. It is charged once for each earlier move
+of the object out of the way, because those moves did not help enough. Close to an earlier buffer
+place the extra cost is doubled."""
 
 NARROW = 0.03
 """Gap to another object, m, below which a buffer place has an extra cost of up to one tap."""
@@ -188,8 +187,8 @@ class SequencePlanner:
         return [body.name for body in near]
 
     def _buffer(self, scene: Scene, body: Body, blocked: Body) -> _Option | None:
-        """Return the move of ``body`` to the cheapest buffer place from which it no longer blocks
-        ``blocked`` or blocks it less, or None."""
+        """Return the move of ``body`` to the cheapest buffer place at which it no longer blocks
+        ``blocked``, or blocks it less. Return None if there is no such place."""
         pose = scene.poses[body.name]
         others = areas_of(scene.bodies, scene.poses, [body.name])
         places = self._maps.places(body, others, pose)
@@ -278,8 +277,8 @@ def _away(places: Array, middle: Pose | CircleArea) -> Array:
 
 
 def _buffer_cost(body: Body, pose: Pose, places: Array, others: Sequence[CircleArea]) -> Array:
-    """Estimate the cost of each buffer place (n, 2), in taps: the path there, the longer path from
-    there to the goal, and a penalty for little clearance."""
+    """Estimate the cost of each buffer place (n, 2), in taps: the path to the buffer place, the
+    longer path from there to the goal, and a penalty for little clearance."""
     longest = body.planner.settings.largest_distance
     there = _away(places, pose)
     cost = np.ceil(there / longest) + 0.5 * there / longest

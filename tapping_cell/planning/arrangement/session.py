@@ -1,8 +1,8 @@
 """Closed loop for several objects: chooses the next object and its tap. Uses no clock and no ROS.
 
-With a single object, the only move is that to its goal. A ``PositioningSession`` carries out each
-move and avoids the other objects at their last measured poses. The session plans again if an object
-was touched, was pushed by hand or cannot be moved any further.
+With a single object, the only move is the move of this object to its goal. A ``PositioningSession``
+carries out each move and avoids the other objects at their last measured poses. The session plans
+again if an object was touched, was pushed by hand or cannot be moved any further.
 """
 
 from __future__ import annotations
@@ -299,7 +299,8 @@ class ArrangementSession:
         return chosen
 
     def _still_at_goal(self, body: Body, seen: Observation) -> bool:
-        """Return whether an object that was confirmed at its goal is still measured there.
+        """Return whether the measured pose of an object that was confirmed at its goal is still at
+        the goal.
 
         The confirmation holds until the object moves. A single noisy observation does not revoke
         it, because this would cost a tap.

@@ -3,8 +3,8 @@
 Objects slide in straight lines, as tapped objects do (see ``docs/mechanics.md``, section Sliding).
 If an object hits another object, the impact is inelastic: along the normal, both continue with the
 velocity of their common centre of mass, and each slides a distance proportional to the square of
-its speed. A trial counts every such contact and every strike whose tool would have touched another
-object.
+its speed. A trial counts every such impact, and every strike in which the tool would have touched
+another object.
 """
 
 from __future__ import annotations
@@ -105,10 +105,10 @@ class ArrangementTrial:
     end: "done", "refused before" (the first tap) or "refused later". inside: whether every true
     pose is within its tolerance. taps: total number; lone_taps: number for the same objects, each
     alone on the table. contacts: number of contacts between objects; tool_contacts: number of
-    strikes whose tool would have touched another object. made_way: number of moves out of the way.
-    slowest, planning: processor time of the longest decision and of all decisions, s.
-    history: true poses before the first tap and after every tap. goals, outlines (n, 2) in the
-    objects' frames, and the length and width of the table are for drawings.
+    strikes in which the tool would have touched another object. made_way: number of moves out of
+    the way. slowest, planning: processor time of the longest decision and of all decisions, s.
+    history: true poses before the first tap and after every tap. For drawings: goals; outlines, (n,
+    2), in the objects' frames; table, length and width of the table.
     """
 
     end: str = "refused later"
