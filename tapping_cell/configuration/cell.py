@@ -171,8 +171,9 @@ class Ros2ControlSection:
 class ArmSection:
     """The SCARA arm: base pose, dimensions, limits, moves and controller.
 
-    For an arm that is not a SCARA, the dimensions are those of a SCARA with which the cell plans,
-    and whose tip poses the real arm must be able to reach (see `ros2_control.chain`).
+    For an arm that is not a SCARA, the dimensions describe a SCARA that the planner uses in its
+    place. The real arm must be able to reach every tip pose of this SCARA (see
+    `ros2_control.chain`).
     """
 
     base: tuple[float, float, float] = quantity(

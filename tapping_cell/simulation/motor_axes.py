@@ -125,8 +125,8 @@ class MotorAxes:
     # Torque
 
     def enable(self, time: float) -> None:
-        """Enable the motors. If the quill sank while they had no power, it is held at its lower
-        position, but the step count still gives the old one."""
+        """Enable the motors. If the quill sank while they had no power, the quill is now held at
+        its lower position, but the step count still gives the position before it sank."""
         sunk = self._torque.sunk(float(self._of_track(time)[QUILL]), time)
         self._torque.restore()
         if sunk > 0:
