@@ -485,7 +485,8 @@ class ArmSection:
 
 
 def _values(section: ArmSection, kind: type) -> dict[str, Any]:
-    """Return the keys of a section for a class, all of whose fields are keys of the section."""
+    """Return the fields of the dataclass ``kind`` with their values in ``section``. Every field of
+    ``kind`` must be a key of the section."""
     return {field.name: getattr(section, field.name) for field in fields(kind)}
 
 

@@ -265,7 +265,8 @@ class ObjectFile:
         """Return the feature that the camera detects: the marker or the outline.
 
         Raises:
-            ValueError: both or neither are given, or the feature cannot be detected.
+            ValueError: both or neither of marker and outline are given, or the feature cannot be
+            detected.
         """
         return seen_as(self.shape, self.height, self.marker, self.outline)
 

@@ -93,8 +93,8 @@ class ArmDialect(Protocol):
         """Identify the firmware and compare its settings with the required ones; nothing moves."""
 
     def store(self, finding: Finding, deadline: float) -> None:
-        """Send the command of ``finding``, which corrects a setting; raises ValueError if only a
-        person may change this setting."""
+        """Send the command of ``finding`` to correct a setting; raises ValueError if only a person
+        may change this setting."""
 
     def read(self, deadline: float) -> AxisReading:
         """Read the positions and state of the axes."""

@@ -222,8 +222,8 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         self._offset = self._offset_at_rest(self._position(deadline)[0], axes)
 
     def clear(self, deadline: float) -> None:
-        """Restart the line numbering. If the board is silent, reopen the port, which resets a
-        halted board if its wiring supports this."""
+        """Restart the line numbering. If the board is silent, reopen the port; this resets a halted
+        board if the wiring of the board supports it."""
         self._known = False
         self._halted_why = ""
         self._pump(0.0)
@@ -368,8 +368,8 @@ class MarlinDialect(LineDialect[marlin.Frame]):
     # Connecting.
 
     def _counts_on(self, deadline: float) -> bool:
-        """Return whether the board still has the driver's last line number, which proves that it
-        was not reset."""
+        """Return whether the board still has the driver's last line number; if so, the board was
+        not reset."""
         known = set(self._sent) | {self._number}
         self._transport.write(marlin.numbered(self._number + 2, "M114"))
         until = min(deadline, self._transport.now() + 1.0)

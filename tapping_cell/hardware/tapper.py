@@ -232,7 +232,7 @@ class TapperDriver(RecordingTapper):
         return self._mode
 
     def connect(self, timeout: float = 5.0) -> Reply:
-        """Open the line and a new session, which discharges the tapper, and set the mode.
+        """Open the line, begin a new session, which discharges the tapper, and set the mode.
 
         ``timeout``: longest wait for the port, and then for an answer, s. Raises HardwareFault:
         PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, PROTOCOL, TIMEOUT, STOPPED. After a fault other

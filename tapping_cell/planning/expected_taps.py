@@ -90,9 +90,9 @@ def normal_nodes(count: int) -> Array:
 
 
 def _radial_weights(grid: Array, lengths: Array, box: float) -> tuple[Array, Array]:
-    """Return the weights for linear interpolation at lengths (n, nodes) on a grid, averaged over
-    the nodes, (n, grid), and the part of these weights due to lengths inside the box, (n, grid up
-    to the box)."""
+    """Return the weights, (n, grid), for linear interpolation on a grid at lengths (n, nodes),
+    averaged over the nodes. Also return the part of these weights that is due to lengths inside the
+    box, (n, grid points up to the edge of the box)."""
     rows, nodes = lengths.shape
     index, share = bracket(grid, lengths)
     at = np.arange(rows)[:, None] * grid.size + index

@@ -9,8 +9,9 @@ improvement compares the taps of every state by the mean of W (see ``fixed_polic
 scatter. W is taken from the nearest point of a table that also has points halfway between the grid
 points. The state after a tap is therefore an index, which is computed only once per grid. Between
 improvements, the policy is evaluated by sweeps with a sparse transition matrix of linear
-interpolation weights. A coarse grid is solved first and initialises the fine grid, which compares
-only the taps that are promising on the coarse grid.
+interpolation weights. The problem is first solved on a coarse grid. This solution initialises the
+solution on the fine grid, for which only the taps that are promising on the coarse grid are
+compared.
 """
 
 from __future__ import annotations
@@ -93,11 +94,11 @@ class Abandoned(Exception):
 
 
 def solve_coarse(space: FixedStrikeSpace, settings: PlannerSettings, goal: ArrayLike) -> Solution:
-    """Solve for a goal on the coarse grid, which is fast and sufficient far from the goal.
+    """Solve for a goal on the coarse grid. This is fast, and accurate enough far from the goal.
 
     If the first tap comes from this solution, runs need 0.05 taps (0.04 s) more than if it comes
-    from a grid of ratio 0.5 (300 tasks at each of three goals). As that grid takes 0.15 s longer to
-    solve, this one is used.
+    from a grid of ratio 0.5 (300 tasks at each of three goals). As the solution on the grid of
+    ratio 0.5 takes 0.15 s longer, the coarse grid is used.
     """
     place = np.asarray(goal, dtype=float)
     problem = _Problem(space, settings, place, COARSE, LENGTHS[0], POINTS[0])

@@ -27,7 +27,7 @@ from tapping_cell.se2 import Pose, unit_vectors
 
 STEEPEST = math.radians(60.0)
 """Largest incidence of a tap. With a larger incidence, a small error of the striker's line could
-make it graze or miss the object."""
+make the striker graze or miss the object."""
 
 STROKE_MARGIN = 0.003
 """Minimum stroke that must remain when the tip touches the object, m."""

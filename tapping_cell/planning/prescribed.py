@@ -33,7 +33,7 @@ METHOD = "prescribed"
 
 MODEL_DEVIATION = Scatter(distance=0.10, rotation=0.20, direction=math.radians(2.0))
 """Standard deviations of the model's error. Errors of 20 % in friction, restitution and torque
-factor change the distance by about 30 %, which is three of these standard deviations."""
+factor change the distance by about 30 %, that is, by three standard deviations of the distance."""
 
 LARGEST_INCIDENCE = math.radians(60.0)
 """Largest allowed incidence. With a larger incidence, a striker slightly off its line may graze or
@@ -226,7 +226,7 @@ class PrescribedSession:
         safe: BoolArray,
         in_view: ArrayLike | None,
     ) -> dict[str, BoolArray]:
-        """Return, for each kind of problem, which contacts have it, (n,)."""
+        """Return, for each kind of problem, which contacts have this problem, (n,)."""
         space = self._space
         off_contact = (
             made.missed

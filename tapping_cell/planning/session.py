@@ -355,16 +355,16 @@ class PositioningSession(GoalSession):
         goal_pose: x, y (m), theta (rad) of the object in `table`.
         planner: planning method; its settings hold the tolerance and the box.
         space: the set of possible strikes.
-        free: map of tappable places in ``space``. If None, the map is computed here, which takes
-            about 0.1 s; reuse one map for several goals.
+        free: map of tappable places in ``space``. If None, the map is computed here. This takes
+            about 0.1 s, so reuse one map for several goals.
         gains: gains learnt about the object in earlier runs.
         times: durations of the arm's motions; None if unknown.
         objective: "taps" chooses the fewest taps, "time" the taps that reach the goal in the least
             time. The latter requires ``times`` and a method that implements
             ``interface.TapValues``, and ``arm`` must be set before a decision.
         adapt: whether ``observe`` learns.
-        probe: begin with a few of the smallest taps, which measure friction and rotation of an
-            unknown object.
+        probe: begin with a few taps of the smallest size, to measure the friction and the rotation
+            of an unknown object.
         most_taps: maximum number of taps of the run.
     """
 

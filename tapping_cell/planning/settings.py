@@ -169,6 +169,6 @@ class PlannerSettings:
         )
 
     def key(self) -> str:
-        """Return a string that identifies a plan: it is equal if and only if the settings are
-        equal."""
+        """Return a string that identifies a plan: two strings are equal if and only if the settings
+        are equal."""
         return ";".join(f"{item.name}={getattr(self, item.name)!r}" for item in fields(self))

@@ -113,9 +113,9 @@ class StrikeSpace:
         scatter: Scatter | None = None,
     ) -> None:
         self.tap = replace(tap, sliding=tap.sliding.tabulated(), smallest_distance=0.0)
-        """The mechanics, with tabulated slides for a polygon. Its smallest distance is 0, because
-        that limit applies to the true distance, whereas commands are scaled by the learnt gains;
-        the planning method applies the limit."""
+        """The mechanics, with tabulated slides for a polygon. Their smallest distance is set to 0,
+        because this limit applies to the true distance, whereas commands are scaled by the learnt
+        gains; the planning method applies the limit."""
         self.workspace = workspace
         self.settings = StrikeSettings() if settings is None else settings
         self.scatter = Scatter() if scatter is None else scatter

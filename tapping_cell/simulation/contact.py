@@ -32,8 +32,8 @@ _COARSE_STEPS = 10
 (m/s), as in a push."""
 _SLOW = 0.005
 _FRICTION_EVERY = 8
-"""Number of steps between updates of the table's friction, which is far weaker than the contact
-force."""
+"""Number of steps between updates of the table's friction. Rare updates suffice, because this
+friction is far weaker than the contact force."""
 _LONGEST_CONTACT_S = 0.02
 """Maximum duration of a contact in one call of ``collide``, s; a longer contact continues in the
 next call."""

@@ -148,8 +148,8 @@ class SpringDrive:
         self._begin(Phase.LEAVING, now, wake)
 
     def out(self, steps: int, now: float) -> None:
-        """Move the carriage to the position ``steps``, which charges the spring, if the present
-        position is known."""
+        """Charge the spring by moving the carriage to the position ``steps``; do nothing if the
+        carriage moves or its position is unknown."""
         if self._phase is Phase.HOLDING:
             self._target, self._opened = steps, False
             self._begin(Phase.OUT, now)

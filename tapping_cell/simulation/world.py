@@ -1,5 +1,4 @@
-"""The simulated table, object and striker, which determine the object's pose as a function of time
-after a tap.
+"""Simulation of table, object and striker: the object's pose as a function of time after a tap.
 
 The striker's flight, its contacts with the object and the slide are integrated in time with the
 true parameters (``TruthFile``). Time is passed as an argument. The step lengths depend only on the

@@ -42,7 +42,7 @@ class Body:
         return self.free.space.object_radius
 
     def area(self, pose: Pose) -> CircleArea:
-        """Return the bounding circle at a pose, which is a keep-out for the other objects."""
+        """Return the bounding circle at a pose. This circle is a keep-out for the other objects."""
         return CircleArea(pose.x, pose.y, self.radius, self.name)
 
 
