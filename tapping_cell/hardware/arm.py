@@ -139,10 +139,10 @@ class ArmDriver:
         """Open the line, identify the controller, and read the position.
 
         ``timeout``: longest wait for the port, and then for the controller's answer, s. Homing
-        remains valid after a reconnect only if the controller proves that it was not reset and the
-        arm has not moved. If connecting fails, the port is closed. Raises HardwareFault:
-        PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT, PROTOCOL,
-        NEEDS_PERSON.
+        remains valid after a reconnect only if two conditions are met: the controller proves that
+        it was not reset, and the arm has not moved. If connecting fails, the port is closed. Raises
+        HardwareFault: PORT_MISSING, PORT_BUSY, UNKNOWN_FIRMWARE, SETTINGS_MISMATCH, TIMEOUT,
+        PROTOCOL, NEEDS_PERSON.
         """
         self._begin_call()
         self._connected = False
@@ -386,8 +386,8 @@ class ArmDriver:
     def _follow(self, path: _Path, deadline: float) -> tuple[ArmReading, HardwareFault | None]:
         """Send a path, and repeat the remaining part if a line was lost or rejected.
 
-        Returns the last reading, and the fault that kept the arm from the end of the path (None if
-        the arm is there).
+        Returns the last reading, and the fault that prevented the arm from reaching the end of the
+        path (None if the arm is there).
         """
         goal = path.places[-1]
         for attempt in range(MOVE_ATTEMPTS):

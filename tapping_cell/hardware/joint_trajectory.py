@@ -33,7 +33,8 @@ angle between them is above this value."""
 COURSE_SAMPLES = 200
 """Number of samples of a trajectory in the search for the point nearest to the arm."""
 COURSE_WIDTH = 0.05
-"""Maximum distance from a trajectory at which the arm is assumed to follow it, rad or m."""
+"""The arm is assumed to follow a trajectory if its distance from the trajectory is at most this
+value, rad or m."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ CHUNK = 160
 LEAST = 80
 """Minimum number of safe candidates in the first chunk; if fewer candidates are left, all of them.
 All candidates of a chunk are checked together. The minimum is doubled for each further chunk,
-because checking a chunk takes almost the same time whatever its size."""
+because checking a chunk takes almost the same time whatever the size of the chunk."""
 
 Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 """Function that returns which displacements (n, 3) of objects at poses (n, 3) are possible,
@@ -52,10 +52,10 @@ def alternative_taps(
     """Generate alternative displacements to command, in chunks, best first.
 
     The candidates cover all directions, several distances (shares of the method's own choice
-    ``first`` and of the largest tap) and several rotations (shares of the cone). They are ranked by
-    the number of taps that the method needs afterwards, computed with the length of the path around
-    obstacles. One tap is added to this number if, after the candidate, the goal is near enough for
-    one tap but that tap is not possible.
+    ``first`` and of the largest tap) and several rotations (shares of the cone). The candidates are
+    ranked by the number of taps that the method needs after them. This number is computed from the
+    length of the path around obstacles. One tap is added to this number if, after the candidate,
+    the goal is near enough for one tap but that tap is not possible.
     ``visited``: poses from which the object was tapped before and whose costs were underestimated.
     ``safe``: function that returns which displacements (n, 3) may be commanded. ``possible``:
     function that returns which of these the striker can make. Each slower check is applied only to

@@ -12,8 +12,8 @@ at its middle: the rotation per distance (rad/m) that a tap through the middle c
 the friction coefficient changes distance and rotation by the same factor. The rotation is therefore
 divided by the measured distance, so that G describes only the torque of the friction. Each estimate
 is a ``Belief``. The prior of each belief is a mixture of a narrow distribution, for an accurate
-object file, and wide ones. Measurements are weighted by the tap's scatter and the camera's noise,
-and outliers are distinguished from lasting changes.
+object file, and wide distributions, for an inaccurate one. Measurements are weighted by the tap's
+scatter and the camera's noise, and outliers are distinguished from lasting changes.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ MIN_MOVE = 1e-6
 """Length, m, below which a displacement counts as zero."""
 
 UNEXPLAINED = 0.5
-"""A tap counts as an outlier if its probability of being a valid measurement is below this
+"""A tap counts as an outlier if the probability that it is a valid measurement is below this
 value."""
 
 

@@ -16,8 +16,8 @@ from tapping_cell.planning.two_tap import ExactPlanner
 from tapping_cell.planning.value_iteration import Solution, solutions
 
 ALIKE = 0.35
-"""Taps at neighbouring grid points are interpolated if they differ by at most this share of the
-longest of them."""
+"""Taps at neighbouring grid points are interpolated if their distances differ by at most this share
+of the longest tap, and their rotations by at most this share of its largest rotation."""
 
 
 class OptimalPolicy:

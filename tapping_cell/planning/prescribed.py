@@ -3,8 +3,8 @@
 Such taps are for experiments that measure the object. In these experiments the planner must not
 choose the tap. The contact is chosen among those whose normal passes through the centre of mass
 (every contact of a round body, one contact per edge of a polygon), so that the rotation depends on
-the incidence alone. Before the experiment the object's mechanics are known only roughly. The model
-only has to be accurate enough to keep the object on the table and in the camera's view, and the
+the incidence alone. Before the experiment the object's mechanics are known only roughly. A model is
+sufficient if it is accurate enough to keep the object on the table and in the camera's view. The
 required clearance allows for large errors of the model (``MODEL_DEVIATION``).
 """
 

@@ -51,15 +51,15 @@ MAX_PROBES = 3
 PROBE_HEADINGS = np.arange(24) * (2.0 * math.pi / 24)
 
 UNKNOWN = 1.6
-"""Ratio of the longest possible slide to the predicted slide, above which the object is probed
-first. For an object that matches its file, the ratio is 1.2 after one tap."""
+"""If the ratio of the longest possible slide to the predicted slide is above this value, the object
+is probed first. For an object that matches its file, the ratio is 1.2 after one tap."""
 
 JUDGING_ROTATION = ((3, 0.975), (6, 0.84))
 """Criteria (number of taps, probability) for refusing an object that does not rotate. After this
 number of taps that are not outliers, the object is refused if its rotation gain is, with this
 probability, below the least gain. The second criterion is weaker, because further taps hardly
-improve the estimate of a gain slightly below the least gain. Without it, a run with such an object
-would end only at the maximum number of taps."""
+improve the estimate of a gain slightly below the least gain. Without this criterion, a run with
+such an object would end only at the maximum number of taps."""
 
 MIN_ROTATION_GAIN = float(LOWEST[NAMES.index("rotation")])
 
@@ -360,8 +360,8 @@ class PositioningSession(GoalSession):
         gains: gains learnt about the object in earlier runs.
         times: durations of the arm's motions; None if unknown.
         objective: "taps" chooses the fewest taps, "time" the taps that reach the goal in the least
-            time. The latter requires ``times`` and a method that implements
-            ``interface.TapValues``, and ``arm`` must be set before a decision.
+            time. "time" requires ``times`` and a method that implements ``interface.TapValues``,
+            and ``arm`` must be set before a decision.
         adapt: whether ``observe`` learns.
         probe: begin with a few taps of the smallest size, to measure the friction and the rotation
             of an unknown object.
@@ -667,7 +667,7 @@ class PositioningSession(GoalSession):
 
     def _longest_tap(self) -> float:
         """Return the length of the longest tap allowed now, m. After an outlier the length is
-        reduced, so that an object that has changed slides no farther than the largest tap."""
+        reduced, so that a changed object slides no farther than the largest tap."""
         settings = self.planner.settings
         if not bool(self.gains.surprised):
             return settings.largest_distance

@@ -25,7 +25,7 @@ class AmongOthers:
         self._paths: dict[tuple[FreeSpace, frozenset[CircleArea], float, float], PathLengths] = {}
 
     def map(self, body: Body, others: Iterable[CircleArea]) -> FreeSpace:
-        """Return the map of an object's tappable places on a table on which these areas are
+        """Return the map of an object's tappable places if the areas ``others`` of the table are
         occupied."""
         areas = frozenset(others)
         key = (body.free, areas)

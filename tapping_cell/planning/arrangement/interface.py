@@ -73,11 +73,11 @@ class Scene:
     """State of all objects on the table.
 
     bodies: all objects. poses: stationary pose of each object. finished: names of the objects at
-    their goals. excluded: moves as (name, purpose) that are not to be chosen now, because no tap
-    was possible in this state or many taps did not finish them. buffers: targets of the earlier
-    moves out of the way, by name of the object. later: names of the objects that must wait for
-    other objects before they go to their own goals: either the requested order demands this, or
-    they made way for those objects.
+    their goals. excluded: moves, as (name, purpose), that must not be chosen now, because no tap
+    was possible in this state or because many taps did not complete the move. buffers: targets of
+    the earlier moves out of the way, by name of the object. later: names of the objects that must
+    wait for other objects before they go to their own goals: either the requested order demands
+    this, or they made way for those objects.
     """
 
     bodies: Sequence[Body]

@@ -37,9 +37,9 @@ needed because taps may end beside the buffer place."""
 BUFFERS_TRIED = 12
 
 TOOL_CLEARANCE = 0.10
-"""Gap between a buffer place and an unfinished goal, m, below which an object at the buffer place
-obstructs taps at the goal. The tool needs this space, and a polygon can be tapped along only a few
-lines."""
+"""An object at a buffer place obstructs taps at an unfinished goal if the gap between buffer place
+and goal is smaller than this value, m. The tool needs this space, and a polygon can be tapped along
+only a few lines."""
 
 CROWDING_COST = 2.0
 """Extra cost, in taps, of a buffer place directly beside an unfinished goal."""
@@ -54,7 +54,8 @@ of the object out of the way, because those moves did not help enough. Close to 
 place the extra cost is doubled."""
 
 NARROW = 0.03
-"""Gap to another object, m, below which a buffer place has an extra cost of up to one tap."""
+"""If the gap between a buffer place and another object is smaller than this value, m, the buffer
+place has an extra cost of up to one tap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +155,8 @@ class SequencePlanner:
         """Return the names of the objects that block ``blocked``.
 
         An object blocks the path if removing it alone would open the path. If there is no such
-        object, the objects on the goal or, if the goal is free, all objects count as blocking,
-        ordered by distance from the straight line to the goal."""
+        object, the objects on the goal count as blocking. If the goal is free too, all objects
+        count as blocking, ordered by distance from the straight line to the goal."""
         goal, pose = blocked.target, scene.poses[blocked.name]
         others = [body for body in scene.bodies if body is not blocked]
         if (blocked.name, Purpose.TO_GOAL) in scene.excluded and self._is_open(scene, blocked):

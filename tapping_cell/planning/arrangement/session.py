@@ -45,15 +45,16 @@ COARSE_ANGLE = 1.5
 """Tolerance of the rotation of an object that is moved out of the way, rad."""
 
 TOUCHED = 0.002
-"""Displacement in excess of the camera's noise, m, from which an object that was not tapped counts
-as touched."""
+"""An object that was not tapped counts as touched if it was displaced by more than this value, m,
+plus an allowance for the camera's noise."""
 
 SETTLED = 0.0005
-"""Displacement of another object, m, up to which it counts as stationary and the map is reused."""
+"""If another object was displaced by at most this value, m, it counts as stationary, and the map is
+reused."""
 
 STILL = 4.0
-"""Difference of two observations of an object at its goal, in standard deviations, up to which the
-object counts as unmoved."""
+"""An object at its goal counts as unmoved if two observations of it differ by at most this number
+of standard deviations of the difference."""
 
 MAX_TAPS_EACH = 60
 

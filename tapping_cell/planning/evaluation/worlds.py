@@ -121,7 +121,8 @@ class World(Protocol):
 
 
 START_REACH = 0.1
-"""Half width, m, of the square on the open table in which starts are drawn, at any angle."""
+"""Starts are drawn in a square on the open table, at any angle. This is half the width of the
+square, m."""
 
 
 def draw_starts(count: int, rng: np.random.Generator) -> Array:
