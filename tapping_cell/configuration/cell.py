@@ -926,7 +926,7 @@ class Cell:
 
 
 def load_cell(path: Path | str | None = None, object_path: Path | str | None = None) -> Cell:
-    """Load a cell file, or the package's own if ``path`` is None.
+    """Load a cell file, or the package's own cell file if ``path`` is None.
 
     ``object_path`` replaces the object file that the cell file names.
 

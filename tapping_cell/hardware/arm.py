@@ -42,7 +42,7 @@ move's start or at an intermediate point."""
 FRESHNESS = 0.05
 """Maximum age of a reading that is reused at the start of a move, s."""
 MIN_FEED = 0.001
-"""Lowest feed rate that a move line can carry, units/min."""
+"""Lowest feed rate that a move line can contain, units/min."""
 
 HOMING_LOST = frozenset(
     {
@@ -316,7 +316,8 @@ class ArmDriver:
         self._fault = None
 
     def _connect_to_locked(self, timeout: float) -> None:
-        """Connect, and reset a controller that answers no queries because it sleeps or holds."""
+        """Connect. A controller that refuses queries because it is in a sleep or hold state is
+        reset first."""
         try:
             self.connect(timeout)
         except HardwareFault as fault:

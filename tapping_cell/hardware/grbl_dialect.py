@@ -301,8 +301,8 @@ class GrblDialect(LineDialect[grbl.Frame]):
         self._frames.append(frame)
 
     def _await(self, until: float) -> grbl.Frame | None:
-        """Return the next frame; count a timeout and return None if none is received by
-        ``until``."""
+        """Return the next frame; if no frame is received by ``until``, count a timeout and return
+        None."""
         frame = self._next(until)
         self.counters.timeouts += frame is None
         return frame
@@ -361,7 +361,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
         raise self._silent(f"answer to {line.decode().strip()!r}")
 
     def _resynchronise(self, deadline: float) -> None:
-        """Wait until the controller has processed every line sent before.
+        """Wait until the controller has processed every line sent so far.
 
         Sends a new number as the feed rate and queries the modes, which include the feed rate. A
         mode report with this number proves that all earlier lines were processed. The ``ok`` that
@@ -399,7 +399,7 @@ class GrblDialect(LineDialect[grbl.Frame]):
 
     def _await_first_status(self, deadline: float) -> grbl.Banner | None:
         """Query until a status report arrives. Return the banner that was received before this
-        report, which shows that the controller was reset; None if there was no banner."""
+        report, or None. A banner shows that the controller was reset."""
         banner: grbl.Banner | None = None
         while True:
             self._transport.write(grbl.STATUS_QUERY)

@@ -122,7 +122,7 @@ def _passing_speeds(legs: Sequence[_Leg]) -> list[tuple[float, float]]:
 
 
 class Course:
-    """A trajectory that was sent, for estimating the arm's position between joint state
+    """A trajectory that was sent. It is used to estimate the arm's position between joint state
     messages."""
 
     def __init__(self, start: Sequence[float], points: Sequence[TrajectoryPoint]) -> None:

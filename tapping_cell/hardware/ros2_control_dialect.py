@@ -43,7 +43,8 @@ class Ros2ControlSettings:
     max_acceleration: tuple[float, ...]
     """Maximum accelerations, rad/s^2 or m/s^2."""
     tolerance: tuple[float, ...]
-    """Position tolerances of the arm, rad or m. A joint at rest may vary by half its tolerance."""
+    """Position tolerances of the arm, rad or m. The position of a joint at rest may vary by half
+    its tolerance."""
     state_timeout: float = 0.25
     """Longest silence of the joint states, s."""
     axes: tuple[str, ...] = ()

@@ -33,7 +33,8 @@ Strikeable = Callable[[Array, Array], NDArray[np.bool_]]
 (n,)."""
 
 Selection = Callable[[Array], NDArray[np.bool_]]
-"""Function that returns which displacements (n, 3) from the present pose to keep, (n,)."""
+"""Function that returns which displacements (n, 3) from the present pose remain candidates,
+(n,)."""
 
 
 def alternative_taps(
@@ -56,10 +57,11 @@ def alternative_taps(
     ranked by the number of taps that the method needs after them. This number is computed from the
     length of the path around obstacles. One tap is added to this number if, after the candidate,
     the goal is near enough for one tap but that tap is not possible.
-    ``visited``: poses from which the object was tapped before and whose costs were underestimated.
-    ``safe``: function that returns which displacements (n, 3) may be commanded. ``possible``:
-    function that returns which of these the striker can make. Each slower check is applied only to
-    the candidates that passed the faster checks.
+    ``visited``: poses from which the object was tapped before, with their stored costs; a candidate
+    that ends near such a pose is assigned at least this cost. ``safe``: function that returns which
+    displacements (n, 3) may be commanded. ``possible``: function that returns which of these the
+    striker can make. Each slower check is applied only to the candidates that passed the faster
+    checks.
     """
     number = gains.value
     made = candidate_taps(pose, goal, first, number, planner, paths.length, tap)

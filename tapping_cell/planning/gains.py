@@ -74,8 +74,8 @@ DIRECTION = Prior(
 degrees."""
 
 MIN_SLOPE = 0.1
-"""Standard deviation, rad/m, of the rotation per distance of a tap without commanded rotation. It
-corresponds to a position error of the arm of 0.2 mm for the paper's disk."""
+"""Standard deviation, rad/m, of the rotation per distance of a tap without commanded rotation. For
+the paper's disk, this value corresponds to a position error of the arm of 0.2 mm."""
 
 KEPT = 0.95
 """Probability that the gains of an earlier run are still valid."""

@@ -1,7 +1,7 @@
 """Choice, among taps of all directions, of the tap that brings an object to its goal soonest.
 
-Many taps are nearly as good as the method's own: if two taps are needed, the first may lead almost
-anywhere. The tap with the least expected time is chosen ::
+Many taps are nearly as good as the tap that the method chooses: if two taps are needed, the first
+may lead almost anywhere. The tap with the least expected time is chosen ::
 
     t(tap) + E[taps that follow] t_mean + P (t(next) - t_way).
 

@@ -51,8 +51,9 @@ class OptimalPolicy:
         return Taps(tap, sense * np.minimum(turn, most))
 
     def taps_to_go(self, distance: ArrayLike, rotation: ArrayLike) -> Array:
-        """Return the expected number of taps for these residuals, 0 inside the box. Beyond the
-        grid, one tap is added for each length of the largest tap."""
+        """Return the expected number of taps for these residuals, 0 inside the box. For residuals
+        beyond the grid, one tap is added per multiple of the largest tap by which they exceed the
+        grid."""
         # Rotations are divided by the learnt gain and may therefore exceed half a turn, where the
         # grid ends.
         most = self.settings.largest_distance

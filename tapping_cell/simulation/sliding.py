@@ -113,7 +113,7 @@ class Slide:
         return math.hypot(*self._pull) <= hold * law.gravity
 
     def acceleration(self, motion: Motion) -> Acceleration:
-        """Return the acceleration of a moving body by friction and by the table's tilt."""
+        """Return the acceleration of a moving body due to friction and to the table's tilt."""
         law = self._friction
         cos, sin = math.cos(motion.theta), math.sin(motion.theta)
         # Velocities in the object's axes, in which the support points are fixed.

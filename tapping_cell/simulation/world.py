@@ -181,7 +181,8 @@ class World:
         self._cut(self._centred(pose))
 
     def take_striker(self, striker: Striker, stroke: float) -> None:
-        """Change the striker and its stroke in m, because each of several tappers has its own."""
+        """Change the striker and its stroke in m, because each of several tappers has its own
+        striker and stroke."""
         self._stroke = stroke
         if striker != self._striker:
             self._striker, self._contact = striker, self._contact_with(striker)

@@ -83,7 +83,8 @@ def gap(first: CircleArea, second: CircleArea) -> float:
 
 
 def bodies_among(bodies: Sequence[Body], obstacles: Sequence[KeepOut]) -> tuple[Body, ...]:
-    """Return copies of the objects whose maps contain additional, fixed keep-outs."""
+    """Return copies of the objects. The maps of the copies also contain the fixed keep-outs
+    ``obstacles``."""
     if not obstacles:
         return tuple(bodies)
     made: dict[FreeSpace, FreeSpace] = {}

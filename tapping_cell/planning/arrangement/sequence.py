@@ -1,4 +1,5 @@
-"""The built-in arrangement planner: it fills free goals first, then moves objects out of the way.
+"""The built-in arrangement planner: it first moves objects to free goals, then moves objects out of
+the way.
 
 A move to a goal is possible if the goal is free, a path through tappable places leads to it between
 the other objects, and every other unfinished goal can still be reached afterwards

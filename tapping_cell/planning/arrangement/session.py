@@ -59,7 +59,7 @@ of standard deviations of the difference."""
 MAX_TAPS_EACH = 60
 
 TIMEOUT = 6
-"""Number of consecutive taps of a move without progress, after which other moves are preferred."""
+"""After this number of consecutive taps of a move without progress, other moves are preferred."""
 
 PROGRESS = 0.25
 """Decrease of the estimated number of remaining taps that counts as progress."""

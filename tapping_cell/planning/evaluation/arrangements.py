@@ -103,12 +103,12 @@ class ArrangementTrial:
     """Result of one scene.
 
     end: "done", "refused before" (the first tap) or "refused later". inside: whether every true
-    pose is within its tolerance. taps: total number; lone_taps: number for the same objects, each
-    alone on the table. contacts: number of contacts between objects; tool_contacts: number of
-    strikes in which the tool would have touched another object. made_way: number of moves out of
-    the way. slowest, planning: processor time of the longest decision and of all decisions, s.
-    history: true poses before the first tap and after every tap. For drawings: goals; outlines, (n,
-    2), in the objects' frames; table, length and width of the table.
+    pose is within its tolerance. taps: total number of taps; lone_taps: total number of taps for
+    the same objects if each is alone on the table. contacts: number of contacts between objects;
+    tool_contacts: number of strikes in which the tool would have touched another object. made_way:
+    number of moves out of the way. slowest, planning: processor time of the longest decision and of
+    all decisions, s. history: true poses before the first tap and after every tap. For drawings:
+    goals; outlines, (n, 2), in the objects' frames; table, length and width of the table.
     """
 
     end: str = "refused later"
@@ -355,8 +355,8 @@ def draw_places(kinds: Sequence[Kind], least: float, rng: np.random.Generator) -
 
 
 def swapped_goals(starts: Sequence[Pose], rng: np.random.Generator) -> list[Pose]:
-    """Exchange the places of objects in pairs, with random angles; an unpaired last object
-    stays."""
+    """Exchange the places of objects in pairs, with random angles; an unpaired last object stays at
+    its place."""
     return [
         Pose(*starts[index ^ 1][:2], rng.uniform(-math.pi, math.pi))
         if index ^ 1 < len(starts)
