@@ -480,7 +480,7 @@ class MarlinDialect(LineDialect[marlin.Frame]):
         return findings
 
     def _offset_before_homing(self, deadline: float) -> dict[str, float]:
-        """Return the offset that the board has kept from an earlier session; none if the arm
+        """Return the offset that the board has kept from an earlier session; empty if the arm
         moves."""
         first, _ = self._position(deadline)
         offset = self._offset_at_rest(first)

@@ -192,7 +192,8 @@ class Ros2ControlDialect:
         self.home(axes, deadline)
 
     def clear(self, deadline: float) -> None:
-        """After a stop, wait until states arrive and the arm is at rest; then it may be homed."""
+        """After a stop, wait until states arrive and the arm is at rest. The arm may then be
+        homed."""
         self._ends = -math.inf
         while self.read(deadline).moving:
             if self._link.now() >= deadline:

@@ -89,7 +89,7 @@ class OptimalPlanner:
 
     While a plan is solved in the background, the taps come from exact two-tap plans, then from the
     plan on the coarse grid as soon as it is ready, and finally from the plan on the fine grid.
-    ``name`` contains the method in use.
+    ``name`` states which of these is in use.
     """
 
     def __init__(self, settings: PlannerSettings, *, background: bool = False) -> None:

@@ -159,7 +159,7 @@ class MarlinEmulator(ArmEmulator):
             self._send_line(line, now)
 
     def _idle_out(self, now: float) -> None:
-        """Cut the motors' power after the idle time; a limit of 0 keeps it on."""
+        """Cut the motors' power after the idle time; with a limit of 0, the power stays on."""
         if self._due is not None or self._blocks:
             self._rests_since = now
         elif self._idle_limit and self._rests_since is not None:

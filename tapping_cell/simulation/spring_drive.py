@@ -31,7 +31,7 @@ class SpringMechanism:
     stiffness: float = 500.0
     """Spring constant, N/m."""
     step_length: float = 5e-6
-    """Travel per step, m: 8 mm lead, 200 steps per turn, eighth steps."""
+    """Travel per step, m: 8 mm lead, 200 full steps per turn, 8 microsteps per full step."""
     step_rate: float = 4000.0
     """Step rate, 1/s."""
     longest_draw: int = 12000

@@ -269,7 +269,7 @@ class TapperEmulator:
 
     def _limit(self) -> float | None:
         """Return the time when the current action ends because of missing requests or its timeout;
-        None if it does not."""
+        None if it does not end for such a reason."""
         if self._state == "HOMING":
             return self._received + SILENCE
         if self._state in ("CHARGING", "CHARGED"):

@@ -259,7 +259,7 @@ class World:
         self._done = self._begun + length
 
     def _step_with(self, tap: _Tap) -> float:
-        """Make a step while the striker is out; return the length of the step in s."""
+        """Make a time step while a striker is released; return the length of the step in s."""
         contact, flight, before = self._contact, tap.flight, self._before
         gap = contact.gap(before, flight)
         closing = contact.closing_speed(before, flight)

@@ -63,7 +63,8 @@ SWEEP = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """A kind of objects: their map on the empty table, and the method that chooses their taps."""
+    """A kind of object: map of its tappable places on the empty table, and the method that chooses
+    its taps."""
 
     free: FreeSpace
     planner: Planner
